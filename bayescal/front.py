@@ -591,7 +591,7 @@ def audit(
     requirements : mapping of str to float, optional
         By the tool's numbers: the largest rms error over the workspace.
     variants : mapping
-        Sets of sensors to judge, as in a config of kind ``calibration_audit``.
+        Sets of sensors to judge, as in a config of kind ``audit``.
     seed, out, workers, quiet, **sections
         As for `calibrate`.
 
@@ -605,7 +605,7 @@ def audit(
     """
     found = load_machine(machine)
     content = {
-        "kind": "calibration_audit",
+        "kind": "audit",
         "name": "audit",
         "title": f"{found.name}: audit",
         "seed": seed,

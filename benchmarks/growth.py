@@ -143,10 +143,9 @@ def write_study(folder: Path, n_legs: int, n_poses: int, symbols: tuple[str, ...
 
 
 DESIGN = """
-mechanism = "machine.toml"
-measured_by = ["tracker"]
+machine = "machine.toml"
 
-[variant]
+[[variants]]
 model = "six_ups"
 {deformation}
 [noise]

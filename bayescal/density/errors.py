@@ -153,8 +153,8 @@ class LegErrors(Errors):
 
     def _show(self, what: str, zeta: Array) -> Array:
         """Return something that priors know of their coordinates, (..., k')."""
-        found = [getattr(one, what)(zeta[..., k]) for k, one in enumerate(self.priors[: self.n_amplitudes])]
-        return np.stack(found, axis=-1) if found else np.zeros((*zeta.shape[:-1], 0))
+        found = [getattr(term.priors[0], what)(own) for term, own in self.of(zeta) if term.priors]
+        return np.concatenate(found, axis=-1) if found else np.zeros((*zeta.shape[:-1], 0))
 
     def amplitudes(self, zeta: Array) -> Array:
         """Return the amplitudes of all terms, (..., K), or (K,) for any ζ where none is free."""

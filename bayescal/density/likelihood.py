@@ -156,16 +156,12 @@ class Likelihood(Elimination[LegSampling, LegErrors]):
         """
         result = np.empty((len(theta), self.n_poses))
         for part in self._batches(len(theta)):
-            result[part] = self._pointwise(theta[part], model_error if model_error.ndim == 1 else model_error[part])
+            result[part] = self._evaluate(theta[part], model_error if model_error.ndim == 1 else model_error[part])[0]
         return result
 
     def _batches(self, size: int) -> list[slice]:
         """Return how many vectors to take at a time."""
         return batches(size, self.n_poses)
-
-    def _pointwise(self, theta: Array, model_error: Array) -> Array:
-        """Return `pointwise` of a batch."""
-        return self._evaluate(theta, model_error)[0]
 
     @abstractmethod
     def _evaluate(self, theta: Array, model_error: Array) -> tuple[Array, Array]:

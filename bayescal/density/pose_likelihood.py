@@ -326,26 +326,16 @@ class PoseLikelihood(Likelihood):
 
     # --- density -------------------------------------------------------------------------------------------------
 
-    def evaluate(self, theta: Array, model_error: Array) -> tuple[Array, Array]:
-        """Return `pointwise` and rᵀ C⁻¹ r of each pose, shapes (B, P); infinite where there is no machine."""
+    def _evaluate(self, theta: Array, model_error: Array) -> tuple[Array, Array]:
+        if len(self._parts) == 1:
+            return self._evaluate_at_once(theta, model_error)
         density, square = np.empty((2, len(theta), self.n_poses))
-        for part in batches(len(theta)):
-            some = model_error if model_error.ndim == 1 else model_error[part]
-            for poses, here in self._parts:
-                density[part, poses], square[part, poses] = here._evaluate(theta[part], some)
-        square[~np.isfinite(square)] = np.inf
+        for poses, part in self._parts:
+            density[:, poses], square[:, poses] = part._evaluate_at_once(theta, model_error)
         return density, square
 
-    def _pointwise(self, theta: Array, model_error: Array) -> Array:
-        if len(self._parts) == 1:
-            return self._evaluate(theta, model_error)[0]
-        result = np.empty((len(theta), self.n_poses))
-        for poses, part in self._parts:
-            result[:, poses] = part._evaluate(theta, model_error)[0]
-        return result
-
     @np.errstate(all="ignore")  # far out numbers overflow: no density in the end
-    def _evaluate(self, theta: Array, model_error: Array) -> tuple[Array, Array]:
+    def _evaluate_at_once(self, theta: Array, model_error: Array) -> tuple[Array, Array]:
         errors = self._find_leg_errors(theta) if len(theta) != 1 else self._find_at(theta[0])[0]
         if model_error.ndim == 1:
             density, square = self._density_fixed(errors, model_error)

@@ -3,7 +3,6 @@
 KINDS = {
     "audit": "bayescal.experiments.audit.kind:Audit",
     "calibration": "bayescal.experiments.calibration.kind:Calibration",
-    "calibration_audit": "bayescal.experiments.audit.reading_kind:CalibrationAudit",
     "check": "bayescal.experiments.check.kind:Check",
     "selection": "bayescal.experiments.selection.kind:Selection",
     "sessions": "bayescal.experiments.sessions.kind:Sessions",
@@ -17,12 +16,13 @@ USES = {"next": "bayescal.experiments.next.kind:NextPose"}
 """What is asked of a study: it has results of its own, but no kind in its file, which names the study."""
 
 GONE = {
+    "calibration_audit": "audit",
     "next_pose": "no kind in a file that names a study, which `bayescal next` takes",
     "calibration_simulation": "simulation",
     "lookup_table": "table",
     "pose_selection": "selection",
     "reading_simulation": "simulation",
     "self_calibration": "calibration",
-    "sensor_placement": "calibration_audit",
+    "sensor_placement": "audit",
 }
 """Kinds that are no more, and what does the same: another kind, or what to write."""

@@ -277,7 +277,10 @@ def _write(tmp_path, text, base=REFERENCE):
 FAULTS = {
     "zero tolerance": ('[parameters]\nl = { prior = "normal", sd = 0.0 }', "parameters.l.*found 0"),
     "unknown parameter": ('[parameters]\nq_x = { prior = "normal", sd = 1.0 }', "found 'q_x'.*expected one of"),
-    "unknown sensor": ('measured_by = ["theodolite"]', "found sensor 'theodolite', expected one of laser_tracker"),
+    "unknown sensor": (
+        '[[variants]]\nmodel = "six_pus"\nsensors = ["theodolite"]',
+        "found sensor 'theodolite', expected one of laser_tracker",
+    ),
     "unknown sensor in a what-if": (
         '[[what_if]]\nname = "w"\nsensors = ["theodolite"]',
         "what_if 'w': sensors: found sensor 'theodolite'",
@@ -292,10 +295,10 @@ FAULTS = {
         '[sensors.photogrammetry]\nkind = "targets"\nbase = { points_mm = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]] }',
         "sensors.photogrammetry.base: found 2 targets",
     ),
-    "unknown model": ('[variant]\nmodel = "seven_pus"', "found 'seven_pus', did you mean"),
+    "unknown model": ('[[variants]]\nmodel = "seven_pus"', "found 'seven_pus', did you mean"),
     "missing table": ('[poses]\nconfigurations = "nothing.csv"', "nothing.csv: no such file"),
     "unknown key": ("[workspace]\ndepth_mm = 3", "workspace.depth_mm: unknown key"),
-    "no prior": ('[variant]\nfree = ["u_z"]', "found 'u_z'"),
+    "no prior": ('[[variants]]\nmodel = "six_pus"\nfree = ["u_z"]', "found 'u_z'"),
     "unit": ('[units]\nlength = "inch"', "units.length: found 'inch', expected"),
 }
 
@@ -314,7 +317,7 @@ def test_poses_that_the_machine_cannot_take_are_named(tmp_path):
     (tmp_path / "far.toml").write_text(mechanism.replace("actuator_range_mm = 1.3", "actuator_range_mm = 900.0"))
     moves = "r1,r2,r3,r4,r5,r6\n0,0,0,0,0,0\n600,-600,600,-600,600,-600\n"
     (tmp_path / "moves.csv").write_text(moves)
-    text = 'mechanism = "far.toml"\n[poses]\nplan = "file"\nconfigurations = "moves.csv"\nunit_mm = 1.0\n'
+    text = 'machine = "far.toml"\n[poses]\nplan = "file"\nconfigurations = "moves.csv"\nunit_mm = 1.0\n'
     path = _write(tmp_path, text)
     with pytest.raises(InputError, match="pose 2: found no pose at displacements 600, -600"):
         read_inputs(load_audit(path), path.parent)

@@ -9,8 +9,8 @@ import numpy as np
 
 from bayescal.errors import InputError
 from bayescal.experiments.audit.i_optimal import ProposedPlan, propose_i_optimal
-from bayescal.experiments.audit.inputs import AuditInputs
-from bayescal.experiments.audit.schema import ActuatorPlanConfig, WhatIfConfig
+from bayescal.experiments.audit.inputs import AuditInputs, list_measuring
+from bayescal.experiments.audit.schema import PosesConfig, WhatIfConfig
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.shared.design import choose_sensors
 from bayescal.identifiability.design import Plan
@@ -62,14 +62,15 @@ def list_changes(inputs: AuditInputs) -> list[WhatIfConfig]:
     ]
     n = inputs.plan.n_poses
     for plan, words in (("extremes", "at the ends of the range"), ("uniform", "spread evenly over the range")):
-        if config.poses is not None and config.poses.plan != plan:
-            poses = ActuatorPlanConfig.model_validate({"plan": plan, "count": n})
+        if config.data is None and config.poses.plan != plan:
+            poses = PosesConfig.model_validate({"plan": plan, "count": n})
             changes.append(WhatIfConfig(name=f"{n} poses {words}", poses=poses))
+    measuring = list_measuring(config)
     for name in config.sensors:
-        if name not in config.measured_by:
+        if name not in measuring:
             words = name.replace("_", " ")
             changes.append(WhatIfConfig(name=f"{words} instead", sensors=[name]))
-            changes.append(WhatIfConfig(name=f"{words} too", sensors=[*config.measured_by, name]))
+            changes.append(WhatIfConfig(name=f"{words} too", sensors=[*measuring, name]))
     return changes
 
 
@@ -91,7 +92,7 @@ def apply_change(inputs: AuditInputs, change: WhatIfConfig) -> Plan:
     """Return the changed plan."""
     plan, mechanism = inputs.plan, inputs.knowledge.machine.mechanism
     count = max(1, round(change.poses_factor * plan.n_poses))
-    config = change.poses or inputs.config.poses
+    config = change.poses or (None if inputs.measured is not None else inputs.config.poses)
     information = plan.pose_information
     if config is not None:
         if change.poses is not None and change.poses_factor == 1.0:

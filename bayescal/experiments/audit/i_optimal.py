@@ -83,11 +83,9 @@ def select_i_optimal(inputs: AuditInputs, n: int | None = None, n_candidates: in
         domain = ActuatorBox(knowledge)
         candidates = factorial_candidates(domain, n_candidates)
     else:
-        section = inputs.config.workspace
-        if section is None:
+        if inputs.workspace is None:
             raise InputError("I-optimal poses: found redundant legs without [workspace], expected it")
-        half = np.concatenate([section.position_mm, np.radians(section.rotation_deg)])
-        candidates = random_candidates(WorkspaceBox(knowledge, half), n_candidates, rng)
+        candidates = random_candidates(WorkspaceBox(knowledge, inputs.workspace.half), n_candidates, rng)
     count = inputs.plan.n_poses if n is None else n
     problem = SelectionProblem(candidates, criterion, count)
     with threadpool_limits(1), np.errstate(all="ignore"):

@@ -11,26 +11,20 @@ from bayescal.data.actuators import read_moves
 from bayescal.density.model_error import build_kernel
 from bayescal.errors import InputError
 from bayescal.experiments.audit.from_study import Measured, draw_measured, read_measured, refuse_independent
-from bayescal.experiments.audit.schema import (
-    ActuatorPlanConfig,
-    AuditConfig,
-    FilePlanConfig,
-    PlanConfig,
-    StructuredErrorConfig,
-    WorkspacePlanConfig,
-)
+from bayescal.experiments.audit.schema import AuditConfig, PosesConfig, StructuredErrorConfig
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.shared.design import (
+    REQUIRED,
     build_sensor,
     find_actuators,
     plan_sensors,
     read_machine,
-    read_requirements,
     read_tolerances,
     read_workspace,
 )
 from bayescal.experiments.shared.measured import MeasuredVariant
-from bayescal.experiments.shared.schema import FramesConfig
+from bayescal.experiments.shared.readings.schema import ChannelConfig
+from bayescal.experiments.shared.schema import FramesConfig, ModelConfig, WorkspaceConfig
 from bayescal.identifiability.design import FunctionOfPose, Knowledge, Plan, predict_poses
 from bayescal.identifiability.pose_volume import PoseVolume, draw_displacements, find_workspace_actuators
 from bayescal.identifiability.profile import check_profiles
@@ -79,7 +73,7 @@ class AuditInputs:
     units: Units
     measured: Measured | None = None
 
-    def actuators(self, plan: PlanConfig, factor: float = 1.0, count: int | None = None) -> Array:
+    def actuators(self, plan: PosesConfig, factor: float = 1.0, count: int | None = None) -> Array:
         """Return the actuator positions of another plan, shape (P, N), mm; its range may be widened by a factor."""
         return plan_actuators(self.config, self.folder, self.knowledge, self.workspace, plan, factor, count)
 
@@ -139,32 +133,61 @@ def prepare(design: AuditDesign, run: Run) -> AuditInputs:
 def _complete(
     config: AuditConfig, folder: Path, knowledge: Knowledge, plan: Plan, measured: Measured | None
 ) -> AuditInputs:
-    units, workspace = Units(config.units.length, config.units.angle), read_workspace(config.workspace)
+    units, workspace = Units(config.units.length, config.units.angle), read_volume(config)
     check_profiles(knowledge, config.profiles)
     predict_poses(knowledge.machine, knowledge.machine_centre, plan.actuators)
     at = find_actuators(knowledge, workspace, config.seed, plan.actuators)
-    requirements = read_requirements(config.requirements, units)
+    requirements = _read_requirements(config, units)
     sensors = _read_sensors(config, folder)
     return AuditInputs(config, folder, knowledge, plan, sensors, workspace, at, requirements, units, measured)
 
 
 def _read_sensors(config: AuditConfig, folder: Path) -> dict[str, Sensor]:
-    return {name: build_sensor(name, sensor, folder) for name, sensor in config.sensors.items()}
+    return {
+        name: build_sensor(name, sensor, folder)
+        for name, sensor in config.sensors.items()
+        if not isinstance(sensor, ChannelConfig)
+    }
+
+
+def _read_requirements(config: AuditConfig, units: Units) -> list[Requirement]:
+    """Return the largest errors of a pose that are allowed, mm and rad."""
+    for name in config.requirements:
+        if name not in REQUIRED:
+            raise InputError(f"requirements: found {name!r}, expected some of {', '.join(REQUIRED)}")
+    return [
+        Requirement(name, config.requirements[name] * units.factor("rad" if name.startswith("rotation") else "mm"))
+        for name in REQUIRED
+        if name in config.requirements
+    ]
+
+
+def list_measuring(config: AuditConfig) -> list[str]:
+    """Return the instruments that see each planned pose."""
+    chosen = config.variants[0].sensors
+    return list(config.sensors) if chosen is None else chosen
+
+
+def read_volume(config: AuditConfig) -> PoseVolume | None:
+    """Return where accuracy counts; None where nothing is said."""
+    return read_workspace(config.workspace if isinstance(config.workspace, WorkspaceConfig) else None)
 
 
 def _plan_measurements(
     config: AuditConfig, folder: Path, units: Units, sensors: dict[str, Sensor]
 ) -> tuple[Knowledge, Plan]:
     """Return what is known of a machine that has not been measured, and how it is to be."""
-    assert config.mechanism is not None
-    assert config.poses is not None
+    assert config.machine is not None
     assert config.noise is not None
-    machine = read_machine(folder / config.mechanism, config.variant, config.deformation, folder)
-    priors, fixed = read_tolerances(machine, config.parameters, config.variant.free, units, Path(config.name))
+    variant = config.variants[0]
+    assert variant.model is not None
+    model = ModelConfig(model=variant.model, deformation=variant.deformation)
+    machine = read_machine(folder / config.machine, model, config.deformation, folder)
+    priors, fixed = read_tolerances(machine, config.parameters, variant.free, units, Path(config.name))
     knowledge = Knowledge(machine, priors | _read_frames(config.frames, units), fixed)
-    actuators = plan_actuators(config, folder, knowledge, read_workspace(config.workspace), config.poses)
+    actuators = plan_actuators(config, folder, knowledge, read_volume(config), config.poses)
     _check_range(machine.mechanism, actuators)
-    plan = plan_sensors(actuators, sensors, config.measured_by, config.noise)
+    plan = plan_sensors(actuators, sensors, list_measuring(config), config.noise, "variants.sensors")
     return knowledge, replace(plan, function=_read_function(config.structured_error))
 
 
@@ -194,7 +217,7 @@ def plan_actuators(
     folder: Path,
     knowledge: Knowledge,
     workspace: PoseVolume | None,
-    plan: PlanConfig,
+    plan: PosesConfig,
     factor: float = 1.0,
     count: int | None = None,
 ) -> Array:
@@ -215,16 +238,18 @@ def plan_actuators(
     mechanism = knowledge.machine.mechanism
     start = mechanism.initial_actuator_positions
     rng = np.random.default_rng([config.seed, 1])
-    if isinstance(plan, FilePlanConfig):
+    if plan.file is not None:
+        raise InputError("poses.file: found poses of a platform that instruments see, expected configurations")
+    if plan.configurations is not None:
         moves = read_moves(folder / plan.configurations, plan.unit_mm, mechanism.n_legs)
         moves = moves if count is None else moves[np.arange(count) % len(moves)]
         return start + factor * moves
     n = plan.count if count is None else count
-    if isinstance(plan, ActuatorPlanConfig):
+    assert n is not None
+    if plan.plan != "workspace":
         half = mechanism.actuator_range if plan.range_mm is None else plan.range_mm
         drawn = start + factor * draw_displacements(plan.plan, n, mechanism.n_legs, half, rng)
         return close_legs(knowledge, drawn)
-    assert isinstance(plan, WorkspacePlanConfig)
     if workspace is None:
         raise InputError("poses: found plan 'workspace' without [workspace], expected it")
     theta = knowledge.machine_centre

@@ -1,4 +1,4 @@
-"""Poses at which it is planned to measure: random ones of the workspace, or those of a file."""
+"""Poses at which it is planned to measure: random ones of the workspace or of the actuators, or those of a file."""
 
 from __future__ import annotations
 
@@ -8,9 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from bayescal.calibrated.tables import list_columns, read_given, read_named, read_quantities
+from bayescal.errors import InputError
+from bayescal.experiments.audit.schema import AuditConfig, PosesConfig
 from bayescal.experiments.shared.readings.priors import choose_priors
-from bayescal.experiments.shared.readings.schema import CalibrationAuditConfig, FreeConfig
+from bayescal.experiments.shared.readings.schema import FreeConfig
 from bayescal.experiments.shared.readings.workspace import Workspace, check_given, draw_given, draw_standing
+from bayescal.identifiability.pose_volume import draw_displacements
 from bayescal.machines.readings import ReadingModel
 from bayescal.numerics.geometry import Array
 
@@ -24,19 +27,42 @@ class PlannedPoses:
     given: dict[str, Array]
 
 
-def plan_poses(config: CalibrationAuditConfig, folder: Path, model: ReadingModel, workspace: Workspace) -> PlannedPoses:
+def plan_poses(config: AuditConfig, folder: Path, model: ReadingModel, workspace: Workspace) -> PlannedPoses:
     """Return where it is planned to measure; InputError for a faulty file or missing bounds."""
-    if config.poses.file is not None:
-        return _read_poses(folder / config.poses.file, model)
-    assert config.poses.count is not None
+    section = config.poses
+    if section.configurations is not None:
+        raise InputError("poses.configurations: found displacements of a mechanism's actuators, expected poses.file")
+    if section.file is not None:
+        return _read_poses(folder / section.file, model)
+    assert section.count is not None
     check_given(config.given, model)
-    rng, count = np.random.default_rng([config.seed, 8]), config.poses.count
-    given = draw_given(config.given, count, rng)
-    pose, _ = draw_standing(model, workspace, _expect(config, model), given, count, rng)
+    rng, count = np.random.default_rng([config.seed, 8]), section.count
+    given, theta = draw_given(config.given, count, rng), _expect(config, model)
+    if section.plan == "workspace":
+        pose, _ = draw_standing(model, workspace, theta, given, count, rng)
+    else:
+        pose = _draw_commands(model, theta, given, section, rng)
     return PlannedPoses(tuple(f"P{k:03d}" for k in range(1, count + 1)), pose, given)
 
 
-def _expect(config: CalibrationAuditConfig, model: ReadingModel) -> Array:
+def _draw_commands(
+    model: ReadingModel, theta: Array, given: dict[str, Array], section: PosesConfig, rng: np.random.Generator
+) -> Array:
+    """Return the poses (P, q) of random actuator positions; InputError for one at which the machine cannot stand."""
+    limits = model.command_range
+    if not len(limits) or not np.isfinite(limits).all():
+        raise InputError(f"poses.plan: found {section.plan!r}, but no range of the actuators, expected 'workspace'")
+    assert section.count is not None
+    half = 0.5 * (limits[:, 1] - limits[:, 0])
+    half = half if section.range_mm is None else np.minimum(half, section.range_mm)
+    moves = draw_displacements(section.plan, section.count, len(limits), 1.0, rng)
+    pose, found = model.locate(theta, limits.mean(axis=1) + half * moves, given)
+    for k in np.flatnonzero(~found)[:1]:
+        raise InputError(f"poses: pose {k + 1}: found no pose at actuator positions drawn, expected a smaller range_mm")
+    return pose
+
+
+def _expect(config: AuditConfig, model: ReadingModel) -> Array:
     """Return the machine as expected with everything free, (D,)."""
     priors, fixed, _ = choose_priors(config, FreeConfig(), model)
     known = fixed | {name: one.mean for name, one in priors.items()}

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from bayescal.experiments.audit.outlook import Outlook, foresee
-from bayescal.experiments.audit.reading_inputs import AuditInputs
+from bayescal.experiments.audit.reading_inputs import ReadingAudit
 from bayescal.experiments.audit.reading_tables import Prospect, summarise, tabulate
 from bayescal.experiments.audit.selection import Selection, select_poses
 from bayescal.experiments.audit.sensor_sets import build_sensor_sets
@@ -22,7 +22,7 @@ from bayescal.identifiability.information import information_of_rows
 from bayescal.identifiability.reading_rows import name_tool, see
 
 
-def compute_audit(inputs: AuditInputs, run: Run) -> Results:
+def compute_readings(inputs: ReadingAudit, run: Run) -> Results:
     """Return what all sets of sensors would tell."""
     names = {name: name for name in inputs.variants}
     found = run.map("variants", _compute_variant, inputs, names, (Prospect, Knowledge, Outlook, Selection))
@@ -32,7 +32,7 @@ def compute_audit(inputs: AuditInputs, run: Run) -> Results:
     return Results(summarise(inputs, tables), tables)
 
 
-def _compute_variant(inputs: AuditInputs, name: str) -> Prospect:
+def _compute_variant(inputs: ReadingAudit, name: str) -> Prospect:
     variant = inputs.variants[name]
     posterior = variant.posterior()
     expected = np.zeros(posterior.n_parameters)
@@ -48,7 +48,7 @@ def _compute_variant(inputs: AuditInputs, name: str) -> Prospect:
     )
 
 
-def _search_sets(inputs: AuditInputs) -> FoundSets:
+def _search_sets(inputs: ReadingAudit) -> FoundSets:
     assert inputs.sensors is not None
     asked, variant = inputs.config.sensor_choice, inputs.sensors
     assert asked is not None

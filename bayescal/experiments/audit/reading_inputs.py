@@ -11,36 +11,37 @@ from pathlib import Path
 
 import numpy as np
 
+from bayescal.config.load import read_toml
 from bayescal.density.calibration.measurements import Measurements
 from bayescal.density.calibration.terms import Errors
 from bayescal.density.priors import NormalPrior
 from bayescal.errors import InputError, name_faults
 from bayescal.experiments.audit.planned_poses import PlannedPoses, plan_poses
+from bayescal.experiments.audit.schema import AuditConfig, VariantConfig
 from bayescal.experiments.audit.sensor_sets import Choice, list_choices
+from bayescal.experiments.shared.design import read_machine
 from bayescal.experiments.shared.readings.inputs import Variant
-from bayescal.experiments.shared.readings.instruments import read_machine
+from bayescal.experiments.shared.readings.instruments import read_instruments
 from bayescal.experiments.shared.readings.noise import noise_of_channels
 from bayescal.experiments.shared.readings.priors import choose_priors
-from bayescal.experiments.shared.readings.schema import (
-    AuditVariantConfig,
-    CalibrationAuditConfig,
-    CalibrationVariantConfig,
-    FreeConfig,
-)
+from bayescal.experiments.shared.readings.schema import CalibrationVariantConfig, ChannelConfig, FreeConfig
 from bayescal.experiments.shared.readings.workspace import Workspace, build_workspace, check_told
+from bayescal.experiments.shared.schema import ModelConfig
 from bayescal.identifiability.reading_rows import name_tool
 from bayescal.identifiability.units import Units
-from bayescal.machines.readings import ReadingModel
+from bayescal.machines.read import read_reading_model
+from bayescal.machines.readings import Legs, ReadingModel, place
+from bayescal.machines.readings.legs import TILTS
 from bayescal.numerics.geometry import Array
 
 
 @dataclass(frozen=True, eq=False)
-class AuditInputs:
+class ReadingAudit:
     """What is planned.
 
     Attributes
     ----------
-    config : CalibrationAuditConfig
+    config : AuditConfig
     machine : str
         Its name.
     variants : dict of name to Variant
@@ -53,7 +54,7 @@ class AuditInputs:
         Of these sensors.
     """
 
-    config: CalibrationAuditConfig
+    config: AuditConfig
     machine: str
     variants: dict[str, Variant]
     limits: dict[str, float]
@@ -61,35 +62,53 @@ class AuditInputs:
     choices: tuple[Choice, ...] = ()
 
 
-def read_audit(config: CalibrationAuditConfig, folder: Path) -> AuditInputs:
+def read_audit(config: AuditConfig, folder: Path) -> ReadingAudit:
     """Return the inputs of an audit; InputError names the file, the variant, the pose, the coordinate."""
-    model = read_machine(config, folder)
+    model = _read_model(config, config.variants[0], folder)
     if config.aligned and not model.places_tool:
         raise InputError(
             f"aligned: machine {getattr(model, 'name', '')!r} does not say where its tool is; expected tool_channels "
             "of its class, up to three in mm"
         )
-    noise = noise_of_channels(config.sensors, model)
+    assert isinstance(config.workspace, dict)
     workspace = build_workspace(model, config.workspace, config.units)
     planned = plan_poses(config, folder, model, workspace)
     variants = {}
     for one in config.variants:
         with name_faults(f"variant {one.name!r}"):
-            variants[one.name] = _build(config, one, model, planned, noise, workspace)
+            seen = model if one.model == config.variants[0].model else _read_model(config, one, folder)
+            variants[one.name] = _build(config, one, seen, planned, workspace)
     limits = _read_limits(config, model)
-    name, asked = getattr(model, "name", config.machine), config.sensor_choice
+    name, asked = getattr(model, "name", str(config.machine)), config.sensor_choice
     if asked is None:
-        return AuditInputs(config, name, variants, limits)
+        return ReadingAudit(config, name, variants, limits)
     with name_faults("sensor_choice"):
         choices = list_choices(model, asked)
         names = [*asked.always, *(one for choice in choices for one in choice.channels)]
         what = asked.model_dump(include=set(FreeConfig.model_fields))
-        section = AuditVariantConfig(name="sensor_choice", title="", sensors=names, **what)
-        sensors = _build(config, section, model, planned, noise, workspace)
-    return AuditInputs(config, name, variants, limits, sensors, choices)
+        section = VariantConfig(name="sensor_choice", sensors=names, **what)
+        sensors = _build(config, section, model, planned, workspace)
+    return ReadingAudit(config, name, variants, limits, sensors, choices)
 
 
-def _read_limits(config: CalibrationAuditConfig, model: ReadingModel) -> dict[str, float]:
+def _read_model(config: AuditConfig, section: VariantConfig, folder: Path) -> ReadingModel:
+    """Return the machine of the config's file before its instruments; a mechanism by the channels of its legs."""
+    assert config.machine is not None
+    path = folder / config.machine
+    if "kind" in read_toml(path)[0]:
+        if section.model is not None:
+            raise InputError(f"variants.model: found {section.model!r}, expected it of a mechanism's file alone")
+        model = read_reading_model(path)
+    else:
+        if section.model is None:
+            raise InputError("variants.model: found none, expected the kinematic model that the mechanism is seen by")
+        seen = ModelConfig(model=section.model, deformation=section.deformation)
+        inclined = any(name.partition("[")[0] in TILTS for name in config.sensors)
+        model = Legs(read_machine(path, seen, config.deformation, folder), inclined=inclined)
+    return place(model, read_instruments(config, folder))
+
+
+def _read_limits(config: AuditConfig, model: ReadingModel) -> dict[str, float]:
     names, units = name_tool(model)
     section = Units(config.units.length, config.units.angle)
     for name in config.requirements:
@@ -103,13 +122,13 @@ def _read_limits(config: CalibrationAuditConfig, model: ReadingModel) -> dict[st
 
 
 def _build(
-    config: CalibrationAuditConfig,
-    section: AuditVariantConfig,
+    config: AuditConfig,
+    section: VariantConfig,
     whole: ReadingModel,
     planned: PlannedPoses,
-    noise: Array,
     workspace: Workspace,
 ) -> Variant:
+    noise = noise_of_channels({k: v for k, v in config.sensors.items() if isinstance(v, ChannelConfig)}, whole)
     chosen = whole.select(section.sensors if section.sensors is not None else config.sensors)
     for k in chosen[~np.isfinite(noise[chosen])][:1]:
         raise InputError(f"sensors: found {whole.names[k]} without noise, expected an entry in [sensors]")
@@ -117,8 +136,9 @@ def _build(
     priors, fixed, common = choose_priors(config, section, model)
     shape = (len(planned.names), len(chosen))
     data = Measurements(planned.names, np.zeros(shape), np.tile(noise[chosen], (shape[0], 1)), planned.given)
+    shared = section.model_dump(include=set(FreeConfig.model_fields) | {"name", "sensors"})
     variant = Variant(
-        CalibrationVariantConfig(**section.model_dump(), noise="stated"),
+        CalibrationVariantConfig(**shared, title=section.label, noise="stated"),
         whole,
         model,
         {name: NormalPrior(one.mean, one.sd) for name, one in priors.items()},

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from bayescal.experiments.audit.outlook import Outlook
-from bayescal.experiments.audit.reading_inputs import AuditInputs
+from bayescal.experiments.audit.reading_inputs import ReadingAudit
 from bayescal.experiments.audit.selection import Selection
 from bayescal.experiments.shared.readings.inputs import Variant
 from bayescal.experiments.shared.readings.knowledge import Knowledge
@@ -43,14 +43,14 @@ class Prospect:
     selection: Selection | None
 
 
-def tabulate(inputs: AuditInputs, found: Mapping[str, Prospect]) -> dict[str, pd.DataFrame]:
+def tabulate(inputs: ReadingAudit, found: Mapping[str, Prospect]) -> dict[str, pd.DataFrame]:
     """Return all tables by the names of their files."""
     every = [(inputs.variants[name], one) for name, one in found.items()]
     first = next(iter(inputs.variants.values()))
     tables = {
         "variants": pd.DataFrame([_describe(*one, inputs.limits) for one in every]),
         "parameters": pd.concat([_list_parameters(*one) for one in every], ignore_index=True),
-        "accuracy": pd.concat([tabulate_accuracy(variant, one.knowledge) for variant, one in every], ignore_index=True),
+        "accuracy": pd.concat([tabulate_accuracy(variant, one.knowledge, inputs.config.units) for variant, one in every], ignore_index=True),
         "requirements": pd.DataFrame([row for one in every for row in _list_requirements(*one, inputs.limits)]),
         "ridges": pd.DataFrame([row for variant, one in every for row in list_ridges(variant, one.knowledge)]),
         "next": pd.DataFrame([row for variant, one in every for row in list_next(variant, one.knowledge)]),
@@ -167,7 +167,7 @@ def _place(variant: Variant, pose: Array) -> dict[str, float]:
     return {f"{one.name}_{one.unit}": pose[k] for k, one in enumerate(variant.model.coordinates)}
 
 
-def summarise(inputs: AuditInputs, tables: Mapping[str, pd.DataFrame]) -> dict[str, Any]:
+def summarise(inputs: ReadingAudit, tables: Mapping[str, pd.DataFrame]) -> dict[str, Any]:
     """Return the results as JSON-ready numbers."""
     config, selection = inputs.config, inputs.config.selection
     return {
@@ -188,7 +188,7 @@ def summarise(inputs: AuditInputs, tables: Mapping[str, pd.DataFrame]) -> dict[s
     }
 
 
-def _summarise_choice(inputs: AuditInputs) -> dict[str, Any] | None:
+def _summarise_choice(inputs: ReadingAudit) -> dict[str, Any] | None:
     asked = inputs.config.sensor_choice
     if asked is None:
         return None

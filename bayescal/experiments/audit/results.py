@@ -11,7 +11,8 @@ from bayescal.config.classes import label_class
 from bayescal.experiments.audit.audit import Audit
 from bayescal.experiments.audit.changes import ChangeEffect, contraction_along, contraction_of_symbols
 from bayescal.experiments.audit.far_readings import describe_far_readings
-from bayescal.experiments.audit.inputs import AuditInputs
+from bayescal.experiments.audit.inputs import AuditInputs, list_measuring
+from bayescal.experiments.shared.schema import WorkspaceConfig
 from bayescal.identifiability.directions import Direction
 from bayescal.identifiability.information import nats_from_contraction
 from bayescal.identifiability.reduced import ReducedSet
@@ -34,9 +35,9 @@ def summarise(audit: Audit) -> dict[str, Any]:
         "name": config.name,
         "title": config.title,
         "machine": knowledge.machine.mechanism.name,
-        "model": label_class(config.variant.model),
+        "model": label_class(config.variants[0].model or ""),
         "model_title": knowledge.machine.model.title,
-        "deformation": label_class(config.variant.deformation),
+        "deformation": label_class(config.variants[0].deformation),
         "seed": config.seed,
         "units": {"length": inputs.units.length, "angle": inputs.units.angle},
         "plan": _summarise_plan(audit),
@@ -65,17 +66,17 @@ def _summarise_plan(audit: Audit) -> dict[str, Any]:
     inputs = audit.inputs
     plan, mechanism = inputs.plan, inputs.knowledge.machine.mechanism
     moved = np.abs(plan.actuators - mechanism.initial_actuator_positions)
-    workspace = inputs.config.workspace
+    config, workspace = inputs.config, inputs.config.workspace
     return {
         "n_poses": plan.n_poses,
-        "sensors": list(inputs.config.measured_by),
+        "sensors": [] if config.data is not None else list_measuring(config),
         "actuator_noise_um": 1e3 * plan.actuator_noise,
         "model_error_um": 1e3 * plan.model_error,
         **_summarise_function(inputs),
         **({} if inputs.measured is None else {"n_held_back": inputs.measured.n_held_back}),
         "largest_displacement_mm": float(moved.max()),
         "actuator_range_mm": mechanism.actuator_range,
-        "workspace": None if workspace is None else workspace.model_dump(mode="json"),
+        "workspace": workspace.model_dump(mode="json") if isinstance(workspace, WorkspaceConfig) else None,
     }
 
 

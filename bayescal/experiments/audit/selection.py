@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayescal.density.calibration.likelihood import CalibrationPosterior
+from bayescal.experiments.audit.schema import AuditConfig
 from bayescal.experiments.shared.readings.inputs import Variant
 from bayescal.experiments.shared.readings.knowledge import look, look_around, weigh
-from bayescal.experiments.shared.readings.schema import CalibrationAuditConfig
 from bayescal.identifiability.reading_rows import rms
 from bayescal.numerics.geometry import Array
 from bayescal.pose_selection.next_pose import add_poses, compute_gains, learn_in_turn
@@ -44,7 +44,7 @@ class Selection:
     random: Array
 
 
-def select_poses(config: CalibrationAuditConfig, variant: Variant, posterior: CalibrationPosterior) -> Selection | None:
+def select_poses(config: AuditConfig, variant: Variant, posterior: CalibrationPosterior) -> Selection | None:
     """Return poses chosen out of random ones of the workspace, read by all sensors of a variant.
 
     None where none are asked for, or where the machine's own sensors do not tell what has to be accurate.

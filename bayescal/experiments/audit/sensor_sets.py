@@ -15,9 +15,9 @@ import numpy as np
 
 from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.errors import InputError
+from bayescal.experiments.audit.schema import SensorChoiceConfig
 from bayescal.experiments.shared.readings.inputs import Variant
 from bayescal.experiments.shared.readings.knowledge import N_WORKSPACE, differentiate
-from bayescal.experiments.shared.readings.schema import SensorChoiceConfig
 from bayescal.experiments.shared.readings.workspace import SINGULAR
 from bayescal.identifiability.information import information_of_rows
 from bayescal.identifiability.reading_rows import Slopes, rms

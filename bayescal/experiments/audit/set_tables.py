@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from bayescal.experiments.audit.reading_inputs import AuditInputs
+from bayescal.experiments.audit.reading_inputs import ReadingAudit
 from bayescal.experiments.audit.set_search import FoundSets, find_hopeless
 from bayescal.experiments.shared.readings.inputs import Variant
 from bayescal.identifiability.reading_rows import name_tool
@@ -16,7 +16,7 @@ from bayescal.identifiability.reading_rows import name_tool
 DIGITS = 9  # of a price, for sums of the same prices to be the same
 
 
-def tabulate_sets(inputs: AuditInputs, found: FoundSets) -> dict[str, pd.DataFrame]:
+def tabulate_sets(inputs: ReadingAudit, found: FoundSets) -> dict[str, pd.DataFrame]:
     """Return ``sensor_sets``, ``best_sets``, their ``front`` against the price, and what no set of them tells.
 
     That is ``best_set_parameters`` and ``hopeless_sets``; tables without rows are left out.
@@ -42,7 +42,7 @@ def find_front(sets: pd.DataFrame) -> pd.DataFrame:
     return good[good["goal"] < good["goal"].cummin().shift(fill_value=np.inf)]
 
 
-def _name_set(inputs: AuditInputs, found: FoundSets, place: int) -> dict[str, Any]:
+def _name_set(inputs: ReadingAudit, found: FoundSets, place: int) -> dict[str, Any]:
     chosen = [choice for choice, one in zip(inputs.choices, found.sets[place], strict=True) if one]
     price = round(sum(one.price for one in chosen), DIGITS)
     return {
@@ -54,7 +54,7 @@ def _name_set(inputs: AuditInputs, found: FoundSets, place: int) -> dict[str, An
     }
 
 
-def _describe(inputs: AuditInputs, found: FoundSets, place: int) -> dict[str, Any]:
+def _describe(inputs: ReadingAudit, found: FoundSets, place: int) -> dict[str, Any]:
     one, variant = found.accuracy[place], inputs.sensors
     assert variant is not None
     names = [f"{name}_{unit}" for name, unit in zip(*name_tool(variant.model), strict=True)]
@@ -77,7 +77,7 @@ def _count(found: FoundSets, number: int) -> dict[str, Any]:
     return {"n_sets": len(alike), "n_hopeless": sum(one.reason != "" for one in alike)}
 
 
-def _list_parameters(inputs: AuditInputs, found: FoundSets, number: int, place: int) -> Iterator[dict[str, Any]]:
+def _list_parameters(inputs: ReadingAudit, found: FoundSets, number: int, place: int) -> Iterator[dict[str, Any]]:
     variant: Variant | None = inputs.sensors
     assert variant is not None
     posterior = variant.posterior()

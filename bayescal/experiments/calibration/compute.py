@@ -105,7 +105,7 @@ def _explain(posterior: CalibrationPosterior, fit: Fit) -> Residuals:
     """Return the residuals of the best machine at the calibration poses."""
     white, stand = posterior.likelihood.explain(*posterior.at(fit.mode[None]))
     own, tau = posterior.likelihood.noise(posterior.errors, posterior.zeta(fit.mode[None]))
-    likelihood, outliers = posterior.likelihood, posterior.errors.outliers
+    likelihood, tails = posterior.likelihood, posterior.errors.tails(posterior.zeta(fit.mode[None]))
     given = {key: value[None] for key, value in likelihood.data.given.items()}
     read = likelihood.model.read(posterior.theta(fit.mode[None])[:, None], stand.pose, given)
     residual = posterior.likelihood.residuals(*posterior.at(fit.mode[None]))
@@ -117,7 +117,7 @@ def _explain(posterior: CalibrationPosterior, fit: Fit) -> Residuals:
         np.where(likelihood.data.present, left, np.nan),
         np.sqrt(own[0] ** 2 + tau[0] ** 2) * np.ones_like(left),
         square,
-        outliers.trust(square, likelihood.n_spare),
+        tails.trust(square[None], likelihood.n_spare)[0],
         likelihood.n_readings - stand.pose.shape[-1],
     )
 

@@ -74,7 +74,7 @@ class Findings:
 
 def tabulate(inputs: CalibrationInputs, found: Mapping[str, Findings]) -> dict[str, pd.DataFrame]:
     """Return all tables by the names of their files."""
-    every = [(inputs.variants[name], one) for name, one in found.items()]
+    every, units = [(inputs.variants[name], one) for name, one in found.items()], inputs.config.units
     predictions = pd.DataFrame([row for one in every for row in _list_predictions(*one)])
     tables = {
         "variants": tabulate_comparison(
@@ -86,7 +86,7 @@ def tabulate(inputs: CalibrationInputs, found: Mapping[str, Findings]) -> dict[s
         "residuals": pd.DataFrame([row for one in every for row in _list_residuals(*one)]),
         "poses": pd.concat([_list_poses(*one) for one in every], ignore_index=True),
         "predictions": predictions,
-        "accuracy": pd.concat([tabulate_accuracy(variant, one.knowledge) for variant, one in every], ignore_index=True),
+        "accuracy": pd.concat([tabulate_accuracy(variant, one.knowledge, units) for variant, one in every], ignore_index=True),
         "ridges": pd.DataFrame([row for variant, one in every for row in list_ridges(variant, one.knowledge)]),
         "next": pd.DataFrame([row for variant, one in every for row in list_next(variant, one.knowledge)]),
         "beside": pd.DataFrame([row for one in every for row in _list_beside(inputs, *one)]),
@@ -102,7 +102,7 @@ def _describe(variant: Variant, one: Findings, predictions: pd.DataFrame) -> dic
         "variant": variant.name,
         "title": variant.config.title,
         "data": name_data(variant),
-        "robust": variant.config.robust is not None,
+        "robust": variant.config.outliers.expected,
         "n_poses": len(left.square),
         "n_equations": int(left.freedom.sum()),
         **describe_fit(fit),
@@ -144,7 +144,7 @@ def _list_poses(variant: Variant, one: Findings) -> pd.DataFrame:
     chance = chi2.sf(left.square, np.maximum(left.freedom, 1))
     coordinates = {f"{c.name}_{c.unit}": left.pose[:, k] for k, c in enumerate(variant.model.coordinates)}
     used = variant.data.pick(~variant.verification)
-    contradicting = (left.trust < DISTRUSTED) | ((variant.config.robust is None) & (chance < IMPROBABLE))
+    contradicting = (left.trust < DISTRUSTED) | ((not variant.config.outliers.expected) & (chance < IMPROBABLE))
     own = {"equations": left.freedom, "square": left.square, "chance": chance, "trust": left.trust}
     common = tabulate_left_out(variant.name, one.fit, used.poses, np.zeros(used.n_poses, dtype=bool))
     return common.assign(**coordinates, **own, contradicting=contradicting)

@@ -147,12 +147,16 @@ def known_symbols(mechanism: Mechanism) -> set[str]:
 
 
 def plan_sensors(
-    actuators: Array, sensors: dict[str, Sensor], measured_by: list[str], noise: ActuatorNoiseConfig
+    actuators: Array,
+    sensors: dict[str, Sensor],
+    measured_by: list[str],
+    noise: ActuatorNoiseConfig,
+    field: str = "measured_by",
 ) -> Plan:
     """Return a plan of poses at actuator positions (P, N), mm, seen by some of the sensors."""
     return Plan(
         actuators,
-        choose_sensors(sensors, measured_by, "measured_by"),
+        choose_sensors(sensors, measured_by, field),
         MICROMETRE * noise.actuator_um,
         MICROMETRE * noise.model_error_um,
     )

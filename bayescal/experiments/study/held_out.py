@@ -88,7 +88,8 @@ def describe_stacking(inputs: StudyInputs, fits: Mapping[str, Fit]) -> dict[str,
     found: dict[str, Any] = {"weights": chosen, "calibration": summarise_errors(prediction.select(~held))}
     if held.any():
         density = [_joint_density(fits[name], held) + np.log(max(w, TINY)) for name, w in chosen.items()]
-        found["verification"] = {**summarise_errors(prediction.select(held)), "elpd": float(logsumexp(density))}
+        found["verification"] = summarise_errors(prediction.select(held))
+        found["elpd"] = float(logsumexp(density))
     return found
 
 

@@ -25,7 +25,6 @@ from bayescal.machines.flexure import CIRCLE, PIVOT, compute_beam_shift, compute
 from bayescal.machines.mechanism import Mechanism
 from bayescal.numerics.geometry import rotation_vector_from_matrix
 from bayescal.numerics.units import MICROMETRE
-from bayescal.report.symbols import is_model_error, split_name
 
 BENDING, N_BENDINGS = 1.0, 51  # deg
 COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
@@ -68,7 +67,8 @@ def tabulate_all_parameters(inputs: StudyInputs, fits: dict[Task, Fit]) -> pd.Da
     frames = []
     for task, fit in fits.items():
         verdicts = judge_contraction(compute_contraction(fit.sd, fit.prior_sd))
-        own = [NOISE if is_model_error(split_name(name)[0]) else v for name, v in zip(fit.names, verdicts, strict=True)]
+        known = inputs.likelihood(inputs.variant(task.variant), verification=False).layout.names
+        own = [v if name in known else NOISE for name, v in zip(fit.names, verdicts, strict=True)]
         nominal = list(list_nominal(inputs, task.variant, fit.names))
         frames.append(tabulate_parameters(task.variant, fit, nominal, own, task.setting))
     return pd.concat(frames, ignore_index=True)

@@ -72,7 +72,6 @@ def write_selection(folder: Path) -> Path:
 MAKE = {
     "audit": write_audit,
     "calibration": calibrations.write_delta,
-    "calibration_audit": calibrations.write_audit,
     "check": write_check,
     "kind.py:HexapodCalibrations": take_tiny("yu2023/figure10"),
     "table": lookup_tables.write_rail,

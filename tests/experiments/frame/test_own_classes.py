@@ -31,9 +31,12 @@ pytestmark = pytest.mark.runs
 
 AUDIT = """
 extends = "base.toml"
-measured_by = ["own"]
 simulated_calibrations = 0
 expected_over_draws = 0
+
+[[variants]]
+model = "six_ups"
+sensors = ["own"]
 
 [sensors.own]
 kind = "own.py:Tracker"
@@ -248,7 +251,7 @@ def test_an_audit_with_an_own_sensor(call, tmp_path, monkeypatch, no_pictures):
 
 def test_an_audit_of_a_study_of_own_classes(folder):
     path = folder / "audit.toml"
-    text = 'kind = "audit"\nname = "own"\ntitle = "Own"\nseed = 1\ndata = { study = "study.toml" }\n[variant]\n'
+    text = 'kind = "audit"\nname = "own"\ntitle = "Own"\nseed = 1\ndata = { study = "study.toml" }\n[[variants]]\n'
     path.write_text(text + 'model = { class = "own.py:Longer", longer_mm = 0.5 }\n')
     experiment, config = load(path)
     assert experiment.read(config, folder).measured.machine.model.longer == 0.5

@@ -168,7 +168,7 @@ seed = 5
 [data]
 study = "study.toml"
 
-[variant]
+[[variants]]
 model = "six_pus"
 deformation = "none"
 
@@ -191,7 +191,7 @@ def read_design(folder: Path, *changes: tuple[str, str]):
 
 @pytest.mark.parametrize(("name", "symbol"), [("joints alone", "a_x"), ("six_pus/none", "l"), ("lengths", "l")])
 def test_an_audit_takes_a_variant_by_its_name(tmp_path, name, symbol):
-    inputs = read_design(tmp_path, ("[variant]", f'variant = "{name}"\n[variant]'))
+    inputs = read_design(tmp_path, ("[[variants]]", f'variant = "{name}"\n[[variants]]'))
     assert {one.partition("[")[0] for one in inputs.knowledge.names} == {symbol}
     assert inputs.measured.origin.endswith(f"study tiny, variant {name}")
 
@@ -209,15 +209,15 @@ def test_an_audit_takes_the_only_variant_of_a_model_and_deformation_without_its_
             "found six_pus/none as 'six_pus/none', 'joints alone', 'lengths', expected data.variant with one",
         ),
         (
-            (("[variant]", 'variant = "length"\n[variant]'),),
+            (("[[variants]]", 'variant = "length"\n[[variants]]'),),
             "found no 'length' of six_pus/none, expected 'six_pus/none', 'joints alone', 'lengths'",
         ),
         (
-            (("[variant]", 'variant = "lengths"\n[variant]'), ('deformation = "none"', 'deformation = "matrix"')),
+            (("[[variants]]", 'variant = "lengths"\n[[variants]]'), ('deformation = "none"', 'deformation = "matrix"')),
             "found no 'lengths' of six_pus/matrix, expected 'six_pus/matrix'",
         ),
         (
-            (("[variant]", 'variant = "lengths"\n[variant]\nfree = ["a_x"]'),),
+            (("[[variants]]", 'variant = "lengths"\n[[variants]]\nfree = ["a_x"]'),),
             "variant.free: found a_x, expected none or those of the study's lengths: l",
         ),
     ],

@@ -13,7 +13,6 @@ from bayescal.density.calibration.likelihood import CalibrationLikelihood, Calib
 from bayescal.density.calibration.measurements import Measurements
 from bayescal.density.calibration.terms import Errors
 from bayescal.density.elimination import project_out
-from bayescal.density.outliers import NORMAL, StudentT
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import Prior
 from bayescal.errors import InputError, name_faults
@@ -194,7 +193,6 @@ def _build(
         *build_noise(config, section, whole, chosen),
         *build_terms(config, section, whole, chosen, data, workspace, folder),
     )
-    outliers = NORMAL if section.robust is None else StudentT(section.robust)
     unplaced = Variant(
         section,
         whole,
@@ -202,7 +200,7 @@ def _build(
         priors,
         fixed,
         common,
-        Errors(terms, outliers),
+        Errors(terms, section.outliers),
         data,
         readings.verification[rows],
         np.zeros((data.n_poses, len(model.coordinates))),

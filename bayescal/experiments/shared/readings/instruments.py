@@ -8,7 +8,6 @@ from typing import Protocol
 
 from bayescal.config.classes import choose, name_failures
 from bayescal.experiments.shared.readings.schema import (
-    CalibrationAuditConfig,
     CalibrationConfig,
     CalibrationVariantConfig,
     InstrumentConfig,
@@ -36,7 +35,7 @@ def read_instruments(config: Instrumented, folder: Path) -> dict[str, Instrument
     return instruments
 
 
-def read_machine(config: CalibrationConfig | CalibrationAuditConfig, folder: Path, name: str = "") -> ReadingModel:
+def read_machine(config: CalibrationConfig, folder: Path, name: str = "") -> ReadingModel:
     """Return the machine of a file, by default the config's, before the config's instruments.
 
     Raises

@@ -19,6 +19,8 @@ from bayescal.config.sections import (
     Section,
     check_once,
 )
+from bayescal.density.outliers import NORMAL, Contaminated, Outliers, StudentT
+from bayescal.density.priors import SharePrior
 from bayescal.density.schema import PriorConfig
 from bayescal.experiments.shared.schema import UnitsConfig
 from bayescal.inference.schema import EvidenceConfig, SamplerConfig
@@ -161,8 +163,25 @@ class CalibrationVariantConfig(FreeConfig, SensorSetConfig):
     """Sections of [errors] that it has; all whose channels it takes in where nothing is said."""
     robust: Annotated[float, Field(ge=1.0, le=100.0)] | None = None
     """Degrees of freedom of a density that lets single poses be wrong; fewer forgive more [1]."""
+    outlier_share: Annotated[float, Field(gt=0.0, lt=0.5)] | None = Field(
+        default=None, exclude_if=lambda value: value is None
+    )
+    """Share of poses that are expected to be outliers, whose posterior is inferred; in place of `robust` [1]."""
     poses_with: Names = Field(default=[])
     """Keep to poses for which these columns are known."""
+
+    @model_validator(mode="after")
+    def _check_outliers(self) -> Self:
+        if self.robust is not None and self.outlier_share is not None:
+            raise ValueError("found robust and outlier_share, expected one of them")
+        return self
+
+    @property
+    def outliers(self) -> Outliers:
+        """What poses are like that are wrong as a whole."""
+        if self.outlier_share is not None:
+            return Contaminated(SharePrior(self.outlier_share))
+        return NORMAL if self.robust is None else StudentT(self.robust)
 
 
 class ValidationConfig(Section):
@@ -268,114 +287,3 @@ def _check_bounds(workspace: dict[str, list[float]]) -> None:
     for name, (low, high) in workspace.items():
         if not low < high:
             raise ValueError(f"workspace.{name}: found {low:g} to {high:g}, expected the smaller number first")
-
-
-class PlannedPosesConfig(Section):
-    """Where it is planned to measure: that many random poses of the workspace, or those of a CSV file.
-
-    The file has ``pose``, the coordinates with their units such as ``x_mm``, and what the machine has to know of each.
-    """
-
-    count: Annotated[int, Field(ge=1, le=10_000)] | None = None
-    """Number of random poses of the workspace."""
-    file: InputFile | None = None
-    """CSV file of poses in place of random ones."""
-
-    @model_validator(mode="after")
-    def _check_one(self) -> Self:
-        if (self.count is None) == (self.file is None):
-            raise ValueError("found both or none of count and file, expected one of them")
-        return self
-
-
-class AuditVariantConfig(FreeConfig, SensorSetConfig):
-    """A set of sensors and what is free with it; as in variants of a calibration."""
-
-
-class SelectionConfig(Section):
-    """How many poses to choose out of how many random ones of the workspace.
-
-    ``greedy`` ones are added one by one; ``exchange`` goes on to put others in their place for as long as that helps.
-    """
-
-    count: Annotated[int, Field(ge=1, le=1000)]
-    """Number of poses to choose."""
-    candidates: Annotated[int, Field(ge=1, le=10_000)] = 300
-    """Out of how many random ones of the workspace."""
-    method: Literal["greedy", "exchange"] = "greedy"
-    """Poses added one by one (`greedy`), and then exchanged for as long as that helps (`exchange`)."""
-
-    @model_validator(mode="after")
-    def _check_enough(self) -> Self:
-        if self.candidates < self.count:
-            raise ValueError(f"found {self.candidates} candidates for {self.count} poses, expected at least as many")
-        return self
-
-
-class SensorChoiceConfig(FreeConfig):
-    """Sensors to choose from, for the poses planned.
-
-    A name among ``candidates`` is one sensor, a kind each of its sensors by itself, a list an instrument whose readings
-    are there together. Those of ``always`` are in every set, ``largest`` is how many candidates a set has at most. All
-    sets are judged where these are no more than ``exhaustive``; else sensors are added one by one and exchanged.
-    """
-
-    candidates: Annotated[
-        list[str | Annotated[Names, Field(min_length=1)]], Field(min_length=1), AfterValidator(check_once)
-    ]
-    """Sensors to choose from; a list is one instrument of several readings."""
-    always: Names = Field(default=[])
-    """Sensors that are in every set."""
-    largest: Annotated[int, Field(ge=1, le=1000)] | None = None
-    """How many candidates a set has at most."""
-    exhaustive: Annotated[int, Field(ge=0, le=100_000)] = 4096
-    """Up to how many sets all are judged."""
-    prices: dict[str, NotNegative] = Field(default={}, exclude_if=lambda value: not value)
-    """By candidate or kind, an instrument's readings joined by ` + `: its price [any currency]."""
-
-
-class CalibrationAuditConfig(ExperimentConfig):
-    """What a calibration of any machine would tell, before there is a machine.
-
-    ``requirements`` are the largest rms errors over the workspace with the machine's own sensors, by coordinate, in
-    the units of [units]; ``given`` as in simulations.
-    """
-
-    kind: Literal["calibration_audit"]
-    """`"calibration_audit"`."""
-    machine: InputFile
-    """The machine's TOML file."""
-    instruments: dict[Name, InstrumentConfig] = Field(default={}, exclude_if=lambda value: not value)
-    """By name: instruments beside the machine."""
-    sensors: Annotated[dict[str, ChannelConfig], Field(min_length=1)]
-    """Noise of each channel, or of all of a kind."""
-    units: UnitsConfig = UnitsConfig()
-    """Units of tolerances, requirements and results."""
-    parameters: Annotated[dict[str, PriorConfig], Field(min_length=1)]
-    """Tolerance of each symbol."""
-    workspace: dict[str, Annotated[list[Number], Field(min_length=2, max_length=2)]] = Field(default={})
-    """By coordinate: smallest and largest value where accuracy counts; the machine's own where nothing is said [unit
-    of the coordinate].
-    """
-    given: dict[str, Annotated[list[Number], Field(min_length=2, max_length=2)]] = Field(default={})
-    """By column: smallest and largest value of what the machine has to know of a row [unit of the column]."""
-    poses: PlannedPosesConfig = PlannedPosesConfig(count=40)
-    """Where it is planned to measure."""
-    requirements: dict[str, Positive] = Field(default={})
-    """By coordinate: largest rms error over the workspace [units]."""
-    aligned: bool = Field(default=False, exclude_if=lambda value: not value)
-    """Accuracy of variants, requirements and sets is the error that remains after base and tool were aligned anew."""
-    variants: Annotated[list[AuditVariantConfig], Field(min_length=1)]
-    """Sets of sensors to judge."""
-    next: NextConfig = NextConfig()
-    """What to measure besides."""
-    selection: SelectionConfig | None = None
-    """Poses to choose."""
-    sensor_choice: SensorChoiceConfig | None = None
-    """Sensors to choose."""
-
-    @model_validator(mode="after")
-    def _check_names(self) -> Self:
-        _check_once([variant.name for variant in self.variants])
-        _check_bounds(self.workspace)
-        return self
