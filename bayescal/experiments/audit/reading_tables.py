@@ -50,7 +50,10 @@ def tabulate(inputs: ReadingAudit, found: Mapping[str, Prospect]) -> dict[str, p
     tables = {
         "variants": pd.DataFrame([_describe(*one, inputs.limits) for one in every]),
         "parameters": pd.concat([_list_parameters(*one) for one in every], ignore_index=True),
-        "accuracy": pd.concat([tabulate_accuracy(variant, one.knowledge, inputs.config.units) for variant, one in every], ignore_index=True),
+        "accuracy": pd.concat(
+            [tabulate_accuracy(variant, one.knowledge, inputs.config.units) for variant, one in every],
+            ignore_index=True,
+        ),
         "requirements": pd.DataFrame([row for one in every for row in _list_requirements(*one, inputs.limits)]),
         "ridges": pd.DataFrame([row for variant, one in every for row in list_ridges(variant, one.knowledge)]),
         "next": pd.DataFrame([row for variant, one in every for row in list_next(variant, one.knowledge)]),

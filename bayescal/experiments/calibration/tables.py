@@ -86,7 +86,9 @@ def tabulate(inputs: CalibrationInputs, found: Mapping[str, Findings]) -> dict[s
         "residuals": pd.DataFrame([row for one in every for row in _list_residuals(*one)]),
         "poses": pd.concat([_list_poses(*one) for one in every], ignore_index=True),
         "predictions": predictions,
-        "accuracy": pd.concat([tabulate_accuracy(variant, one.knowledge, units) for variant, one in every], ignore_index=True),
+        "accuracy": pd.concat(
+            [tabulate_accuracy(variant, one.knowledge, units) for variant, one in every], ignore_index=True
+        ),
         "ridges": pd.DataFrame([row for variant, one in every for row in list_ridges(variant, one.knowledge)]),
         "next": pd.DataFrame([row for variant, one in every for row in list_next(variant, one.knowledge)]),
         "beside": pd.DataFrame([row for one in every for row in _list_beside(inputs, *one)]),
