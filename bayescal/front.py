@@ -11,7 +11,7 @@ import shutil
 import tempfile
 import weakref
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property
 from io import StringIO
@@ -236,16 +236,10 @@ class Data:
 
     def write(self, folder: Path, model: ReadingModel) -> dict[str, Any]:
         """Write the table into a folder; return the sections of a config that tell of it, for a machine."""
-        if isinstance(self.source, Path):
-            columns: Sequence[str] = read_table(self.source, None).columns
-            path = folder / "data" / self.source.name
-        else:
-            columns, path = list(self.source.columns), folder / "data" / READINGS
-        path.parent.mkdir(parents=True, exist_ok=True)
-        if isinstance(self.source, Path):
-            shutil.copyfile(self.source, path)
-        else:
-            self.source.to_csv(path, index=False)
+        path = _put(self.source, folder / "data", READINGS)
+        columns: Sequence[str] = ()
+        with suppress(InputError):  # the reader of the config says it better
+            columns = read_table(path, None).columns
         read = [name for name in self.noise if any(name in (one.name, one.kind) for one in model.channels)]
         told = {"channels": read, "commanded": self.commanded, "hold_back": self.hold_back}
         section = {"file": f"data/{path.name}", **{key: list(one) for key, one in told.items() if len(one)}}
@@ -276,13 +270,29 @@ def describe_noise(noise: Mapping[str, Any], model: ReadingModel, columns: Seque
     return found
 
 
-def _plain(value: Any) -> Any:
-    """Return a value with Python's own numbers, lists and mappings."""
+def _plain(value: Any, folder: Path = Path(), name: str = "") -> Any:
+    """Return a value with Python's own numbers, lists and mappings; files and tables as names of their copies."""
     if isinstance(value, Mapping):
-        return {str(key): _plain(one) for key, one in value.items() if one is not None}
+        return {str(key): _plain(one, folder, str(key)) for key, one in value.items() if one is not None}
     if isinstance(value, np.ndarray | np.generic):
         return _plain(value.tolist())
-    return [_plain(one) for one in value] if isinstance(value, list | tuple) else value
+    if isinstance(value, Path) or hasattr(value, "to_csv"):
+        return f"data/{_put(value, folder / 'data', f'{name}.csv').name}"
+    return [_plain(one, folder, name) for one in value] if isinstance(value, list | tuple) else value
+
+
+def _put(table: Path | pd.DataFrame, folder: Path, name: str) -> Path:
+    """Write a table, or a copy of a file by its own name, into a folder beside what stands there; its path."""
+    name = table.name if isinstance(table, Path) else name
+    path = folder / name
+    while path.exists():
+        path = path.with_stem(f"{path.stem}_")
+    folder.mkdir(parents=True, exist_ok=True)
+    if not isinstance(table, Path):
+        name_rows(table).to_csv(path, index=False)
+    elif table.is_file():  # of one that is not there the reader says so
+        shutil.copyfile(table, path)
+    return path
 
 
 def _describe_widths(tolerances: Widths) -> dict[str, dict[str, Any]]:
@@ -429,7 +439,8 @@ def calibrate(
         Say nothing of the progress.
     **sections
         Further sections of a config of kind ``calibration``: ``errors``, ``unknown_noise``, ``model_error``,
-        ``workspace``, ``validation``, ``sensitivity``, ``units``, ``sampler``, ``evidence`` ...
+        ``workspace``, ``validation``, ``sensitivity``, ``units``, ``sampler``, ``evidence`` ...; a file in them is a
+        Path or a DataFrame.
 
     Raises
     ------
@@ -455,7 +466,7 @@ def calibrate(
         **data.write(project.folder, found.model),
         "parameters": _describe_widths(tolerances),
         "variants": _describe_variants(variants),
-        **_plain(sections),
+        **_plain(sections, project.folder),
     }
     result = project.run(content, out, workers, quiet)
     assert isinstance(result, StudyResult)
@@ -507,7 +518,7 @@ def next_pose(
         "variants": [study.best.name],
         "requirements": _plain(requirements or {}),
         "candidates": {"count": candidates},
-        **_plain(sections),
+        **_plain(sections, study.project.folder),
     }
     return study.project.run(content, out, 1, quiet, "next.toml")
 
@@ -546,6 +557,7 @@ def simulate(
     from bayescal.experiments.frame.run import compute_experiment
 
     found = load_machine(machine)
+    project = _Project(found)
     content = {
         "kind": "simulation",
         "name": "simulated",
@@ -556,9 +568,8 @@ def simulate(
         "n_poses": n_poses,
         "sensors": describe_noise(noise, found.model, []),
         "parameters": _describe_widths(tolerances),
-        **_plain(sections),
+        **_plain(sections, project.folder),
     }
-    project = _Project(found)
     path = project.write(content)
     with _leave_out(project.folder), name_faults(path):
         simulated = compute_experiment(load(path)[1], project.folder)
@@ -604,6 +615,7 @@ def audit(
     True
     """
     found = load_machine(machine)
+    project = _Project(found)
     content = {
         "kind": "audit",
         "name": "audit",
@@ -615,6 +627,6 @@ def audit(
         "poses": {"count": poses},
         "requirements": _plain(requirements or {}),
         "variants": _describe_variants(variants),
-        **_plain(sections),
+        **_plain(sections, project.folder),
     }
-    return _Project(found).run(content, out, workers, quiet)
+    return project.run(content, out, workers, quiet)

@@ -14,9 +14,9 @@ from bayescal.density.calibration.joint_fit import JointFit
 from bayescal.density.calibration.likelihood import CalibrationLikelihood, CalibrationPosterior
 from bayescal.density.calibration.measurements import Measurements
 from bayescal.density.calibration.terms import Errors, ErrorTerm, ModelErrorTerm, NoiseFactor
-from bayescal.density.outliers import NORMAL, Outliers, StudentT
+from bayescal.density.outliers import NORMAL, Contaminated, Outliers, StudentT
 from bayescal.density.posterior import Posterior
-from bayescal.density.priors import LogNormalPrior, NormalPrior, Prior, UniformPrior
+from bayescal.density.priors import LogNormalPrior, NormalPrior, Prior, SharePrior, UniformPrior
 from bayescal.machines.readings import ReadingModel
 
 
@@ -162,3 +162,47 @@ def fit_jointly(posterior: CalibrationPosterior, y: np.ndarray, pose: np.ndarray
     m = posterior.n_geometry
     found, stood = JointFit(posterior.likelihood, posterior.sampling, posterior.errors, y[m:]).run(y[:m], pose)
     return np.append(found, y[m:]), stood
+
+
+MIXED = np.array([[1.0, 0.6, 0.1, 0.0], [0.6, 1.0, 0.2, -0.3], [0.1, 0.2, 1.0, 0.5], [0.0, -0.3, 0.5, 1.0]])
+LINE_CASES = {
+    "as stated": {},
+    "factor": {"terms": unknown_noise(4)},
+    "model error": {"terms": unknown_noise(4, False, True, 0.1)},
+    "factor and model error": {"terms": unknown_noise(4, True, True, 0.1)},
+    "robust": {"nu": 4.0},
+    "robust, factor and model error": {"nu": 3.0, "terms": unknown_noise(4, True, True, 0.1)},
+    "correlated": {"correlation": MIXED},
+    "correlated, factor and model error": {"correlation": MIXED, "terms": unknown_noise(4, True, True, 0.1)},
+    "uniform": {"uniform": True},
+    "common": {"common": True, "uniform": True},
+    "missing": {"missing": 0.5},
+    "commanded": {"commanded": (0, 2), "terms": unknown_noise(4, True, True, 0.1)},
+    "commanded by more than coordinates": {"commanded": (0, 1, 2), "correlation": MIXED},
+    "a circle": {"bearing": True, "terms": unknown_noise(5, True, True, 0.1)},
+    "functions": {"terms": (line_functions(),)},
+    "functions of a free length": {"terms": (line_functions("smooth", 0.3),)},
+    "functions, factor and model error": {"terms": (*unknown_noise(4, True, True, 0.1), line_functions("linear"))},
+    "functions, robust": {"nu": 4.0, "terms": (line_functions("quadratic"),), "n_poses": 30},
+    "functions, robust, factor and model error": {
+        "nu": 3.0,
+        "terms": (line_functions(), *unknown_noise(4, True, True, 0.1)),
+        "correlation": MIXED,
+        "missing": 0.3,
+    },
+    "contaminated": {"nu": Contaminated(SharePrior(0.1)), "terms": unknown_noise(4)},
+    "functions, contaminated": {
+        "nu": Contaminated(SharePrior(0.02)),
+        "terms": (line_functions("quadratic"),),
+        "n_poses": 30,
+    },
+    "everything": {
+        "terms": unknown_noise(4, True, True, 0.1),
+        "nu": 5.0,
+        "correlation": MIXED,
+        "uniform": True,
+        "common": True,
+        "missing": 0.3,
+    },
+}
+"""Keys of `lines_posterior`: what is unknown of the noise, common errors, outliers, and of which readings."""

@@ -121,12 +121,12 @@ def build_with_functions(variant, kernel):
     Travels are those of the tool's centre within 200 mm and 30 degrees of home.
     """
     model, places = variant.model, np.arange(len(variant.model.channels))
-    machine, origin = variant.whole, np.array(variant.whole.home)
+    machine, origin = variant.whole, np.array(variant.whole.home_pose)
     half = np.array([200.0, 200.0, np.radians(30.0)])
     ends = half * np.array(list(product([-1.0, 0.0, 1.0], repeat=3)))
     angle, tool = origin[2] + ends[:, 2], machine.tool(machine.layout.nominal, origin[None])[0]
     arm = np.stack([np.cos(angle), -np.sin(angle), np.sin(angle), np.cos(angle)], axis=1).reshape(-1, 2, 2)
-    pose = np.concatenate([tool + ends[:, :2] - arm @ machine.tool_point, angle[:, None]], axis=1)
+    pose = np.concatenate([tool + ends[:, :2] - arm @ machine.machine.tool_point, angle[:, None]], axis=1)
     home = model.read(model.layout.nominal, origin)
     travel = np.nanmax(np.abs(model.read(model.layout.nominal, pose) - home), axis=0)
     reach = 1.05 * max(1.0, float(np.abs((variant.data.values - home) / travel).max()))

@@ -472,7 +472,7 @@ def test_report_of_what_is_no_results_directory(refuse, study):
             "found results of bayescal 0.0.1 (KeyError: 'n_poses'), expected those of",
         ),
         ('{"kind": "selection", "tables": {}}', "found a config in its provenance that is none"),
-        ('{"kind": "selection", "tables": {}, "config": 1}', "found damaged results (TypeError: "),
+        ('{"kind": "selection", "tables": {}, "config": 1}', "found damaged results (AttributeError: "),
     ],
 )
 def test_report_of_results_that_no_experiment_wrote(refuse, tmp_path, provenance, expected):

@@ -153,6 +153,25 @@ def test_a_class_of_a_script_is_taken_with_what_it_uses(tmp_path):
     assert abs(mean - truth) < 5 * 0.01 / np.sqrt(6)
 
 
+@pytest.mark.runs
+def test_the_notebook_runs_in_few_lines_and_agrees_with_the_firmware(tmp_path, monkeypatch):
+    shutil.copytree(ROOT / "examples" / "flsun_v400", tmp_path / "flsun_v400")
+    monkeypatch.chdir(tmp_path)
+    page = (ROOT / "docs" / "tutorials" / "delta_printer.md").read_text()
+    cells = re.findall(r"```\{code-cell\}\n(.*?)```", page, re.DOTALL)
+    assert len([line for cell in cells for line in cell.splitlines() if line.strip()]) <= 25
+    namespace: dict = {}
+    for cell in cells:
+        exec(cell, namespace)
+    study, theirs = namespace["study"], namespace["theirs"]
+    assert study.ranking["converged"].all()
+    assert study.summary["origin"]["status"] == "measured"
+    assert (np.abs(theirs["mean"] - theirs["value"]) < theirs["sd"]).all()
+    assert len(theirs) == 9
+    assert "Klipper&#39;s fit" in (tmp_path / "report.html").read_text()
+    assert (tmp_path / "flsun_calibrated" / "covariance.csv").is_file()
+
+
 # --- what is refused -------------------------------------------------------------------------------------------------
 
 FAULTS = {

@@ -15,7 +15,7 @@ from bayescal.config.classes import CLASS
 from bayescal.config.load import read_toml
 from bayescal.config.registry import list_references
 from bayescal.config.trust import check_same, check_trust
-from bayescal.machines.read import READERS, list_machine_sources, read_reading_model
+from bayescal.machines.read import LEGS, list_machine_sources, read_reading_model
 from bayescal.machines.readings import ReadingModel
 
 
@@ -58,7 +58,7 @@ def _list_own_classes(path: Path) -> list[str]:
     """Return the names of classes in a machine's file that are neither built in nor an installed package's."""
     content = read_toml(path)[0]
     named = [("MACHINES", content.get("kind"))]
-    if content.get("kind") in READERS:
+    if content.get("kind") == LEGS:
         named = [("MODELS", content.get("model")), ("DEFORMATIONS", content.get("deformation"))]
     found = [(what, one.get(CLASS) if isinstance(one, dict) else one) for what, one in named]
     return [one for what, one in found if isinstance(one, str) and one not in list_references(what)]

@@ -113,3 +113,5 @@ class ExperimentConfig(Section):
     """Headline of the page."""
     seed: Annotated[int, Field(ge=0, le=LARGEST_SEED)]
     """Seed of all random numbers: the same seed gives the same results."""
+    blocks: list[str] = Field(default=[], exclude_if=lambda value: not value)
+    """Blocks of one's own that the page has besides, each `file.py:Class`."""

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.special import ndtr
 
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.density.priors import Prior, UniformPrior
@@ -66,7 +65,8 @@ def build_sampling(
     coordinates = Coordinates(layout, start, free, scale, compute_leg_lines(machine), lower, upper)
     if closing is not None:
         coordinates = close_at_mean(coordinates, machine, closing.position, closing.rotation, closing.actuators)
-    return LegSampling(coordinates, ordered)
+    names, units = (tuple(every[k] for k in free) for every in (layout.names, layout.units))
+    return LegSampling(layout, coordinates.start, ordered, names, units, coordinates, len(coordinates.legs))
 
 
 def check_bounds(coordinates: Coordinates) -> None:
@@ -89,43 +89,23 @@ class LegSampling(Sampling):
 
     Attributes
     ----------
+    n_jumps : int
+        Number of legs.
     coordinates : Coordinates
-    priors : tuple of Prior
-        Of the m free parameters, in order.
     """
 
-    coordinates: Coordinates
+    layout: ParameterLayout
+    start: Array
     priors: tuple[Prior, ...]
-
-    @property
-    def layout(self) -> ParameterLayout:  # type: ignore[override]
-        """Of θ."""
-        return self.coordinates.layout
-
-    @property
-    def start(self) -> Array:  # type: ignore[override]
-        """The machine as expected."""
-        return self.coordinates.start
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    coordinates: Coordinates
+    n_jumps: int = 0
 
     @property
     def free(self) -> np.ndarray:
         """Where the free parameters stand in θ, shape (m,)."""
         return self.coordinates.free
-
-    @cached_property
-    def names(self) -> tuple[str, ...]:  # type: ignore[override]
-        """Names of the free parameters."""
-        return tuple(self.layout.names[k] for k in self.free)
-
-    @cached_property
-    def units(self) -> tuple[str, ...]:  # type: ignore[override]
-        """Units of the free parameters."""
-        return tuple(self.layout.units[k] for k in self.free)
-
-    @property
-    def n_jumps(self) -> int:  # type: ignore[override]
-        """Number of legs."""
-        return len(self.coordinates.legs)
 
     def theta_from_y(self, y: Array) -> Array:
         """Return full parameter vectors (..., D)."""
@@ -201,7 +181,7 @@ class LegSampling(Sampling):
         """Return draws in the coordinates, NaN where there are none."""
         theta = np.tile(self.start, (len(standard), 1))
         for k, (place, prior) in enumerate(zip(self.free, self.priors, strict=True)):
-            theta[:, place] = prior.at_quantile(ndtr(standard[:, k]))
+            theta[:, place] = prior.value(standard[:, k])
         with np.errstate(invalid="ignore"):
             return self.coordinates.y_from_theta(theta)
 

@@ -266,7 +266,8 @@ def list_schemas() -> dict[str, tuple[str, str, type[BaseModel]]]:
     for what, title in (("MACHINES", "Machine"), ("INSTRUMENTS", "Instrument")):
         for name in sorted(list_references(what)):
             found = find_class(what, name, ReadingMachine, "kind", ROOT, None)
-            pages[name] = (f"{title}: options of {name}", summarise(found), getattr(found, "Config", Section))
+            page = (f"{title}: options of {name}", summarise(found), getattr(found, "Config", Section))
+            pages.setdefault(name, page)
     for kind in sorted({**list_references("KINDS"), **USES}):
         found = find_kind(kind, ROOT, None)
         pages[f"kind_{kind}"] = (f'kind = "{kind}"', summarise(type(found)), found.schema)

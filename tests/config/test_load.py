@@ -17,11 +17,11 @@ from bayescal.experiments.frame.load import load_experiment, load_kind
 from bayescal.experiments.simulation.schema import SimulationConfig
 from bayescal.experiments.study.schema import StudyConfig
 from bayescal.machines.mechanism import ExternalLoad
-from bayescal.machines.read import load_mechanism, read_reading_model, read_sliding_platform
+from bayescal.machines.read import load_mechanism, read_reading_model
 
 LOADERS = {
     "legs": read_reading_model,
-    "sliding_platform": read_sliding_platform,
+    "sliding_platform": read_reading_model,
     "simulation": load_experiment,
     "audit": load_audit,
     "line_machine": read_reading_model,

@@ -128,19 +128,6 @@ def test_without_blunders_nothing_but_the_share_is_lost(twin, rng):
     np.testing.assert_allclose(found, plain.log_density(y), atol=1e-5)
 
 
-@pytest.mark.parametrize("outliers", [Contaminated(PRIOR), StudentT(3.0)], ids=["contaminated", "t"])
-@pytest.mark.parametrize("model_error", ERRORS.values(), ids=ERRORS.keys())
-def test_gradient_near_the_mode(twin, model_error, outliers, rng):
-    posterior = build(spoil(twin, rng)[0], model_error)
-    posterior = replace(posterior, errors=replace(posterior.errors, outliers=outliers))
-    y = posterior.approach() + 1e-3 * rng.standard_normal(posterior.n_parameters)
-    found, hessian = posterior.gradient(y)
-    expected = machines.central_difference(lambda x: posterior.log_density(x[None])[0], y, np.full(len(y), 1e-5))
-    # left out are terms of second order in the errors, of blunders too
-    np.testing.assert_allclose(found, expected, rtol=0, atol=2e-3 * np.abs(found).max())
-    assert np.linalg.eigvalsh(hessian).max() < 0
-
-
 # --- what it is for --------------------------------------------------------------------------------------------------
 
 

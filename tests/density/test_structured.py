@@ -161,35 +161,6 @@ def build_posterior(poses, kernel, shared):
     return build_leg_posterior(build(poses, kernel), priors, ModelError(0.01), terms=(scale,))
 
 
-@pytest.mark.parametrize("shared", [True, False], ids=["shared", "per leg"])
-@pytest.mark.parametrize("kernel", KERNELS, ids=lambda one: one.name)
-def test_gradient_against_differences(poses, kernel, shared):
-    posterior = build_posterior(poses, kernel, shared)
-    y = posterior.polish(posterior.approach())
-    y += np.random.default_rng(3).standard_normal(posterior.n_parameters) / np.sqrt(-np.diag(posterior.gradient(y)[1]))
-    gradient, hessian = posterior.gradient(y)
-    expected = machines.stencil_derivative(posterior.log_density, y, np.full(len(y), 1e-3))
-    assert np.linalg.eigvalsh(hessian).max() < 0.0
-    off = (gradient - expected) / np.sqrt(-np.diag(hessian))  # per posterior sd of each coordinate by itself
-    # the legs' errors are found by iteration, their derivative is exact; in τ and s nothing is iterated
-    assert np.abs(off).max() < 0.02
-    assert np.abs(off[posterior.n_geometry :]).max() < 1e-6
-    assert np.abs(gradient / np.sqrt(-np.diag(hessian))).max() > 0.5
-
-
-@pytest.mark.parametrize("shared", [True, False], ids=["shared", "per leg"])
-def test_curvature_by_all_model_errors_against_differences(poses, shared):
-    posterior = build_posterior(poses, LinearKernel(), shared)
-    y = posterior.polish(posterior.approach())
-    y += np.random.default_rng(3).standard_normal(posterior.n_parameters) / np.sqrt(-np.diag(posterior.gradient(y)[1]))
-    expected = machines.stencil_derivative(
-        lambda x: np.stack([posterior.gradient(one)[0] for one in x]), y, np.full(len(y), 1e-3)
-    )
-    scale = np.sqrt(-np.diag(posterior.gradient(y)[1]))
-    off = (posterior.newton(y)[1] - expected) / np.outer(scale, scale)
-    assert np.abs(off[:, posterior.n_geometry :]).max() < 1e-6
-
-
 def test_lengths_follow_the_joints(poses):
     posterior = build_posterior(poses, LinearKernel(), True)
     coordinates, n = posterior.sampling.coordinates, posterior.n_geometry

@@ -168,21 +168,24 @@ def _differ(values: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class NoiseFactor(ErrorTerm):
-    """An unknown factor on the stated noise of some channels, log-normal about one.
+class GroupTerm(ErrorTerm):
+    """A term with one unknown, which changes the noise of a group of channels.
 
     Attributes
     ----------
     label : str
-        Of the group of channels.
+        Of the group.
     channels : ndarray of bool, shape (K,)
-    log_sd : float
-        Standard deviation of the factor's logarithm.
+    scale : float
+        Of its prior.
+    unit : str
     """
 
     label: str
     channels: np.ndarray
-    log_sd: float
+    scale: float
+    unit: str = "1"
+    what: ClassVar[str]
 
     @property
     def concerns(self) -> np.ndarray:
@@ -191,18 +194,24 @@ class NoiseFactor(ErrorTerm):
 
     @property
     def names(self) -> tuple[str, ...]:  # type: ignore[override]
-        """``noise_factor(motor)``."""
-        return (f"noise_factor({self.label})",)
+        """``model_error(motor)`` and the like."""
+        return (f"{self.what}({self.label})",)
 
     @property
     def units(self) -> tuple[str, ...]:  # type: ignore[override]
-        """None."""
-        return ("1",)
+        """The one unit."""
+        return (self.unit,)
+
+
+class NoiseFactor(GroupTerm):
+    """An unknown factor on the stated noise, log-normal about one; ``scale`` is the sd of its logarithm."""
+
+    what = "noise_factor"
 
     @property
     def priors(self) -> tuple[Prior, ...]:  # type: ignore[override]
         """Log-normal."""
-        return (LogNormalPrior(1.0, self.log_sd),)
+        return (LogNormalPrior(1.0, self.scale),)
 
     def factor(self, zeta: Array) -> Array:
         """Return it for its channels, one for the others."""
@@ -211,42 +220,13 @@ class NoiseFactor(ErrorTerm):
     def slopes(self, zeta: Array, data: Measurements) -> Slopes:
         """Return that of its logarithm."""
         del zeta
-        return Slopes(log_factor=np.broadcast_to(np.where(self.channels, self.log_sd, 0.0), (1, *data.sd.shape)))
+        return Slopes(log_factor=np.broadcast_to(np.where(self.channels, self.scale, 0.0), (1, *data.sd.shape)))
 
 
-@dataclass(frozen=True, eq=False)
-class ModelErrorTerm(ErrorTerm):
-    """An error τ of some channels that the stated noise lacks, drawn anew at every row; half normal.
+class ModelErrorTerm(GroupTerm):
+    """An error τ that the stated noise lacks, drawn anew at every row, half normal, in the channels' unit."""
 
-    Attributes
-    ----------
-    label : str
-        Of the group of channels.
-    channels : ndarray of bool, shape (K,)
-    scale : float
-        Of the half normal, in the channels' unit.
-    unit : str
-    """
-
-    label: str
-    channels: np.ndarray
-    scale: float
-    unit: str
-
-    @property
-    def concerns(self) -> np.ndarray:
-        """Its channels."""
-        return self.channels
-
-    @property
-    def names(self) -> tuple[str, ...]:  # type: ignore[override]
-        """``model_error(motor)``."""
-        return (f"model_error({self.label})",)
-
-    @property
-    def units(self) -> tuple[str, ...]:  # type: ignore[override]
-        """The channels'."""
-        return (self.unit,)
+    what = "model_error"
 
     @property
     def priors(self) -> tuple[Prior, ...]:  # type: ignore[override]

@@ -287,8 +287,8 @@ class AuditConfig(ExperimentConfig):
     posterior: DrawsConfig = DrawsConfig()
     """Effort of posterior draws."""
     workspace: AnyWorkspaceConfig = Field(default={})
-    """Where accuracy counts: by coordinate its smallest and largest value, the machine's own where nothing is said
-    [unit of the coordinate]; or half widths about a platform's home pose.
+    """Where accuracy counts: by coordinate its smallest and largest value, the machine's own where nothing is said; or
+    half widths about a platform's home pose [unit of the coordinate].
     """
     given: dict[str, Bounds] = Field(default={}, exclude_if=lambda value: not value)
     """By column: smallest and largest value of what the machine has to know of a row [unit of the column]."""

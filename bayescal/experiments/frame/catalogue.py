@@ -13,6 +13,7 @@ from bayescal.experiments.frame.load import find_kind
 
 TITLES = {
     "KINDS": "Kinds of experiment",
+    "BLOCKS": "Blocks of pages",
     "CLAIMS": "Claims of publications",
     "MACHINES": "Machines of one function",
     "INSTRUMENTS": "Instruments beside a machine",

@@ -14,8 +14,9 @@ from bayescal.experiments.shared.machine_scene import build_line_scene, build_sc
 from bayescal.experiments.shared.show_struts import describe_struts
 from bayescal.machines.mechanism import Mechanism
 from bayescal.machines.read import load_mechanism, read_reading_model
-from bayescal.machines.readings import FunctionModel, Legs, SlidingPlatform
+from bayescal.machines.readings import FunctionModel, Legs
 from bayescal.machines.readings.line_machine import AXES, LineMachine
+from bayescal.machines.readings.sliding_platform import SlidingPlatform
 from bayescal.machines.readings.strut_machine import StrutMachine
 from bayescal.numerics.geometry import Array
 from bayescal.report.blocks import Block, Column, Page, Section, Table, make_table
@@ -39,8 +40,8 @@ def describe_machine(path: Path) -> Page:
     model = read_reading_model(path)
     if isinstance(model, Legs):
         return _describe_mechanism(model.machine.mechanism)
-    if isinstance(model, SlidingPlatform):
-        return _describe_sliding(model)
+    if isinstance(model, FunctionModel) and isinstance(model.machine, SlidingPlatform):
+        return _describe_sliding(model.machine)
     if isinstance(model, FunctionModel) and isinstance(model.machine, LineMachine):
         return _describe_lines(model.name, model.machine)
     if isinstance(model, FunctionModel) and isinstance(model.machine, StrutMachine):

@@ -110,6 +110,13 @@ class ReadingMachine(ABC):
         del parameters
         return v
 
+    def rotation(self, v: Any) -> Any:
+        """Return how the tool is turned, (..., m, m) from its frame to the base's; None, as by default: it is not.
+
+        It must take complex numbers. A rotation vector among the numbers of `tool` says the same.
+        """
+        del v
+
 
 class Parameters(Mapping[str, Any]):
     """Parameter vectors by symbol: a block's values have shape (..., n), a single one's (...)."""
@@ -225,6 +232,16 @@ class FunctionModel(ReadingModel):
     def states_tool(self) -> bool:
         """Whether the machine says what has to be accurate."""
         return bool(self.machine.tool_channels)
+
+    @property
+    def tells_rotation(self) -> bool:
+        """Whether the machine says how its tool is turned."""
+        return bool(self.tool_turned) or type(self.machine).rotation is not ReadingMachine.rotation
+
+    def rotation(self, pose: Array) -> Array:
+        """Return what the machine says; see `ReadingModel.rotation`."""
+        turned = self.machine.rotation(pose)
+        return super().rotation(pose) if turned is None else np.asarray(turned)
 
     def check_given(self, poses: Sequence[str], given: Given, free: Sequence[str]) -> None:
         """Check as the machine does."""

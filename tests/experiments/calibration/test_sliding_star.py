@@ -38,7 +38,7 @@ def variants():
 
 def test_frames_stay_nominal_but_where_an_instrument_sees_them(variants):
     whole = variants["s4"].whole
-    assert set(FRAMES) == set(whole.frame_parameters())
+    assert set(FRAMES) == set(whole.machine.frame_parameters())
     for name in ("s4", "s8", "s12"):
         seen = whole.seen_parameters(variants[name].model.names)
         assert list(variants[name].priors) == [one for one in seen if one not in FRAMES]

@@ -101,6 +101,48 @@ def test_code_of_results_is_run_where_somebody_trusts_it(call, tmp_path):
         assert message in complaint
 
 
+BLOCKS = """
+from bayescal.experiments.frame.blocks import PageBlock
+from bayescal.report.blocks import make_section
+
+
+class Total(PageBlock):
+    def show(self, results):
+        return make_section("In full", (f"It is {results.summary['total']!r}.",))
+
+
+class Nothing(PageBlock):
+    def show(self, results):
+        return None
+
+
+class Broken(PageBlock):
+    def show(self, results):
+        return results.summary["no such"]
+"""
+
+
+def test_blocks_of_a_file_are_on_the_page(call, tmp_path):
+    """What fails says so there; all is regenerated from results, whose code runs where somebody trusts it."""
+    names = [f"blocks.py:{name}" for name in ("Total", "Nothing", "Broken")]
+    path, out = toys.write_toy(tmp_path, f"blocks = {json.dumps(names)}\n"), tmp_path / "out"
+    (tmp_path / "blocks.py").write_text(BLOCKS)
+    assert call("run", path, "--out", out, "--workers", 1, "--quiet")[0] == 0
+    whole = read_all(out)
+    page = whole["report.html"].decode()
+    total = json.loads(whole["summary.json"])["total"]
+    assert f"It is {total!r}." in page
+    assert "This block could not be shown: KeyError: 'no such'" in page.replace("&#39;", "'")
+    assert "Nothing" not in page.partition("blocks.py")[0]
+    assert whole["code/blocks.py"] == BLOCKS.encode()
+    assert "blocks.py" in json.loads(whole["provenance.json"])["files"]
+    (tmp_path / "blocks.py").unlink()
+    code, _, complaint = call("report", out)
+    assert (code, complaint.count("\n")) == (2, 1)
+    assert call("report", out, "--trust-code")[0] == 0
+    assert read_all(out) == whole
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -110,6 +152,8 @@ def test_code_of_results_is_run_where_somebody_trusts_it(call, tmp_path):
         ({"kind": "stduy"}, "did you mean 'study'?"),
         ({"numbers": "missing.txt"}, "missing.txt"),
         ({"count": 0}, "count: found 0"),
+        ({"blocks": ["nowhere.py:Total"]}, "blocks: found 'nowhere.py:Total'"),
+        ({"blocks": ["toy_kind.py:Toy"]}, "blocks: found 'toy_kind.py:Toy', which is no PageBlock"),
     ],
 )
 def test_faults_are_one_line_and_leave_nothing(call, tmp_path, change, message):
