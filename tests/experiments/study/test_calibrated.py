@@ -270,4 +270,4 @@ def test_a_certificate_by_force_says_first_what_is_wrong(study, refuse, call):
     arguments = ("certificate", "out", "--force", "--out", "machine.html", "--poses", 16, "--cube", 0.2)
     assert call(*arguments)[0] == 0
     assert "Not converged, certified by force: R-hat 1.2, limit 1.01." in Path("machine.html").read_text()
-    assert json.loads(Path("machine.json").read_text())["problems"] == "R-hat 1.2, limit 1.01"
+    assert json.loads(Path("machine.json").read_text())["problems"] == ["R-hat 1.2, limit 1.01"]
