@@ -438,7 +438,7 @@ def calibrate(
     quiet : bool
         Say nothing of the progress.
     **sections
-        Further sections of a config of kind ``calibration``: ``errors``, ``unknown_noise``, ``model_error``,
+        Further sections of a config of kind ``study``: ``errors``, ``unknown_noise``, ``model_error``,
         ``workspace``, ``validation``, ``sensitivity``, ``units``, ``sampler``, ``evidence`` ...; a file in them is a
         Path or a DataFrame.
 
@@ -458,7 +458,7 @@ def calibrate(
     found = load_machine(machine)
     project = _Project(found)
     content = {
-        "kind": "calibration",
+        "kind": "study",
         "name": name,
         "title": title or f"{found.name}: calibration",
         "seed": seed,

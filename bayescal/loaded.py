@@ -166,7 +166,7 @@ class Audit(LoadedResults):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class StudyResult(LoadedResults):
-    """Results of a study or of a calibration: variants, their posteriors and predictions.
+    """Results of a study: variants, their posteriors and predictions.
 
     Examples
     --------
@@ -387,7 +387,7 @@ def _read(text: str) -> pd.DataFrame:
     return pd.read_csv(StringIO(text), comment="#")
 
 
-CLASSES: dict[str, type[LoadedResults]] = {"study": StudyResult, "calibration": StudyResult, "audit": Audit}
+CLASSES: dict[str, type[LoadedResults]] = {"study": StudyResult, "audit": Audit}
 
 
 def load_results(folder: Path | str, trust: bool = False) -> LoadedResults:

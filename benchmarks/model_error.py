@@ -45,7 +45,7 @@ from bayescal.density.structured_prediction import predict_structured
 from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.measurement import TargetMeasurement
-from bayescal.experiments.study.schema import StudyConfig, VariantConfig
+from bayescal.experiments.shared.study_schema import StudyConfig, VariantConfig
 from bayescal.inference.exploration import MAX_PILOTS, explore
 from bayescal.inference.importance import resample
 from bayescal.machines.deformations import MatrixDeformation

@@ -66,7 +66,7 @@ def list_posteriors():
     for path, variants in SHIPPED.items():
         config = load(ROOT / path)[1]
         names = [one.name for one in config.variants if variants is None or one.name in variants]
-        found |= {f"{path}: {name}": one for name, one in ACCESS[config.kind](config, ROOT / path, names).items()}
+        found |= {f"{path}: {name}": one for name, one in access(config, ROOT / path, names).items()}
     path = ROOT / "experiments/telescope/study.toml"
     config = load(path)[1].model_copy(update={"blunders": BlundersConfig()})
     names = ["six_pus/none", "six_pus/matrix"]
@@ -139,7 +139,9 @@ def build_with_functions(variant, kernel):
     return replace(variant.posterior(), errors=Errors((functions,)))
 
 
-ACCESS = {"study": access_study, "calibration": access_calibration}
+def access(config, path, names):
+    """Return how to get at the posteriors of a study's variants."""
+    return (access_calibration if config.by_tables else access_study)(config, path, names)
 
 
 def draw_points(name, mode, scale):

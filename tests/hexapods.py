@@ -64,10 +64,13 @@ kind = "study"
 name = "hexapod"
 title = "Tiny study of a hexapod"
 seed = 11
-mechanism = "mechanism.toml"
+machine = "mechanism.toml"
+
+[origin]
+status = "simulated"
+text = "for the tests"
 
 [data]
-origin = "Simulated for the tests, never measured"
 targets = "data/targets.csv"
 actuators = "data/actuators.csv"
 reference = "data/target_reference.csv"

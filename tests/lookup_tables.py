@@ -31,7 +31,7 @@ class Rail(ReadingMachine):
         q = v[..., 0] + parameters["zero"] + moved + parameters["growth"] * given["temperature_c"]
         return np.stack(np.broadcast_arrays(q, v[..., 0]), axis=-1)
 """
-RAIL_STUDY = """kind = "calibration"
+RAIL_STUDY = """kind = "study"
 name = "rail"
 title = "A carriage on a rail"
 seed = 1

@@ -152,7 +152,7 @@ name = "own"
 title = "Own criterion and method"
 origin = "Simulated for the tests; nothing was measured"
 seed = 5
-mechanism = "mechanism.toml"
+machine = "mechanism.toml"
 measured_by = ["tracker"]
 
 [variant]

@@ -20,10 +20,13 @@ kind = "study"
 name = "lengths"
 title = "Lengths alone"
 seed = 11
-mechanism = "mechanism.toml"
+machine = "mechanism.toml"
+
+[origin]
+status = "simulated"
+text = "for the tests"
 
 [data]
-origin = "Simulated for the tests, never measured"
 targets = "data/1/targets.csv"
 actuators = "data/1/actuators.csv"
 reference = "data/1/target_reference.csv"

@@ -203,14 +203,14 @@ class Readings:
         studies.write_texts(folder / "data", studies.simulate(folder / "simulate.toml").files)
         _write(
             folder / "study.toml",
-            "calibration",
+            "study",
             STUDY + known + VARIANTS.format(few=self.few) + SAMPLER.format(steps=40),
         )
         keys = {"scale": 1e-4, "function": "scale_arcsec = 5.0"} if self.turns else {}
         together = TOGETHER.format(
             **{"own": self.own, "few": self.few, "scale": 0.01, "function": "scale_um = 5.0"} | keys
         )
-        _write(folder / "together.toml", "calibration", STUDY + known + together + SAMPLER.format(steps=6))
+        _write(folder / "together.toml", "study", STUDY + known + together + SAMPLER.format(steps=6))
 
 
 FIVE_BAR = '''"""A five-bar that grows with its temperature: two cranks turn, their couplers meet at the tool."""

@@ -70,10 +70,13 @@ kind = "study"
 name = "tiny"
 title = "Tiny study"
 seed = 11
-mechanism = "mechanism.toml"
+machine = "mechanism.toml"
+
+[origin]
+status = "simulated"
+text = "for the tests"
 
 [data]
-origin = "Reconstructed: simulated for the tests, never measured"
 targets = "data/targets.csv"
 actuators = "data/actuators.csv"
 reference = "data/target_reference.csv"

@@ -158,7 +158,7 @@ def test_wrong_usage(refuse, study, arguments, expected):
 @pytest.mark.parametrize(
     ("name", "old", "new", "expected"),
     [
-        ("study.toml", "target_noise_um", "target_noise_mm", "study.toml, line 13: data.target_noise_mm: unknown key"),
+        ("study.toml", "target_noise_um", "target_noise_mm", "study.toml, line 16: data.target_noise_mm: unknown key"),
         ("study.toml", "seed = 11", 'seed = "11"', "study.toml, line 5: seed: found '11', expected a valid integer"),
         ("study.toml", "seed = 11", '"a\\nb" = 11', "unknown key"),
         ("study.toml", "[data]", "[data", "study.toml: not valid TOML"),
@@ -431,7 +431,7 @@ def test_poses_match_the_true_ones(call, study, to_file):
     # the covariance leaves out the actuators' 1 µm, which moves the truth by some µm
     sd = 1e-3 * np.sqrt(table.numbers(("cov_x_x", "cov_y_y", "cov_z_z")))
     assert (np.abs(position - truth.position) < 5 * np.hypot(sd, 0.005)).all()
-    assert "Reconstructed" in Path("new/poses.csv").read_text().splitlines()[0]
+    assert "Simulated, never measured" in Path("new/poses.csv").read_text().splitlines()[0]
 
 
 def test_method_of_poses(call, refuse, study):

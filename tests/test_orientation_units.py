@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from bayescal.experiments.shared.schema import PoseSensorConfig
+from bayescal.experiments.shared.study_schema import PoseDataConfig
 from bayescal.experiments.simulation.schema import PoseInstrumentConfig
-from bayescal.experiments.study.schema import PoseDataConfig
 
 SECTIONS = {
     PoseSensorConfig: {"kind": "pose"},

@@ -26,7 +26,7 @@ SMALL = {
         "angle_noise_arcsec": "[0.5, 2.0]",
     },
     "calibration_audit": {"count": "12", "exhaustive": "0"},
-    "calibration": {"walkers": "24", "burn_in": "3", "steps": "6", "max_draws": "2000", "folds": "2"}
+    "study of tables": {"walkers": "24", "burn_in": "3", "steps": "6", "max_draws": "2000", "folds": "2"}
     | {"draws": "1000"},
     "sessions": {"draws": "500", "per_leg": "false"},
     "audit": {"simulated_calibrations": "4", "expected_over_draws": "3", "draws": "2000"},

@@ -55,8 +55,9 @@ def poses_from_targets(
 
     config = load_kind(experiment, "study")
     check_out(out)
-    if config.data.measurement != "targets":
-        raise InputError(f"{experiment}: data.measurement: found {config.data.measurement!r}, expected 'targets'")
+    found = "tables of readings" if config.by_tables else config.measured.measurement
+    if found != "targets":
+        raise InputError(f"{experiment}: data.measurement: found {found!r}, expected 'targets'")
     if method is not None:
         look_up(METHODS, method, "--method", experiment)
         config = config.model_copy(update={"data": config.data.model_copy(update={"pose_method": method})})

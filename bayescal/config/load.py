@@ -89,7 +89,8 @@ def _choose_faults(error: ValidationError) -> list[Any]:
     Places inside of one another are one place, seen by several branches of a union.
     """
     rank = {"extra_forbidden": -1, "list_type": 1}
-    faults = sorted(error.errors(), key=lambda one: (rank.get(one["type"], 0), -len(_keys_of(one["loc"]))))
+    told = [one for one in error.errors() if one["type"] != "default_factory_not_called"]  # for another field's fault
+    faults = sorted(told, key=lambda one: (rank.get(one["type"], 0), -len(_keys_of(one["loc"]))))
     chosen: dict[tuple[int | str, ...], Any] = {}
     for fault in faults:
         place = tuple(_keys_of(fault["loc"]))

@@ -52,7 +52,7 @@ def load_mechanism(path: Path) -> Mechanism:
     if isinstance(content.get("kind"), str):
         raise InputError(
             f"{path}: kind: found {content['kind']!r}, a machine of channels, expected one on legs whose platform an "
-            "instrument sees; kind = 'calibration' calibrates it, an instrument being channels of its class"
+            "instrument sees; tables of readings, [[data]], calibrate it, an instrument being channels of its class"
         )
     config = check_section(MechanismConfig, content, path, text)
     home, base = _home(config, path, text), points_of(config.base)

@@ -14,8 +14,8 @@ from bayescal.config.registry import list_references
 from bayescal.errors import InputError
 from bayescal.experiments.audit.load import load_audit
 from bayescal.experiments.frame.load import load_experiment, load_kind
+from bayescal.experiments.shared.study_schema import StudyConfig
 from bayescal.experiments.simulation.schema import SimulationConfig
-from bayescal.experiments.study.schema import StudyConfig
 from bayescal.machines.mechanism import ExternalLoad
 from bayescal.machines.read import load_mechanism, read_reading_model
 
@@ -166,7 +166,6 @@ def test_wrong_value_names_field_and_value(study, old, new, field, found):
     ("old", "field"),
     [
         ("seed = 11\n", "seed"),
-        ('deformation = "none"\n', "variants.0.deformation"),
         ('targets = "data/targets.csv"\n', "data.targets"),
         (", sd = 2.0", "parameters.l.sd"),
     ],
@@ -429,7 +428,12 @@ def data_study(tmp_path) -> Path:
     ("name", "old", "new", "expected"),
     [
         ("study.toml", "b_z = {", "bz = {", "parameters: found 'bz', did you mean 'b_z'?"),
-        ("study.toml", 'free = ["l"]', 'free = ["l", "kappa"]', "'six_pus/none': found 'kappa' free, expected one of"),
+        (
+            "study.toml",
+            'free = ["l"]',
+            'free = ["l", "kappa"]',
+            "'six_pus/none': free: found 'kappa', expected some of",
+        ),
         ("study.toml", 'model = "six_pus"', 'model = "six_puss"', "model: found 'six_puss', did you mean 'six_pus'?"),
         ("study.toml", 'deformation = "none"', 'deformation = "non"', "found 'non', did you mean 'none'?"),
         ("study.toml", "sd = 2.0", "sd = [1.0, 2.0]", "parameters.l: found 2 values, expected 1 or 6"),

@@ -64,7 +64,7 @@ def _draw_commands(
 
 def _expect(config: AuditConfig, model: ReadingModel) -> Array:
     """Return the machine as expected with everything free, (D,)."""
-    priors, fixed, _ = choose_priors(config, FreeConfig(), model)
+    priors, fixed, _ = choose_priors(config, FreeConfig(), model.layout)
     known = fixed | {name: one.mean for name, one in priors.items()}
     layout = model.layout
     return np.array([known.get(name, value) for name, value in zip(layout.names, layout.nominal, strict=True)])

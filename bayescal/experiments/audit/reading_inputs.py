@@ -24,9 +24,10 @@ from bayescal.experiments.shared.readings.inputs import Variant
 from bayescal.experiments.shared.readings.instruments import read_instruments
 from bayescal.experiments.shared.readings.noise import noise_of_channels
 from bayescal.experiments.shared.readings.priors import choose_priors
-from bayescal.experiments.shared.readings.schema import CalibrationVariantConfig, ChannelConfig, FreeConfig
+from bayescal.experiments.shared.readings.schema import ChannelConfig, FreeConfig
 from bayescal.experiments.shared.readings.workspace import Workspace, build_workspace, check_told
 from bayescal.experiments.shared.schema import ModelConfig
+from bayescal.experiments.shared.study_schema import VariantConfig as FittedConfig
 from bayescal.identifiability.reading_rows import name_tool
 from bayescal.identifiability.units import Units
 from bayescal.machines.read import read_reading_model
@@ -133,12 +134,12 @@ def _build(
     for k in chosen[~np.isfinite(noise[chosen])][:1]:
         raise InputError(f"sensors: found {whole.names[k]} without noise, expected an entry in [sensors]")
     model = whole.pick(chosen)
-    priors, fixed, common = choose_priors(config, section, model)
+    priors, fixed, common = choose_priors(config, section, model.layout)
     shape = (len(planned.names), len(chosen))
     data = Measurements(planned.names, np.zeros(shape), np.tile(noise[chosen], (shape[0], 1)), planned.given)
     shared = section.model_dump(include=set(FreeConfig.model_fields) | {"name", "sensors"})
     variant = Variant(
-        CalibrationVariantConfig(**shared, title=section.label, noise="stated"),
+        FittedConfig(**shared, title=section.label, noise="stated"),
         whole,
         model,
         {name: NormalPrior(one.mean, one.sd) for name, one in priors.items()},

@@ -18,7 +18,6 @@ from bayescal.config.registry import hash_modules
 from bayescal.config.sections import ExperimentConfig
 from bayescal.errors import InputError
 from bayescal.experiments.frame.memory import Need
-from bayescal.report.findings import choose_first, count_folded
 from bayescal.report.numbers import format_significant
 
 if TYPE_CHECKING:
@@ -115,15 +114,10 @@ class Experiment[C: ExperimentConfig, I](ABC):
 
     def show(self, results: Results, page: Page, console: Console) -> None:
         """Print the results on the terminal: the page's verdict as it is seen there at first sight."""
-        from bayescal.experiments.frame.terminal import print_text
+        from bayescal.experiments.frame.terminal import show_verdict
 
         del results
-        print_text(console, page.headline)
-        seen, folded = choose_first(page.verdict)
-        for one in seen:
-            print_text(console, f"{one.lead}: {one.text}" if one.lead else one.text)
-        if folded:
-            print_text(console, count_folded(folded))
+        show_verdict(page, console)
 
     def list_failures(self, results: Results) -> list[str]:
         """Return what forbids to rely on the results, in words; the command line then ends with exit code 3."""

@@ -113,8 +113,7 @@ def _calibrate(path: Path, variant: str | None, experiment: Path | None, trust: 
     kind: object = None if not isinstance(name, str) or ":" in name else find_kind(name, path, None)
     if not isinstance(kind, Calibrating):
         raise InputError(
-            f"{path}: found results of kind {name!r}, which hold no calibrated machine, expected those of a study or a "
-            "calibration"
+            f"{path}: found results of kind {name!r}, which hold no calibrated machine, expected those of a study"
         )
     return kind.calibrate(read_results(path, kind.tables_of_machine), variant, experiment, trust)
 

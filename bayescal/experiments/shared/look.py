@@ -14,7 +14,7 @@ from bayescal.machines.read import load_mechanism, read_reading_model
 
 def look_at_machine(content: Mapping[str, Any], folder: Path) -> tuple[Mechanism | None, list[str]]:
     """Return the mechanism that a config names, None for another machine, and what is wrong with the file, in lines."""
-    name = content.get("machine", content.get("mechanism"))
+    name = content.get("machine", content.get("machine", content.get("mechanism")))
     if not isinstance(name, str):
         return None, []
     try:

@@ -79,7 +79,7 @@ def plan_readings(config: SimulationConfig, folder: Path) -> ReadingPlan:
     check_given(config.given, whole)
     noise = noise_of_channels(config.sensors, whole)
     chosen = whole.select(config.sensors)
-    priors, fixed, common = choose_priors(config, config, whole)
+    priors, fixed, common = choose_priors(config, config, whole.layout)
     truth = read_truth(config, whole.layout, folder)
     workspace = build_workspace(whole, config.workspace, config.units)
     return ReadingPlan(config, whole.pick(chosen), noise[chosen], priors, fixed, common, workspace, truth)

@@ -15,7 +15,7 @@ from bayescal.experiments.frame.results import Results
 from bayescal.experiments.shared.estimate import TREE, Fit
 from bayescal.experiments.shared.joints import tabulate_joints
 from bayescal.experiments.shared.prior_widths import WidthTask, begin_widths, tabulate_widths, weigh_widths
-from bayescal.experiments.shared.schema import UnitsConfig
+from bayescal.experiments.shared.study_schema import StudyConfig
 from bayescal.experiments.shared.trees import write_packed
 from bayescal.experiments.shared.variant_tables import rank_variants
 from bayescal.experiments.study.calibrated import describe_nominal
@@ -25,7 +25,6 @@ from bayescal.experiments.study.fit import Legs, Task, list_tasks, run_task
 from bayescal.experiments.study.held_out import describe_stacking, tabulate_poses
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.kernels import has_kernels
-from bayescal.experiments.study.schema import StudyConfig
 from bayescal.experiments.study.structured_table import tabulate_structured
 from bayescal.experiments.study.summary import summarise_variants
 from bayescal.experiments.study.tables import (
@@ -118,14 +117,14 @@ def _judge(task: tuple[Claims, StudyInputs, dict[str, Any], dict[str, LeastSquar
 def _summarise(inputs: StudyInputs, posteriors: dict[Task, Fit], variants: dict[str, dict[str, Any]]) -> dict[str, Any]:
     """Return the results as JSON-ready numbers."""
     config, held = inputs.config, inputs.verification
-    models = {label_class(variant.model): inputs.machine(variant).model.title for variant in config.variants}
+    models = {label_class(variant.seen[0]): inputs.machine(variant).model.title for variant in config.variants}
     return {
         "experiment": config.name,
         "title": config.title,
         "seed": config.seed,
-        "machine": inputs.config.mechanism,
-        "origin": {"status": "", "text": config.data.origin, "source": "", "licence": ""},
-        "units": UnitsConfig().model_dump(),
+        "machine": config.machine,
+        "origin": config.origin.model_dump(),
+        "units": config.units.model_dump(),
         "n_poses": {"calibration": int((~held).sum()), "verification": int(held.sum())},
         "converged": all(one["converged"] and one["without_model_error"]["converged"] for one in variants.values()),
         "models": models,
@@ -142,7 +141,7 @@ def _summarise(inputs: StudyInputs, posteriors: dict[Task, Fit], variants: dict[
 
 def _describe_held(inputs: StudyInputs) -> dict[str, dict[str, list[str]]]:
     """Return which dimensions of each variant's model no variant frees; nothing where all are free somewhere."""
-    free = {symbol for variant in inputs.config.variants for symbol in variant.free}
+    free = {symbol for variant in inputs.config.variants for symbol in inputs.free(variant)}
     held = {
         variant.name: [one for one in list_dimensions(inputs.machine(variant).layout) if one not in free]
         for variant in inputs.config.variants
@@ -178,7 +177,7 @@ def _stack(inputs: StudyInputs, posteriors: dict[Task, Fit]) -> dict[str, Any]:
 def _describe_names(config: StudyConfig) -> dict[str, dict[str, dict[str, str]]]:
     """Return model and deformation of the variants with names of their own, which do not say them."""
     named = {
-        variant.name: {"model": label_class(variant.model), "deformation": label_class(variant.deformation)}
+        variant.name: dict(zip(("model", "deformation"), map(label_class, variant.seen), strict=True))
         for variant in config.variants
         if variant.has_own_name
     }

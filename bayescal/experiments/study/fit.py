@@ -14,12 +14,12 @@ from bayescal.density.prediction import Prediction
 from bayescal.experiments.shared.chi_square import ChiSquare
 from bayescal.experiments.shared.estimate import Arrays, Fit, Subject, fit_posterior
 from bayescal.experiments.shared.soundness import find_misfit
+from bayescal.experiments.shared.study_schema import stem_of
 from bayescal.experiments.shared.trees import SAVED_DRAWS, limit_draws, spread
 from bayescal.experiments.shared.variant_tables import FREE, ZERO
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.pointwise import SomeDraws, evaluate_poses
 from bayescal.experiments.study.replicates import replicate_prior
-from bayescal.experiments.study.schema import stem_of
 from bayescal.experiments.study.structured import evaluate_structured
 from bayescal.inference.correction import CostlyDensity, pull_back
 from bayescal.inference.exploration import Exploration

@@ -9,13 +9,13 @@ from bayescal.density.model_error import INDEPENDENT, build_kernel
 from bayescal.density.structured import StructuredLikelihood, count_nodes
 from bayescal.errors import InputError
 from bayescal.experiments.frame.memory import check_arrays
-from bayescal.experiments.study.schema import StudyConfig, VariantConfig
+from bayescal.experiments.shared.study_schema import StudyConfig, VariantConfig
 from bayescal.numerics.units import MICROMETRE
 
 
 def name_kernel(config: StudyConfig, variant: VariantConfig) -> str:
     """Return the kernel of a variant's model error: its own, or that of all."""
-    return config.model_error.name_for(variant)
+    return config.leg_error.name_for(variant)
 
 
 def has_kernels(config: StudyConfig) -> bool:
@@ -33,7 +33,7 @@ def give_kernel(
     InputError
         Beside blunders, for measurements that are not whole poses, and for more poses than there is memory for.
     """
-    kernel, lengths, error = name_kernel(config, variant), config.model_error.lengths_for(variant), config.model_error
+    kernel, lengths, error = name_kernel(config, variant), config.leg_error.lengths_for(variant), config.leg_error
     if config.blunders is not None:
         raise InputError(
             f"blunders: found them beside kernel {kernel!r}, by which poses depend on each "

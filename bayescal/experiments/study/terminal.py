@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import PurePath
 from typing import Any
 
@@ -11,11 +11,7 @@ from rich.console import Console
 
 from bayescal.experiments.frame.terminal import Shown, print_table, print_text
 from bayescal.experiments.shared.origin import name_origin
-from bayescal.report.blocks import Statement
 from bayescal.report.numbers import MICROMETRES, format_estimate, format_fixed
-
-DOUBTS = ("Data", "Noise", "Tolerances", "Bounds")
-
 
 RANKING = (
     Shown("rank"),
@@ -77,13 +73,6 @@ def _describe_check(name: str, fit: Mapping[str, Any]) -> str:
     own = format_estimate(fit["log_evidence"], fit["log_evidence_se"], 3)
     check = format_estimate(fit["log_evidence_tempered"], fit["log_evidence_tempered_se"], 3)
     return f"checked {name}: log-evidence {own}, by tempering {check}"
-
-
-def show_doubts(verdict: Sequence[Statement], console: Console) -> None:
-    """Print what contradicts the stated noise and tolerances."""
-    for statement in verdict:
-        if statement.lead in DOUBTS and statement.level in ("warning", "bad"):
-            print_text(console, f"{statement.lead.upper()}: {statement.text}")
 
 
 def _format_size(size: float | None) -> str:

@@ -12,8 +12,8 @@ import numpy as np
 from bayescal.density.elimination import RANK
 from bayescal.errors import InputError, name_faults
 from bayescal.experiments.frame.load import load
-from bayescal.experiments.shared.readings.inputs import CalibrationInputs, Variant, read_inputs
-from bayescal.experiments.shared.readings.schema import CalibrationConfig
+from bayescal.experiments.shared.readings.inputs import ReadingInputs, Variant, read_inputs
+from bayescal.experiments.shared.study_schema import StudyConfig
 from bayescal.experiments.table.schema import TableConfig
 from bayescal.identifiability.units import Units
 from bayescal.machines.readings import Given, ReadingModel
@@ -27,7 +27,7 @@ class TableInputs:
     Attributes
     ----------
     config : TableConfig
-    calibration : CalibrationInputs
+    calibration : ReadingInputs
         With the one variant that the table is made of.
     cells : ndarray, shape (G, A)
         The places of the table, its axes in their order, the last one fastest.
@@ -38,7 +38,7 @@ class TableInputs:
     """
 
     config: TableConfig
-    calibration: CalibrationInputs
+    calibration: ReadingInputs
     cells: Array
     reference: dict[str, float]
     pose: Array
@@ -84,20 +84,20 @@ def read_table(config: TableConfig, folder: Path) -> TableInputs:
     return found
 
 
-def load_calibration(path: Path) -> CalibrationConfig:
-    """Return the config of a calibration; InputError for another kind."""
+def load_calibration(path: Path) -> StudyConfig:
+    """Return the config of a study of tables of readings; InputError for another."""
     _, found = load(path)
-    if not isinstance(found, CalibrationConfig):
-        why = (
-            ", whose legs depend on nothing but the pose: all places have one correction"
-            if found.kind == "study"
-            else ""
+    if not isinstance(found, StudyConfig):
+        raise InputError(f"{path}: kind: found {found.kind!r}, expected 'study', of which a table is made")
+    if not found.by_tables:
+        raise InputError(
+            f"{path}: data: found an instrument's poses of legs, which depend on nothing but the pose: all places have "
+            "one correction, expected tables of readings"
         )
-        raise InputError(f"{path}: kind: found {found.kind!r}{why}, expected 'calibration', of which a table is made")
     return found
 
 
-def _read_calibration(config: TableConfig, path: Path) -> CalibrationInputs:
+def _read_calibration(config: TableConfig, path: Path) -> ReadingInputs:
     """Return the calibration with the table's variant alone."""
     found = load_calibration(path)
     names = [one.name for one in found.variants]
@@ -125,7 +125,7 @@ def _check_reference(config: TableConfig, variant: Variant) -> dict[str, float]:
     return {name: float(config.reference[name]) for name in known}
 
 
-def _place(config: TableConfig, calibration: CalibrationConfig, variant: Variant) -> Array:
+def _place(config: TableConfig, calibration: StudyConfig, variant: Variant) -> Array:
     """Return the commanded pose, shape (q,)."""
     coordinates, units = variant.model.coordinates, Units(calibration.units.length, calibration.units.angle)
     names = [one.name for one in coordinates]

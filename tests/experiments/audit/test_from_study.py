@@ -143,7 +143,7 @@ def test_audit_of_a_study_runs_with_its_what_ifs(design):
         ('deformation = "matrix"', 'deformation = "linear"', "found no six_pus/linear, expected one of six_pus/none"),
         ("[[variants]]", '[[variants]]\nfree = ["l"]', "variants.free: found l, expected none or those of the study's"),
         ("seed = 5", 'seed = 5\nmachine = "other.toml"', "other.toml beside [data], expected none or the study's"),
-        ("seed = 5", 'seed = 5\nposes = { count = 9 }', "found poses beside [data], expected none"),
+        ("seed = 5", "seed = 5\nposes = { count = 9 }", "found poses beside [data], expected none"),
         ("[data]", "[noise]\nactuator_um = 1.0\n[data]", "found noise beside [data], expected none"),
         ("tiny/study.toml", "tiny/nowhere.toml", "nowhere.toml"),
         ("tiny/study.toml", "simulate.toml", "kind: found 'simulation', expected 'study'"),

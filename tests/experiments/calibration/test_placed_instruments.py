@@ -76,7 +76,7 @@ bar_zero = { prior = "normal", sd = 1.0 }
 laser_zero = { prior = "normal", sd = 2.0 }
 """
 ARM = f"""
-kind = "calibration"
+kind = "study"
 name = "arm"
 title = "An arm and instruments beside it"
 seed = 3
@@ -219,7 +219,7 @@ def test_the_machine_alone_is_predicted_and_commanded(variant, results, tmp_path
 
 @pytest.mark.runs
 def test_an_audit_chooses_among_instruments(arm, tmp_path, call):
-    text = ARM.partition("[validation]")[0].replace('kind = "calibration"', 'kind = "audit"')
+    text = ARM.partition("[validation]")[0].replace('kind = "study"', 'kind = "audit"')
     before, _, after = text.partition("[origin]")
     audit = before + after[after.index("\n[instruments") :] + "\n[poses]\ncount = 12\n[next]\ncandidates = 10\n"
     path = arm.parent / "audit.toml"
@@ -234,7 +234,7 @@ def test_an_audit_chooses_among_instruments(arm, tmp_path, call):
 
 
 LEGS = """
-kind = "calibration"
+kind = "study"
 name = "legs"
 title = "Legs and a pose"
 seed = 1
@@ -442,7 +442,7 @@ REFUSED = {
     "unknown symbol": (
         "bar_zero = {",
         "bar_zeros = {",
-        "parameters: found 'bar_zeros', expected some of a, h, o, station",
+        "'near' frees 'bar_zero', which has no prior in [parameters]",
     ),
     "name of the machine's own channel": (
         "[instruments.station]",

@@ -38,7 +38,7 @@ def draw_truth(twin, config, variant, rng):
 def infer(twin, config, theta, seed):
     """Return z-scores and posterior ranks of the true geometry, K estimated from the targets of the same survey."""
     survey = simulate_survey(twin, np.random.default_rng(seed), theta)
-    noise = 1e-3 * config.data.target_noise_um
+    noise = 1e-3 * config.measured.target_noise_um
     inputs = StudyInputs(
         config, TELESCOPE, twin.mechanism, TargetMeasurement(survey, extract_poses(survey, noise), "robust")
     )

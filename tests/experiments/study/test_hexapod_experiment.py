@@ -16,10 +16,10 @@ import studies
 from bayescal.data.photogrammetry.poses import PoseExtraction, extract_poses
 from bayescal.data.photogrammetry.survey import Survey
 from bayescal.experiments.frame.load import load_experiment
+from bayescal.experiments.shared.study_schema import StudyConfig
 from bayescal.experiments.simulation.twin import Twin, build_twin, simulate_survey
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.measurement import TargetMeasurement
-from bayescal.experiments.study.schema import StudyConfig
 from bayescal.inference.ensemble import run_ensemble
 from bayescal.inference.exploration import count_walkers, explore
 from bayescal.machines.kinematics import solve_forward_kinematics

@@ -101,7 +101,7 @@ def test_faulty_published_table(folder, old, new, expected):
         ("study.toml", "sd = 2.0", "sd = 1e300", "parameters.l.sd: found 1e+300"),
         ("study.toml", "factor = [1.0]", "factor = [1e-300]", "sensitivity.factor.0: found 1e-300"),
         ("study.toml", "offset = 0.0", "offset = 1e300", "parameters.b_z.offset: found 1e+300"),
-        ("study.toml", 'free = ["l"]', 'free = ["l", "l"]', "frees 'l' twice, expected each symbol once"),
+        ("study.toml", 'free = ["l"]', 'free = ["l", "l"]', "free: found 'l' twice, expected it once"),
         ("study.toml", "draws = 1000", "draws = 5000", "max_draws 1000 below draws 5000"),
         ("mechanism.toml", "[0.0, 0.0, 1.0]", "[0.0, 0.0, 1e300]", "legs.direction.2: found 1e+300"),
         ("mechanism.toml", "radius_mm = 130.0", "radius_mm = 9.0\npoints_mm = [[1, 2, 3]]", "platform: expected"),

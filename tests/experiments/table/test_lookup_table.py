@@ -180,7 +180,7 @@ def rail(tmp_path_factory):
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ('study = "study.toml"', 'study = "table.toml"', "expected 'calibration'"),
+        ('study = "study.toml"', 'study = "table.toml"', "expected 'study'"),
         ("force = true", 'variant = "al"', "found 'al', expected one of all"),
         ("elevation_deg = [0.0, 45.0, 90.0]", "azimuth_deg = [0.0, 45.0]", "reference: found no azimuth_deg"),
         ("elevation_deg = [0.0, 45.0, 90.0]", "elevation_deg = [45.0, 0.0]", "found values that do not rise"),

@@ -24,9 +24,9 @@ from bayescal.experiments.shared.readings.instruments import read_machine
 from bayescal.experiments.shared.readings.noise import build_noise, stated_noise
 from bayescal.experiments.shared.readings.priors import choose_priors, widen
 from bayescal.experiments.shared.readings.reading_tables import PoseReadings, read_tables
-from bayescal.experiments.shared.readings.schema import CalibrationConfig, CalibrationVariantConfig
 from bayescal.experiments.shared.readings.workspace import Workspace, build_workspace, find_starts
 from bayescal.experiments.shared.search_memory import check_readings
+from bayescal.experiments.shared.study_schema import StudyConfig, VariantConfig
 from bayescal.machines.readings import ReadingModel
 from bayescal.numerics.geometry import Array
 
@@ -37,7 +37,7 @@ class Variant:
 
     Attributes
     ----------
-    config : CalibrationVariantConfig
+    config : VariantConfig
     whole : ReadingModel
         The machine with all its channels.
     model : ReadingModel
@@ -56,7 +56,7 @@ class Variant:
         Whether accuracy is the error that remains after base and tool were aligned over the workspace.
     """
 
-    config: CalibrationVariantConfig
+    config: VariantConfig
     whole: ReadingModel
     model: ReadingModel
     priors: Mapping[str, Prior]
@@ -107,12 +107,12 @@ class Variant:
 
 
 @dataclass(frozen=True, eq=False)
-class CalibrationInputs:
+class ReadingInputs:
     """Readings and variants.
 
     Attributes
     ----------
-    config : CalibrationConfig
+    config : StudyConfig
     machine : str
         Its name.
     variants : dict of name to Variant
@@ -125,7 +125,7 @@ class CalibrationInputs:
         Which columns of the tables no variant takes in, in a line; empty where it takes in all.
     """
 
-    config: CalibrationConfig
+    config: StudyConfig
     machine: str
     variants: dict[str, Variant]
     beside: list[Beside]
@@ -134,7 +134,7 @@ class CalibrationInputs:
     unused: str = ""
 
 
-def read_inputs(config: CalibrationConfig, folder: Path) -> CalibrationInputs:
+def read_inputs(config: StudyConfig, folder: Path) -> ReadingInputs:
     """Return the inputs of a calibration; InputError names the file, the variant, the pose, the column."""
     models = {name: read_machine(config, folder, name) for name in list_machines(config)}
     model = models[config.machine]
@@ -142,7 +142,7 @@ def read_inputs(config: CalibrationConfig, folder: Path) -> CalibrationInputs:
         if other.names != model.names:
             raise InputError(f"{folder / name}: found other channels than {config.machine} has, expected the same")
     given = list(dict.fromkeys(name for one in models.values() for name in one.given))
-    readings = read_tables(config.data, folder, model.channels, given)
+    readings = read_tables(config.tables, folder, model.channels, given)
     deviations = stated_noise(config.sensors, readings, model)
     variants = {}
     for one in config.variants:
@@ -154,17 +154,17 @@ def read_inputs(config: CalibrationConfig, folder: Path) -> CalibrationInputs:
     machine_files = {name: kept[folder / name] for name in models}
     unused = readings.tell_unused({name for one in variants.values() for name in one.model.names})
     name = getattr(model, "name", config.machine)
-    return CalibrationInputs(config, name, variants, beside, files, machine_files, unused)
+    return ReadingInputs(config, name, variants, beside, files, machine_files, unused)
 
 
-def list_machines(config: CalibrationConfig) -> list[str]:
+def list_machines(config: StudyConfig) -> list[str]:
     """Return the files of the machine, those of single variants too."""
     return list(dict.fromkeys([config.machine, *(one.machine for one in config.variants if one.machine)]))
 
 
 def _build(
-    config: CalibrationConfig,
-    section: CalibrationVariantConfig,
+    config: StudyConfig,
+    section: VariantConfig,
     model: ReadingModel,
     readings: PoseReadings,
     deviations: Array,
@@ -176,7 +176,7 @@ def _build(
     if not len(chosen):
         raise InputError("sensors: found no reading of any, expected some")
     whole, model = model, model.pick(chosen)
-    priors, fixed, common = choose_priors(config, section, model)
+    priors, fixed, common = choose_priors(config, section, model.layout)
     data = Measurements(
         readings.poses,
         readings.values[:, chosen],
@@ -213,7 +213,7 @@ def _build(
     return placed
 
 
-def _choose_poses(section: CalibrationVariantConfig, model: ReadingModel, readings: PoseReadings) -> np.ndarray:
+def _choose_poses(section: VariantConfig, model: ReadingModel, readings: PoseReadings) -> np.ndarray:
     """Return which poses a variant takes in; InputError where one lacks what the machine has to know of it."""
     for name in section.poses_with:
         if name not in readings.given:

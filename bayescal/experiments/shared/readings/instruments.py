@@ -7,11 +7,8 @@ from pathlib import Path
 from typing import Protocol
 
 from bayescal.config.classes import choose, name_failures
-from bayescal.experiments.shared.readings.schema import (
-    CalibrationConfig,
-    CalibrationVariantConfig,
-    InstrumentConfig,
-)
+from bayescal.experiments.shared.readings.schema import InstrumentConfig
+from bayescal.experiments.shared.study_schema import StudyConfig, VariantConfig
 from bayescal.machines.read import read_reading_model
 from bayescal.machines.readings import Instrument, ReadingModel, place
 
@@ -35,7 +32,7 @@ def read_instruments(config: Instrumented, folder: Path) -> dict[str, Instrument
     return instruments
 
 
-def read_machine(config: CalibrationConfig, folder: Path, name: str = "") -> ReadingModel:
+def read_machine(config: StudyConfig, folder: Path, name: str = "") -> ReadingModel:
     """Return the machine of a file, by default the config's, before the config's instruments.
 
     Raises
@@ -47,8 +44,8 @@ def read_machine(config: CalibrationConfig, folder: Path, name: str = "") -> Rea
 
 
 def leave_instruments(
-    config: CalibrationConfig, variant: CalibrationVariantConfig, machine: ReadingModel
-) -> tuple[CalibrationConfig, CalibrationVariantConfig]:
+    config: StudyConfig, variant: VariantConfig, machine: ReadingModel
+) -> tuple[StudyConfig, VariantConfig]:
     """Return a config that has run, and a variant of it, without what is not the machine's own."""
     if not config.instruments:
         return config, variant

@@ -20,10 +20,6 @@ from bayescal.report.numbers import (
 )
 from bayescal.report.reading import Row
 
-NO_TOOL = (
-    "The machine's class states no tool: its coordinates are reported instead. State tool_channels (names and units), "
-    "and tool() where the tool is something else than the coordinates."
-)
 COVERAGE, FAR = 0.90, 2.5  # what intervals should hold, and binomial deviations from it that are no chance
 MANY = 8
 FEW = 40  # held-back readings, from which little can be said of coverage
@@ -67,7 +63,7 @@ def state_next(study: StudyResults) -> list[Statement]:
 
 def state_data(study: StudyResults) -> list[Statement]:
     """Say that there is no tool, which readings are not used, that they are few, and how noise was found."""
-    found = [] if study.summary.get("states_tool", True) else [Statement(NO_TOOL, "warning", "Tool")]
+    found = [] if study.summary.get("states_tool", True) else [Statement(knowledge_page.NO_TOOL, "warning", "Tool")]
     if "unused" in study.summary:
         found.append(Statement(study.summary["unused"], "warning", "Data"))
     fit = study.fit(study.chosen)

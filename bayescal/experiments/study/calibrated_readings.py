@@ -30,12 +30,13 @@ from bayescal.experiments.shared.calibrating import (
     write_bytes,
 )
 from bayescal.experiments.shared.headline import choose_best
-from bayescal.experiments.shared.readings.inputs import CalibrationInputs, Variant
+from bayescal.experiments.shared.origin import name_origin
+from bayescal.experiments.shared.readings.inputs import ReadingInputs, Variant
 from bayescal.experiments.shared.readings.instruments import leave_instruments
 from bayescal.experiments.shared.readings.noise import group_channels, noise_of_channels
 from bayescal.experiments.shared.readings.priors import choose_priors
-from bayescal.experiments.shared.readings.schema import CalibrationConfig, CalibrationVariantConfig
 from bayescal.experiments.shared.readings.workspace import build_workspace
+from bayescal.experiments.shared.study_schema import StudyConfig, VariantConfig
 from bayescal.experiments.shared.trees import name_file
 from bayescal.files.csv_tables import format_table, read_table
 from bayescal.machines.read import list_machine_sources
@@ -50,7 +51,7 @@ ERROR_DRAWS = 200
 # --- writing -------------------------------------------------------------------------------------------------------
 
 
-def keep_machine(inputs: CalibrationInputs) -> dict[str, str | Writer]:
+def keep_machine(inputs: ReadingInputs) -> dict[str, str | Writer]:
     """Return the files of the machines that a calibration's results keep, and the commands of its poses, by name."""
     kept: dict[str, str | Writer] = {f"{KEPT}/{name}": write_bytes(one) for name, one in inputs.files.items()}
     for variant in inputs.variants.values():
@@ -80,14 +81,14 @@ def _write(value: float) -> str:
     return repr(float(value)) if np.isfinite(value) else ""
 
 
-def tabulate_errors(config: CalibrationConfig, variant: Variant, kept: Array) -> pd.DataFrame:
+def tabulate_errors(config: StudyConfig, variant: Variant, kept: Array) -> pd.DataFrame:
     """Return by what each commanded channel errs: noise and model error, root mean squares over draws of the posterior.
 
     Errors that are functions count by their mean squares at the calibration poses, with the model error.
 
     Parameters
     ----------
-    config : CalibrationConfig
+    config : StudyConfig
     variant : Variant
     kept : ndarray, shape (T, n)
         Draws of the posterior, in its coordinates.
@@ -130,7 +131,7 @@ def _relate(variant: Variant, channel: str) -> dict[str, float]:
 
 
 def calibrate_machine(
-    results: Results, config: CalibrationConfig, variant: str | None, experiment: Path | None, trust: bool
+    results: Results, config: StudyConfig, variant: str | None, experiment: Path | None, trust: bool
 ) -> CalibratedMachine:
     """Return the machine of a variant of a calibration's results; see `Calibrating.calibrate`."""
     assert results.folder is not None
@@ -150,7 +151,7 @@ def calibrate_machine(
     commands, given = _read_commands(results.folder / _name_commands(chosen.name), model)
     workspace = build_workspace(model, config.workspace, config.units)
     errors, noise = _build_errors(results, chosen.name, model), _find_noise(results, config, chosen.name, model)
-    source = Source(config.name, chosen.name, f"{config.origin.status}: {config.origin.text}", list_problems(fit))
+    source = Source(config.name, chosen.name, name_origin(config.origin.model_dump()), list_problems(fit))
     if isinstance(model, Legs):  # a mechanism on legs is one whatever calibrated it
         machine, size = model.machine, model.machine.layout.size
         by_legs = LegErrors(errors.noise, errors.model_variance, machine, theta[:size])
@@ -173,7 +174,7 @@ def calibrate_machine(
     return replace(found, noise=noise)
 
 
-def _find_noise(results: Results, config: CalibrationConfig, variant: str, model: ReadingModel) -> Array:
+def _find_noise(results: Results, config: StudyConfig, variant: str, model: ReadingModel) -> Array:
     """Return the noise of each channel, stated and as found since, root mean square, (K,); NaN where none is stated."""
     mine = read_parameters(results, variant)
     square = (mine["mean"] ** 2 + mine["sd"] ** 2).to_dict()
@@ -183,7 +184,7 @@ def _find_noise(results: Results, config: CalibrationConfig, variant: str, model
     return np.sqrt(noise_of_channels(config.sensors, model) ** 2 * factor + tau)
 
 
-def _choose(results: Results, config: CalibrationConfig, name: str | None) -> CalibrationVariantConfig:
+def _choose(results: Results, config: StudyConfig, name: str | None) -> VariantConfig:
     """Return the variant that is wanted, by default that which the page says to use."""
     wanted = choose_best(results.summary) if name is None else name
     for one in config.variants:
@@ -194,11 +195,11 @@ def _choose(results: Results, config: CalibrationConfig, name: str | None) -> Ca
 
 
 def _read_posterior(
-    results: Results, config: CalibrationConfig, variant: CalibrationVariantConfig, model: ReadingModel
+    results: Results, config: StudyConfig, variant: VariantConfig, model: ReadingModel
 ) -> tuple[Array, Array | None]:
     """Return the posterior's mean as a parameter vector (D,) and its draws (S, D); None where the results have none."""
     layout = model.layout
-    priors, fixed, common = choose_priors(config, variant, model)
+    priors, fixed, common = choose_priors(config, variant, model.layout)
     start = layout.nominal.copy()
     for name, value in fixed.items():
         start[layout.names.index(name)] = value

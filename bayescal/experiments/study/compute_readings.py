@@ -10,18 +10,18 @@ import numpy as np
 import pandas as pd
 
 from bayescal.density.calibration.likelihood import CalibrationPosterior
-from bayescal.experiments.calibration.calibrated import ERRORS, keep_machine, tabulate_errors
-from bayescal.experiments.calibration.tables import Findings, Residuals, summarise, tabulate
-from bayescal.experiments.calibration.validation import Held, hold_back, list_folds
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results, Writer
 from bayescal.experiments.shared.estimate import TREE, Fit
 from bayescal.experiments.shared.prior_widths import WidthTask, begin_widths, tabulate_widths, weigh_widths
 from bayescal.experiments.shared.reading_fit import ReadingFit, ReadingSubject, fit_readings
 from bayescal.experiments.shared.reading_slips import find_calibration_slip
-from bayescal.experiments.shared.readings.inputs import CalibrationInputs
+from bayescal.experiments.shared.readings.inputs import ReadingInputs
 from bayescal.experiments.shared.readings.knowledge import Knowledge, assess
 from bayescal.experiments.shared.trees import name_file, write_packed
+from bayescal.experiments.study.calibrated_readings import ERRORS, keep_machine, tabulate_errors
+from bayescal.experiments.study.reading_tables import Findings, Residuals, summarise, tabulate
+from bayescal.experiments.study.validation import Held, hold_back, list_folds
 from bayescal.inference.importance import ImportanceEvidence
 from bayescal.inference.stages import stage
 from bayescal.numerics.geometry import Array
@@ -39,7 +39,7 @@ class _Fitted:
     errors: pd.DataFrame
 
 
-def compute_calibration(inputs: CalibrationInputs, run: Run) -> Results:
+def compute_calibration(inputs: ReadingInputs, run: Run) -> Results:
     """Return what is found for all variants."""
     names = {name: name for name in inputs.variants}
     fitted, factors = run.map("variants", _compute_variant, inputs, names, (_Fitted,)), inputs.config.sensitivity.factor
@@ -77,7 +77,7 @@ def _list_files(fits: Mapping[str, Fit]) -> dict[str, Writer]:
     return {name_file(name): partial(write_packed, fit.evaluated[TREE]) for name, fit in fits.items()}
 
 
-def _compute_variant(inputs: CalibrationInputs, name: str) -> _Fitted:
+def _compute_variant(inputs: ReadingInputs, name: str) -> _Fitted:
     variant, config = inputs.variants[name], inputs.config
     posterior = variant.posterior().anchored()
     fit = fit_readings(posterior, config.seed, name, config.sampler, config.evidence)
@@ -95,7 +95,7 @@ def _compute_variant(inputs: CalibrationInputs, name: str) -> _Fitted:
         )
 
 
-def _weigh(inputs: CalibrationInputs, task: WidthTask) -> ImportanceEvidence:
+def _weigh(inputs: ReadingInputs, task: WidthTask) -> ImportanceEvidence:
     variant, config = inputs.variants[task.variant], inputs.config
     subject = ReadingSubject(variant.posterior(factor=task.factor).anchored())
     return weigh_widths(subject, variant.posterior(), task, config.seed, config.sampler, config.evidence)
@@ -122,6 +122,6 @@ def _explain(posterior: CalibrationPosterior, fit: Fit) -> Residuals:
     )
 
 
-def _compute_fold(inputs: CalibrationInputs, task: tuple[str, int]) -> Held:
+def _compute_fold(inputs: ReadingInputs, task: tuple[str, int]) -> Held:
     name, fold = task
     return hold_back(inputs, inputs.variants[name], fold)

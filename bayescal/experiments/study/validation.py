@@ -9,7 +9,7 @@ import numpy as np
 
 from bayescal.density.calibration.prediction import ReadingPredictions, predict_readings
 from bayescal.density.prediction import compute_elpd
-from bayescal.experiments.shared.readings.inputs import CalibrationInputs, Variant
+from bayescal.experiments.shared.readings.inputs import ReadingInputs, Variant
 from bayescal.inference.exploration import explore
 from bayescal.inference.importance import resample
 from bayescal.numerics.geometry import Array
@@ -40,7 +40,7 @@ class Held:
     predictions: ReadingPredictions
 
 
-def list_folds(inputs: CalibrationInputs, variant: Variant) -> list[np.ndarray]:
+def list_folds(inputs: ReadingInputs, variant: Variant) -> list[np.ndarray]:
     """Return which poses are held back together, masks (P,): those for verification, or random folds of all."""
     n, folds = variant.data.n_poses, inputs.config.validation.folds
     if variant.verification.any():
@@ -49,7 +49,7 @@ def list_folds(inputs: CalibrationInputs, variant: Variant) -> list[np.ndarray]:
     return [np.isin(np.arange(n), order[k::folds]) for k in range(min(folds, n))]
 
 
-def hold_back(inputs: CalibrationInputs, variant: Variant, fold: int, known: Array | None = None) -> Held:
+def hold_back(inputs: ReadingInputs, variant: Variant, fold: int, known: Array | None = None) -> Held:
     """Return how the held-back poses of a fold are predicted from the others.
 
     Where these are the poses for verification, ``known`` are draws (T, n) of the posterior that has been found already.

@@ -10,10 +10,9 @@ import numpy as np
 import pandas as pd
 from scipy.stats import chi2
 
-from bayescal.experiments.calibration.validation import Held
 from bayescal.experiments.shared.function_errors import tabulate_functions
 from bayescal.experiments.shared.reading_fit import ReadingFit
-from bayescal.experiments.shared.readings.inputs import CalibrationInputs, Variant
+from bayescal.experiments.shared.readings.inputs import ReadingInputs, Variant
 from bayescal.experiments.shared.readings.knowledge import Knowledge
 from bayescal.experiments.shared.readings.knowledge_tables import (
     list_next,
@@ -30,6 +29,7 @@ from bayescal.experiments.shared.variant_tables import (
     tabulate_left_out,
     tabulate_parameters,
 )
+from bayescal.experiments.study.validation import Held
 from bayescal.numerics.geometry import Array
 
 IMPROBABLE = 0.01  # probability under the stated noise below which a pose's residuals contradict it
@@ -72,7 +72,7 @@ class Findings:
     held: list[Held]
 
 
-def tabulate(inputs: CalibrationInputs, found: Mapping[str, Findings]) -> dict[str, pd.DataFrame]:
+def tabulate(inputs: ReadingInputs, found: Mapping[str, Findings]) -> dict[str, pd.DataFrame]:
     """Return all tables by the names of their files."""
     every, units = [(inputs.variants[name], one) for name, one in found.items()], inputs.config.units
     predictions = pd.DataFrame([row for one in every for row in _list_predictions(*one)])
@@ -171,7 +171,7 @@ def _list_predictions(variant: Variant, one: Findings) -> Iterator[dict[str, Any
             }
 
 
-def _list_beside(inputs: CalibrationInputs, variant: Variant, one: Findings) -> Iterator[dict[str, Any]]:
+def _list_beside(inputs: ReadingInputs, variant: Variant, one: Findings) -> Iterator[dict[str, Any]]:
     for source, values in zip(inputs.beside, one.beside, strict=True):
         mean, sd = values.mean(axis=0), values.std(axis=0)
         for k, name in enumerate(source.quantities):
@@ -190,7 +190,7 @@ def _list_beside(inputs: CalibrationInputs, variant: Variant, one: Findings) -> 
             }
 
 
-def summarise(inputs: CalibrationInputs, tables: Mapping[str, pd.DataFrame]) -> dict[str, Any]:
+def summarise(inputs: ReadingInputs, tables: Mapping[str, pd.DataFrame]) -> dict[str, Any]:
     """Return the results as JSON-ready numbers."""
     config, rows = inputs.config, {str(row.pop("variant")): plain(row) for row in tables["variants"].to_dict("records")}
     held = max((one.verification for one in inputs.variants.values()), key=len)
