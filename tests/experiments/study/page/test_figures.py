@@ -210,7 +210,7 @@ def test_joints_have_a_mark_per_deformation(drawn, twelve):
 
 
 def test_the_longest_flexure_is_shown_with_both_errors(twelve):
-    rows = choose_flexure(twelve.flexure)
+    rows = choose_flexure(twelve.table("flexure"))
     assert set(rows["flexure_length_mm"]) == {10.0}
     assert rows["pivot_error_nm"].iloc[-1] == pytest.approx(254.0)
     with rc_context(RC):
