@@ -30,7 +30,6 @@ def fold_checks(results: StudyResults) -> list[Block]:
     folds.append(Fold(f"Chains of {best} (rank plot)", (_illustrate_ranks(results),)))
     own = results.table("parameters", results.best_name)
     own = own[(own["model_error"] == "free") & own["prior_sensitivity"].notna()]
-    own = own.rename(columns={"prior_sensitivity": "prior", "likelihood_sensitivity": "likelihood"})
     if len(own):
         folds.append(Fold(f"Sensitivity of {best} to prior and data (power scaling)", (tabulate_power_scaling(own),)))
     return folds

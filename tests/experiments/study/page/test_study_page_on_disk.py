@@ -45,7 +45,7 @@ def test_text_from_the_results_is_escaped(make_results, pictures):
         summary["title"] = summary["origin"]["text"] = summary["experiment"] = attack
         summary["pose_extraction"]["rejected_targets"] = [f"{attack}/P1"]
         summary["variants"]["pus/none"]["problems"] = attack
-        summary["variants"]["pus/none"]["title"] = attack
+        summary["variants"]["pus/none"]["title"] = "<b>$x_$</b>"
 
     folder = make_results(change)
     for name, old, new in (("pose_errors", ",C0,", ",<script>$C0,"), ("parameters", ",l[", ",<i>$x_$[")):
