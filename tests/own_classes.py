@@ -150,13 +150,16 @@ SELECTION = """
 kind = "selection"
 name = "own"
 title = "Own criterion and method"
-origin = "Simulated for the tests; nothing was measured"
 seed = 5
 machine = "mechanism.toml"
-measured_by = ["tracker"]
+
+[origin]
+status = "simulated"
+text = "for the tests"
 
 [variant]
 model = "six_pus"
+sensors = ["tracker"]
 
 [parameters]
 b_x = { prior = "normal", sd = 0.5 }

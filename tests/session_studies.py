@@ -57,7 +57,7 @@ title = "Sessions"
 seed = 3
 study = "study.toml"
 variant = "six_pus/none"
-origin = "Simulated for the tests, never measured"
+origin = { status = "simulated", text = "for the tests" }
 draws = 500
 
 [drift]

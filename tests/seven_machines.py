@@ -106,7 +106,7 @@ ahead = 3
 """
 SESSIONS = """study = "study.toml"
 variant = "{variant}"
-origin = "Simulated for the tests, never measured"
+origin = {{ status = "simulated", text = "for the tests" }}
 draws = 1000
 
 [drift]

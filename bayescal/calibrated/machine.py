@@ -244,11 +244,6 @@ class CalibratedMachine:
         """Names of the uncertain parameters."""
         return tuple(self.model.layout.names[k] for k in self.free)
 
-    @property
-    def is_settled(self) -> bool:
-        """Whether its geometry is the nominal one of its mechanism."""
-        return bool(np.array_equal(self.theta, self.model.layout.nominal))
-
     def typical(self, n: int) -> dict[str, Array]:
         """Return what a pose has to know besides, n times the median of the poses that calibrated it.
 

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from bayescal.data.measured_poses import MeasuredPoses
+from bayescal.density.affine_sampling import EDGE, place_free
 from bayescal.density.priors import Prior, UniformPrior
 from bayescal.density.protocols import Sampling
 from bayescal.errors import InputError
@@ -19,7 +20,6 @@ from bayescal.machines.parameters import ParameterLayout
 from bayescal.numerics.geometry import Array
 
 HALF_LOG_TWO_PI = 0.5 * float(np.log(2 * np.pi))
-EDGE = 1e-3  # how near to a bound, by the width of a uniform prior, a machine known otherwise is taken to be
 
 
 def build_sampling(
@@ -48,24 +48,15 @@ def build_sampling(
     InputError
         For a name that no parameter has.
     """
-    unknown = [name for name in (*priors, *fixed) if name not in layout.names]
-    if unknown:
-        known = ", ".join(layout.symbols)
-        raise InputError(f"parameter {unknown[0]!r}: unknown here, expected one of {known}")
-    start = layout.nominal.copy()
-    position = {name: k for k, name in enumerate(layout.names)}
-    for name, value in fixed.items():
-        start[position[name]] = value
-    free = np.array(sorted(position[name] for name in priors), dtype=int)
-    ordered = tuple(priors[layout.names[k]] for k in free)
-    start[free] = [prior.mean for prior in ordered]
+    names, start, moved = place_free(layout, priors, fixed, {})
+    free, ordered = np.flatnonzero(moved.any(axis=0)), tuple(priors[name] for name in names)
     bounds = [(p.lower, p.upper) if isinstance(p, UniformPrior) else (-np.inf, np.inf) for p in ordered]
     lower, upper = np.array(bounds).reshape(-1, 2).T
     scale = np.array([p.sd for p in ordered])
     coordinates = Coordinates(layout, start, free, scale, compute_leg_lines(machine), lower, upper)
     if closing is not None:
         coordinates = close_at_mean(coordinates, machine, closing.position, closing.rotation, closing.actuators)
-    names, units = (tuple(every[k] for k in free) for every in (layout.names, layout.units))
+    units = tuple(layout.units[k] for k in free)
     return LegSampling(layout, coordinates.start, ordered, names, units, coordinates, len(coordinates.legs))
 
 

@@ -33,9 +33,9 @@ from scipy.linalg import eigh
 
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.density.batches import batches
-from bayescal.density.columns import factor_by_columns
 from bayescal.density.likelihood import Likelihood
 from bayescal.density.local import Local, root_of
+from bayescal.density.low_rank import factor_by_columns
 from bayescal.density.model_error import Kernel, build_kernel
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.priors import LogNormalPrior
@@ -284,7 +284,7 @@ class StructuredLikelihood(Likelihood):
 
     def errors(self, theta: Array) -> Array:
         """Return the combinations q of the legs' errors for vectors (B, D), shape (B, P, N), mm."""
-        return self._combine(self.base.leg_errors(theta)[..., None])[..., 0]
+        return self._combine(self.base.errors(theta)[..., None])[..., 0]
 
     def _combine(self, rows: Array) -> Array:
         """Return combinations of legs' errors or their derivatives, shape (..., P, N, D)."""
@@ -292,7 +292,7 @@ class StructuredLikelihood(Likelihood):
 
     def error_jacobian(self, theta: Array) -> tuple[Array, Array]:
         """Return q, shape (P, N), and its derivative (P, N, D) for one parameter vector (D,)."""
-        errors, slope = self.base.leg_error_jacobian(theta)
+        errors, slope = self.base.error_jacobian(theta)
         return self._combine(errors[..., None])[..., 0], self._combine(slope)
 
     def error_covariance(self, model_error: Array) -> Array:
@@ -381,7 +381,7 @@ class StructuredLikelihood(Likelihood):
     def _solve(self, theta: Array, model_error: Array) -> tuple[Array, Array]:
         """Return the precisions of the combinations (B, P, N, N) and these times q, shape (B, P, N)."""
         precision = np.linalg.inv(self.error_covariance(model_error))
-        mapped = np.einsum("pij,bpj->bpi", self._unmap, self.base.leg_errors(theta))
+        mapped = np.einsum("pij,bpj->bpi", self._unmap, self.base.errors(theta))
         return precision, np.einsum("bkij,bkj->bki", precision, self._rows_at(model_error) @ mapped)
 
     # --- derivatives and straightening ---------------------------------------------------------------------------
@@ -472,7 +472,7 @@ class StructuredLikelihood(Likelihood):
         prior = np.einsum("...qr,ij,...j->...qirj", self._correlate(poses, model_error), np.eye(n), scale)
         noise = self._mean_known + np.eye(n) * (self._legs_weight * model_error[:, :n] ** 2)[:, None, :]
         total = prior - taken + np.einsum("qr,bij->bqirj", np.eye(n_poses), noise)
-        errors = np.einsum("qij,bqj->bqi", np.linalg.inv(held), poses.leg_errors(theta)) - mean
+        errors = np.einsum("qij,bqj->bqi", np.linalg.inv(held), poses.errors(theta)) - mean
         factor = np.linalg.cholesky(total.reshape(len(theta), n_poses * n, -1))
         white = np.linalg.solve(factor, errors.reshape(len(theta), -1, 1))[..., 0]
         half_log_det = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(axis=-1)

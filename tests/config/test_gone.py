@@ -7,7 +7,8 @@ import pytest
 from bayescal.experiments import GONE, KINDS
 
 STUDY = 'name = "old"\ntitle = "Old"\nseed = 1\n'
-KEYS = [("table", "calibration", "study"), ("simulation", "mechanism", "machine")]
+SELECTION = [("selection", "mechanism", "machine"), ("selection", "measured_by", "[variant] with sensors")]
+KEYS = [("table", "calibration", "study"), ("simulation", "mechanism", "machine"), *SELECTION]
 
 
 def run_text(text: str, folder: Path, call) -> str:

@@ -195,15 +195,6 @@ def test_many_lengths_at_once(kernel):
     np.testing.assert_allclose(both, [kernel(one)(first, second) for one in lengths], rtol=1e-13)
 
 
-def test_length_prior():
-    grid = np.geomspace(0.05, 50.0, 20_000)
-    assert np.trapezoid(np.exp(LENGTHS.log_density(grid)), grid) == pytest.approx(1.0, abs=1e-6)
-    drawn = LENGTHS.draw(200_000, np.random.default_rng(0))
-    assert drawn.mean() == pytest.approx(LENGTHS.mean, rel=0.01)
-    assert drawn.std() == pytest.approx(LENGTHS.sd, rel=0.03)
-    np.testing.assert_allclose(LENGTHS.value(np.array([0.0])), 1.5)
-
-
 def test_very_many_poses_have_fewer_nodes():
     assert count_nodes(40) == 901
     assert 91 <= count_nodes(300) < 300

@@ -9,7 +9,7 @@ from scipy import stats
 
 from bayescal.density.errors import ModelError
 from bayescal.density.legs import build_leg_posterior
-from bayescal.density.priors import HalfNormalPrior, NormalPrior, UniformPrior
+from bayescal.density.priors import NormalPrior, UniformPrior
 from bayescal.errors import InputError
 
 ALL_SYMBOLS = ("a_x", "a_y", "a_z", "b_x", "b_y", "b_z", "u_x", "u_y", "l", "rho0", "kappa")
@@ -151,42 +151,6 @@ def test_directions_off_the_sphere_are_nan(leaning, leaning_poses):
 
 
 # --- priors ----------------------------------------------------------------------------------------------------------
-
-PRIORS = {
-    "normal": (NormalPrior(3.0, 0.2), stats.norm(3.0, 0.2), [2.0, 3.0, 3.7]),
-    "uniform": (UniformPrior(-1.0, 3.0), stats.uniform(-1.0, 4.0), [-1.1, -0.5, 2.9, 3.2]),
-    "half normal": (HalfNormalPrior(0.01), stats.halfnorm(scale=0.01), [-0.001, 0.0, 0.004, 0.05]),
-}
-
-
-@pytest.mark.parametrize(("prior", "reference", "values"), PRIORS.values(), ids=PRIORS.keys())
-def test_prior_matches_scipy(prior, reference, values):
-    values = np.array(values)
-    np.testing.assert_allclose(prior.log_density(values), reference.logpdf(values), rtol=1e-12)
-    assert prior.mean == pytest.approx(reference.mean())
-    assert prior.sd == pytest.approx(reference.std())
-
-
-def test_model_error_quantiles_are_half_normal():
-    zeta = np.linspace(-8, 8, 161)
-    found = HalfNormalPrior(SCALE).value(zeta)
-    lower, upper = stats.halfnorm.ppf(stats.norm.cdf(zeta)), stats.halfnorm.isf(stats.norm.sf(zeta))
-    expected = SCALE * np.where(zeta > 0, upper, lower)
-    assert found[zeta == 0] == pytest.approx(SCALE * stats.halfnorm.median())
-    # 1/2 + p/2 is rounded to 1e-16, which the slope 1 / φ(0) = 2.5 passes on: the lower tail is exact only absolutely
-    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=3e-16 * SCALE)
-    assert np.all(np.diff(found) >= 0)
-    assert 7.9 * SCALE < found[-1] < 8.2 * SCALE
-
-
-def test_slope_of_the_model_error():
-    model_error, zeta = HalfNormalPrior(SCALE), np.linspace(-5, 7, 49)
-    step = 1e-5
-    expected = (model_error.value(zeta + step) - model_error.value(zeta - step)) / (2 * step)
-    np.testing.assert_allclose(model_error.slope(zeta), expected, rtol=1e-6, atol=1e-10 * SCALE)
-    sides = [model_error.slope(z) for z in (zeta + step, zeta - step)]
-    curvature = (sides[0] - sides[1]) / (2 * step)
-    np.testing.assert_allclose(model_error.curvature(zeta), curvature, rtol=1e-5, atol=1e-9 * SCALE)
 
 
 @pytest.mark.parametrize("shared", [False, True])

@@ -67,23 +67,6 @@ def suspect(posterior, rng):
 # --- density ---------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("expected", [0.005, 0.05, 0.4])
-def test_share_is_beta_distributed(expected):
-    prior, zeta = SharePrior(expected), np.linspace(-6, 6, 41)
-    beta = stats.beta(1.0, 1.0 / expected - 1.0)
-    share = prior.value(zeta)
-    np.testing.assert_allclose(beta.cdf(share), stats.norm.cdf(zeta), rtol=1e-9)
-    np.testing.assert_allclose(prior.log_density(share[:-5]), beta.logpdf(share[:-5]), rtol=1e-9)
-    np.testing.assert_allclose(prior.standardise(share), zeta, rtol=1e-6, atol=1e-9)
-    assert prior.draw(20000, np.random.default_rng(1)).mean() == pytest.approx(expected, rel=0.05)
-    assert prior.mean == pytest.approx(beta.mean())
-    assert prior.sd == pytest.approx(beta.std())
-    assert prior.log_density(np.array([-0.1, 1.0])).tolist() == [-np.inf, -np.inf]
-    step = 1e-5
-    slope = (prior.value(zeta + step) - prior.value(zeta - step)) / (2 * step)
-    np.testing.assert_allclose(prior.slope(zeta), slope, rtol=1e-5)
-
-
 def test_blunders_are_t_distributed(rng):
     spread = rng.standard_normal((6, 6))
     covariance = spread @ spread.T + np.eye(6)

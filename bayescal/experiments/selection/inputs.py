@@ -204,12 +204,12 @@ def is_histogram(choice: SelectionChoice) -> bool:
 def read_design(config: SelectionConfig, folder: Path) -> Design:
     """Return the machine, what measures it and what is required, with a plan that has no poses yet."""
     units = Units(config.units.length, config.units.angle)
-    machine = read_machine(folder / config.mechanism, config.variant, config.deformation, folder)
+    machine = read_machine(folder / config.machine, config.variant, config.deformation, folder)
     tolerances = read_tolerances(machine, config.parameters, config.variant.free, units, Path(config.name))
     knowledge, workspace = Knowledge(machine, *tolerances), read_workspace(config.workspace)
     sensors = {name: build_sensor(name, sensor, folder) for name, sensor in config.sensors.items()}
     start = machine.mechanism.initial_actuator_positions[None]
-    plan = plan_sensors(start[:0], sensors, config.measured_by, config.noise)
+    plan = plan_sensors(start[:0], sensors, config.variant.sensors, config.noise, "variant.sensors")
     at = find_actuators(knowledge, workspace, config.seed, start)
     return Design(knowledge, plan, workspace, at, read_requirements(config.requirements, units))
 

@@ -21,6 +21,7 @@ from bayescal.experiments.selection.figures import (
 from bayescal.experiments.selection.schema import SelectionConfig
 from bayescal.experiments.selection.tasks import DESIGN
 from bayescal.experiments.selection.verdict import PRINTED, Tables, state_headline, state_verdict
+from bayescal.experiments.shared.origin import name_origin
 from bayescal.report.blocks import Cell, Column, Figure, Page, Section, Statement, Table, make_section, make_table
 from bayescal.report.numbers import (
     MINUS,
@@ -53,7 +54,7 @@ def build_page(config: SelectionConfig, results: Results) -> Page:
         KIND,
         config.name,
         config.title,
-        config.origin,
+        name_origin(config.origin.model_dump()),
         state_headline(tables),
         tuple(state_verdict(tables)),
         tuple(sections),

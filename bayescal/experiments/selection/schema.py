@@ -5,8 +5,8 @@ Tolerances and requirements are in the units of [units]; all other keys carry th
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Annotated, Any, Literal, Self
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, Discriminator, Field, Tag, field_validator, model_validator
 
@@ -14,6 +14,7 @@ from bayescal.config.classes import ClassMark, OwnSection, label_class
 from bayescal.config.load import OWN
 from bayescal.config.sections import ExperimentConfig, InputFile, Name, Names, Positive, Section, check_once
 from bayescal.density.schema import FixedConfig, PriorConfig
+from bayescal.experiments.shared.readings.schema import OriginConfig
 from bayescal.experiments.shared.schema import (
     ActuatorNoiseConfig,
     DeformationConfig,
@@ -227,17 +228,26 @@ class PublishedConfig(Section):
     """Printed numbers of iterations by label."""
 
 
+class MeasuredModelConfig(ModelConfig):
+    """A kinematic model with a deformation, and what measures it."""
+
+    sensors: Annotated[Names, Field(min_length=1)]
+    """Sensors that measure each pose."""
+
+
 class SelectionConfig(ExperimentConfig):
     """An experiment on pose selection."""
 
+    gone: ClassVar[Mapping[str, str]] = {"mechanism": "machine", "measured_by": "[variant] with sensors"}
+
     kind: Literal["selection"]
     """`"selection"`."""
-    origin: str
-    """What the page says of where machine and numbers come from."""
-    mechanism: InputFile
-    """The machine's TOML file."""
-    variant: ModelConfig
-    """Model, deformation and free parameters."""
+    origin: OriginConfig
+    """Where machine and numbers come from."""
+    machine: InputFile
+    """The mechanism's TOML file."""
+    variant: MeasuredModelConfig
+    """Model, deformation, free parameters and sensors."""
     units: UnitsConfig = UnitsConfig()
     """Units of tolerances, requirements and results."""
     deformation: DeformationConfig = DeformationConfig()
@@ -248,8 +258,6 @@ class SelectionConfig(ExperimentConfig):
     """Noise of the actuators and model error."""
     sensors: dict[str, SensorConfig]
     """Instruments by name."""
-    measured_by: Annotated[Names, Field(min_length=1)]
-    """Instruments that measure each pose."""
     workspace: WorkspaceConfig | None = None
     """Where accuracy counts."""
     requirements: RequirementsConfig = RequirementsConfig()

@@ -8,6 +8,7 @@ from pydantic import AfterValidator, Field, FiniteFloat, model_validator
 
 from bayescal.config.sections import InputFile, Number, Positive, Section, check_once
 from bayescal.experiments.shared.of_another import OfAnotherConfig
+from bayescal.experiments.shared.readings.schema import OriginConfig
 from bayescal.experiments.shared.slips import DeniedSlips
 
 type Temperature = Annotated[FiniteFloat, Field(ge=-273.15, le=2000.0)]
@@ -132,7 +133,7 @@ class SessionsConfig(OfAnotherConfig):
     study : str
         Its file.
     variant : str
-    origin : str
+    origin : OriginConfig
     sessions : list of SessionConfig
     drift : DriftConfig
     thermal : ThermalConfig or None
@@ -144,7 +145,7 @@ class SessionsConfig(OfAnotherConfig):
     """`"sessions"`."""
     variant: str
     """The variant, by its name."""
-    origin: str
+    origin: OriginConfig
     """Where the data come from, in words: measured or simulated."""
     sessions: Annotated[list[SessionConfig], Field(min_length=2, max_length=60)]
     """The sessions, in the order of their days."""

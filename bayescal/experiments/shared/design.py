@@ -151,7 +151,7 @@ def plan_sensors(
     sensors: dict[str, Sensor],
     measured_by: list[str],
     noise: ActuatorNoiseConfig,
-    field: str = "measured_by",
+    field: str,
 ) -> Plan:
     """Return a plan of poses at actuator positions (P, N), mm, seen by some of the sensors."""
     return Plan(

@@ -21,11 +21,11 @@ from scipy.linalg import null_space
 from scipy.optimize import least_squares
 from scipy.stats import halfnorm, lognorm, norm, uniform
 
-from bayescal.density.calibration.terms import NO_ERRORS, Errors, ModelErrorTerm
+from bayescal.density.calibration.terms import NO_ERRORS, Errors
 from bayescal.density.elimination import project_out
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior, UniformPrior
-from bayescal.errors import InputError, NumericalError
+from bayescal.errors import NumericalError
 
 
 def test_the_slope_of_the_volume_follows_the_poses(rng):
@@ -219,19 +219,6 @@ def test_slopes_of_the_covariance(rng):
     for k in range(2):
         ahead, behind = (covariance(zeta + sign * step * np.eye(2)[k]) for sign in (1.0, -1.0))
         np.testing.assert_allclose(found[k], (ahead - behind) / (2.0 * step), rtol=0, atol=1e-8)
-
-
-def test_no_model_error_far_down_and_no_end_far_up():
-    low, high = ModelErrorTerm("a", np.ones(1, dtype=bool), 2.0, "mm").natural(np.array([[-30.0], [12.0]]))
-    assert 0.0 <= low[0] < 1e-100
-    assert high[0] == pytest.approx(halfnorm.isf(norm.sf(12.0), scale=2.0), rel=1e-9)
-
-
-def test_unknown_names_are_refused(rng):
-    posterior, _, _ = lines_posterior(rng)
-    for change in ({"priors": {"b": NormalPrior(0.0, 1.0)}}, {"fixed": {"b": 1.0}}):
-        with pytest.raises(InputError, match="parameter 'b': unknown here, expected one of a_x, a_y, zero"):
-            replace(posterior, **change)
 
 
 def test_outside_its_bounds_there_is_no_machine(rng):

@@ -163,19 +163,6 @@ def test_the_expected_curvature_of_scales_and_noise_is_that_of_drawn_rows(rng):
     np.testing.assert_allclose(found / np.outer(size, size), information / np.outer(size, size), atol=0.35)
 
 
-def test_log_prior_of_parameters_is_finite_where_errors_are_off(rng):
-    posterior = structured("smooth", 2.0, 0.3)
-    y = posterior.draw_prior(200, rng)
-    m, natural, priors = posterior.n_geometry, posterior.natural(y), list(posterior.all_priors().values())
-    scales = natural[:, m : m + 3]
-    assert 0.3 < np.mean(scales == 0.0) < 0.7
-    for k in range(3):
-        found, there = priors[m + k].log_density(scales[:, k]), scales[:, k] > 0.0
-        np.testing.assert_allclose(found[~there], -np.log(2.0))
-        by_coordinate = -0.5 * y[there, m + k] ** 2 - np.log(2.0 * np.sqrt(2.0 * np.pi) * 0.3 * scales[there, k])
-        np.testing.assert_allclose(found[there], by_coordinate, rtol=1e-9)
-
-
 def test_a_switched_off_error_is_none_and_a_jump_switches_it(rng):
     posterior = structured("smooth", 1.5, None)
     plain = small_posterior(SETS[8], N_POSES, 5)

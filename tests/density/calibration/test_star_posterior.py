@@ -133,32 +133,6 @@ def test_covariance_is_that_of_the_draws():
 # --- gradient, coordinates -------------------------------------------------------------------------------------------
 
 
-def test_parameters_that_deviate_alike_are_one_coordinate(rng):
-    posterior = small_posterior(SETS[8], 20, 11, common=("l",))
-    every = small_posterior(SETS[8], 20, 11)
-    assert posterior.n_parameters == every.n_parameters - 3
-    assert [name for name in posterior.names if name.startswith("l")] == ["l"]
-    y = rng.standard_normal((4, posterior.n_parameters))
-    layout = posterior.likelihood.model.layout
-    lengths = layout.take(posterior.theta(y), "l") - layout.take(layout.nominal, "l")
-    place = posterior.names.index("l")
-    np.testing.assert_allclose(lengths, np.repeat(0.3 * y[:, place, None], 4, axis=1), rtol=1e-9)
-    np.testing.assert_allclose(posterior.natural(y)[:, place], 800.0 + 0.3 * y[:, place])
-    spread = every.natural(np.zeros((1, every.n_parameters)))
-    assert spread.shape == (1, 22)
-    same = posterior.log_density(y) - posterior.log_prior(y)
-    np.testing.assert_allclose(
-        same, every.likelihood.density(posterior.theta(y), every.errors, every.zeta(y)), rtol=1e-12
-    )
-
-
-def test_prior_is_normal_about_the_machine_as_expected():
-    posterior = small_posterior(SETS[4], 20, 11)
-    y = np.zeros((1, posterior.n_parameters))
-    assert (posterior.theta(y)[0] == posterior.likelihood.model.layout.nominal).all()
-    assert posterior.log_prior(y)[0] == pytest.approx(-9.0 * np.log(2 * np.pi))
-
-
 @pytest.mark.parametrize(
     ("priors", "fixed", "common"),
     [

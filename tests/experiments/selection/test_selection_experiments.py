@@ -169,7 +169,7 @@ def test_random_sets_are_those_of_the_source():
         ("count = 1000", "cuont = 1000", r"unknown key, did you mean 'count'\?"),
         ('criteria = ["O1", "D", "A", "I"]', 'criteria = ["O6"]', r"found 'O6', expected"),
         ('method = "exchange"', 'method = "random"', r"found 'random' twice for criterion O1 and 10 poses"),
-        ('measured_by = ["laser_tracker"]', 'measured_by = ["eye"]', r"found sensor 'eye', expected one of"),
+        ('sensors = ["laser_tracker"]', 'sensors = ["eye"]', r"found sensor 'eye', expected one of"),
         ("camera_hexapod_mechanism", "camera", r"camera\.toml"),
     ],
 )
