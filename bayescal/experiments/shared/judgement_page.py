@@ -113,8 +113,9 @@ def tabulate_power_scaling(own: pd.DataFrame, index: str = "leg") -> Table:
         Column("measurements", "smallest to largest", "Sensitivity to"),
         Column("What it means", kind="text"),
     ]
+    sensitivities = ["prior_sensitivity", "likelihood_sensitivity"]
     rows: list[list[str | Cell]] = [
-        [str(symbol), _format_range(group["prior_sensitivity"]), _format_range(group["likelihood_sensitivity"]), _diagnose(group, index)]
+        [str(symbol), *(_format_range(group[one]) for one in sensitivities), _diagnose(group, index)]
         for symbol, group in own.groupby("symbol", sort=False)
     ]
     note = (
