@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayescal.calibrated.kept import keep_machines
+from bayescal.config.load import read_toml
 from bayescal.config.local_imports import find_local_imports
 from bayescal.config.sections import ExperimentConfig, Section
 from bayescal.errors import InputError, name_faults
@@ -29,8 +30,9 @@ from bayescal.files.csv_tables import read_table
 from bayescal.files.toml import write_toml
 from bayescal.identifiability.units import units_like
 from bayescal.loaded import LoadedResults, StudyResult, Table, load_results, name_rows
-from bayescal.machines.read import read_reading_model
-from bayescal.machines.readings import ReadingMachine, ReadingModel
+from bayescal.machines.mechanism import Mechanism
+from bayescal.machines.read import load_mechanism, read_reading_model
+from bayescal.machines.readings import Channel, ReadingMachine, ReadingModel
 
 if TYPE_CHECKING:
     import pandas as pd  # tables need it, naming things does not
@@ -57,17 +59,32 @@ class MachineFiles:
         By their names in one folder.
     entry : str
         The machine's own file there.
-    model : ReadingModel
+    seen : ReadingModel or Mechanism
+        What it reads; of a mechanism's file the legs alone, whose channels depend on a variant's model.
     """
 
     files: dict[str, bytes]
     entry: str
-    model: ReadingModel
+    seen: ReadingModel | Mechanism
+
+    @property
+    def model(self) -> ReadingModel:
+        """The machine by its channels; InputError for a mechanism's file, which has none by itself."""
+        if isinstance(self.seen, Mechanism):
+            raise InputError(
+                f"{self.entry}: found a mechanism, whose channels depend on a variant's model, expected kind = 'legs'"
+            )
+        return self.seen
+
+    @property
+    def channels(self) -> Sequence[Channel]:
+        """Its channels; none of a mechanism's file."""
+        return () if isinstance(self.seen, Mechanism) else self.seen.channels
 
     @property
     def name(self) -> str:
         """Its name."""
-        return str(getattr(self.model, "name", self.entry))
+        return str(getattr(self.seen, "name", self.entry))
 
     @property
     def parameters(self) -> pd.DataFrame:
@@ -98,7 +115,9 @@ class MachineFiles:
             path.write_bytes(content)
 
     def __repr__(self) -> str:
-        model = self.model
+        if isinstance(self.seen, Mechanism):
+            return f"mechanism {self.name!r}: {self.seen.n_legs} legs"
+        model = self.seen
         tool = ", ".join(one.name for one in model.tool_channels) if model.states_tool else "not stated"
         return (
             f"machine {self.name!r}: {model.layout.size} parameters ({', '.join(model.layout.symbols)}), "
@@ -130,9 +149,10 @@ def load_machine(machine: AnyMachine) -> MachineFiles:
         return machine
     if isinstance(machine, str | Path):
         path = Path(machine)
-        model = read_reading_model(path)
+        legs = isinstance(read_toml(path)[0].get("legs"), dict)
+        seen = load_mechanism(path) if legs else read_reading_model(path)
         files, names = keep_machines([path])
-        return MachineFiles(files, names[path], model)
+        return MachineFiles(files, names[path], seen)
     found = machine if isinstance(machine, type) else type(machine)
     config = getattr(machine, "config", None)
     section = config.model_dump(exclude_none=True) if isinstance(config, Section) else {}
@@ -234,29 +254,31 @@ class Data:
 
         return pd.read_csv(self.source, comment="#") if isinstance(self.source, Path) else self.source
 
-    def write(self, folder: Path, model: ReadingModel) -> dict[str, Any]:
-        """Write the table into a folder; return the sections of a config that tell of it, for a machine."""
+    def write(self, folder: Path, channels: Sequence[Channel]) -> dict[str, Any]:
+        """Write the table into a folder; return the sections of a config that tell of it, for a machine's channels."""
         path = _put(self.source, folder / "data", READINGS)
         columns: Sequence[str] = ()
         with suppress(InputError):  # the reader of the config says it better
             columns = read_table(path, None).columns
-        read = [name for name in self.noise if any(name in (one.name, one.kind) for one in model.channels)]
+        read = [name for name in self.noise if any(name in (one.name, one.kind) for one in channels)]
         told = {"channels": read, "commanded": self.commanded, "hold_back": self.hold_back}
         section = {"file": f"data/{path.name}", **{key: list(one) for key, one in told.items() if len(one)}}
-        return {"origin": self.origin, "data": [section], "sensors": describe_noise(self.noise, model, columns)}
+        return {"origin": self.origin, "data": [section], "sensors": describe_noise(self.noise, channels, columns)}
 
     def __repr__(self) -> str:
         return f"data: {len(self.table)} rows of {', '.join(self.noise)}; {self.origin['text']}"
 
 
-def describe_noise(noise: Mapping[str, Any], model: ReadingModel, columns: Sequence[str]) -> dict[str, dict[str, Any]]:
+def describe_noise(
+    noise: Mapping[str, Any], channels: Sequence[Channel], columns: Sequence[str]
+) -> dict[str, dict[str, Any]]:
     """Return the sections [sensors] of noises by channel or kind, in the units of their columns where there are any.
 
     What is wrong with names, columns and numbers says who reads the config.
     """
     found: dict[str, dict[str, Any]] = {}
     for name, value in noise.items():
-        channel = next((one for one in model.channels if name in (one.name, one.kind)), None)
+        channel = next((one for one in channels if name in (one.name, one.kind)), None)
         if isinstance(value, Mapping) or channel is None:
             found[name] = _plain(value) if isinstance(value, Mapping) else {"noise": _plain(value)}
             continue
@@ -268,6 +290,13 @@ def describe_noise(noise: Mapping[str, Any], model: ReadingModel, columns: Seque
         except (TypeError, ValueError):
             found[name] = {key: value}
     return found
+
+
+def _describe_data(data: Data | Mapping[str, Any], folder: Path, channels: Sequence[Channel]) -> dict[str, Any]:
+    """Return the sections of a config that tell of data, whose tables are written into a folder."""
+    if isinstance(data, Data):
+        return data.write(folder, channels)
+    return {"origin": UNSTATED, "data": _plain(data, folder)}
 
 
 def _plain(value: Any, folder: Path = Path(), name: str = "") -> Any:
@@ -404,7 +433,7 @@ def _leave_out(folder: Path) -> Iterator[None]:
 
 def calibrate(
     machine: AnyMachine,
-    data: Data,
+    data: Data | Mapping[str, Any],
     tolerances: Widths,
     *,
     variants: Mapping[str, Mapping[str, Any]] = EVERYTHING,
@@ -422,7 +451,9 @@ def calibrate(
     ----------
     machine : Path, str, ReadingMachine or MachineFiles
         See `load_machine`.
-    data : Data
+    data : Data or mapping
+        Readings; or the section [data] of a config with what an instrument measured of a mechanism's platform (targets,
+        poses, points), files in it as Paths or DataFrames, and [origin] in ``origin``.
     tolerances : mapping
         By symbol: standard deviation about nominal, mm and degrees (or as ``units`` says), one or one per leg; or a
         section such as ``{"prior": "uniform", "half_width": 0.5}``. What has none is known.
@@ -463,7 +494,7 @@ def calibrate(
         "title": title or f"{found.name}: calibration",
         "seed": seed,
         "machine": found.entry,
-        **data.write(project.folder, found.model),
+        **_describe_data(data, project.folder, found.channels),
         "parameters": _describe_widths(tolerances),
         "variants": _describe_variants(variants),
         **_plain(sections, project.folder),
@@ -566,7 +597,7 @@ def simulate(
         "seed": seed,
         "machine": found.entry,
         "n_poses": n_poses,
-        "sensors": describe_noise(noise, found.model, []),
+        "sensors": describe_noise(noise, found.channels, []),
         "parameters": _describe_widths(tolerances),
         **_plain(sections, project.folder),
     }
@@ -622,7 +653,7 @@ def audit(
         "title": f"{found.name}: audit",
         "seed": seed,
         "machine": found.entry,
-        "sensors": describe_noise(noise, found.model, []),
+        "sensors": describe_noise(noise, found.channels, []),
         "parameters": _describe_widths(tolerances),
         "poses": {"count": poses},
         "requirements": _plain(requirements or {}),

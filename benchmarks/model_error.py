@@ -35,7 +35,7 @@ from bayescal.experiments.simulation.twin import Twin, build_twin, simulate_surv
 from bayescal.density.batches import BATCH
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.errors import KernelScale
-from bayescal.density.model_error import LinearKernel, SmoothKernel
+from bayescal.density.model_error import SCALE, LinearKernel, SmoothKernel
 from bayescal.density.errors import ModelError
 from bayescal.density.legs import LegPosterior, build_leg_posterior
 from bayescal.density.prediction import replicate
@@ -127,9 +127,10 @@ def judge(
 
 def judge_scale(inputs: StudyInputs, posterior: LegPosterior, y: Array, truth: float | None) -> dict[str, float]:
     """Return what draws tell of the kernel's scale where there is an error, and how far that is from the truth."""
-    if not isinstance(posterior, LegPosterior):
+    places = [k for k, name in enumerate(posterior.names) if name.startswith(SCALE)]
+    if not places:
         return {}
-    scale = posterior.scales(y)[:, 0]
+    scale = posterior.natural(y)[:, places[0]]
     there = scale > 0.0
     if there.mean() < 0.5:
         return {"present": float(there.mean())}

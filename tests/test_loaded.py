@@ -15,7 +15,7 @@ import xarray as xr
 
 import bayescal
 from bayescal.errors import InputError
-from bayescal.experiments.frame.results import Results
+from bayescal.experiments.frame.results import Results, read_results
 from bayescal.loaded import Audit, LoadedResults
 
 RESULTS = Path(__file__).parents[1] / "results"
@@ -72,7 +72,7 @@ def test_results_show_themselves(study, audit):
 
 
 def test_evidences_of_other_data_are_not_ranked_beside():
-    hangprinter = bayescal.load_results(str(RESULTS / "hangprinter"))
+    hangprinter = bayescal.StudyResult(read_results(RESULTS / "hangprinter"))
     lead, other = hangprinter.summary["rankings"]
     assert hangprinter.variants == lead + other
     assert hangprinter.ranking["log_evidence"].idxmax() in other

@@ -19,15 +19,21 @@ from bayescal.machines.read import LEGS, list_machine_sources, read_reading_mode
 from bayescal.machines.readings import ReadingModel
 
 
-def keep_machines(paths: Iterable[Path]) -> tuple[dict[str, bytes], dict[Path, str]]:
-    """Return the files that machines are read from, by names in one folder, and each machine's own name there."""
+def keep_machines(
+    paths: Iterable[Path], others: Iterable[Path] = (), folder: Path | None = None
+) -> tuple[dict[str, bytes], dict[Path, str]]:
+    """Return the files that machines are read from, by names in one folder, and each machine's own name there.
+
+    Other files are kept beside them, and where a ``folder`` is given it has a place there, too.
+    """
     machines = {path: path.resolve() for path in paths}
-    every = dict.fromkeys(machines.values())
+    every = dict.fromkeys([*machines.values(), *(one.resolve() for one in others)])
     for path in machines:
         every |= dict.fromkeys((path.parent / one).resolve() for one in list_machine_sources(path))
-    root = Path(os.path.commonpath([one.parent for one in every]))
+    known = machines if folder is None else machines | {folder: folder.resolve()}
+    root = Path(os.path.commonpath([*(one.parent for one in every), *(known[folder] for _ in [folder] if folder)]))
     files = {one.relative_to(root).as_posix(): one.read_bytes() for one in every}
-    return files, {path: one.relative_to(root).as_posix() for path, one in machines.items()}
+    return files, {path: one.relative_to(root).as_posix() for path, one in known.items()}
 
 
 def read_kept(path: Path, trust: bool, known: Collection[str] | None = None) -> ReadingModel:

@@ -16,7 +16,7 @@ from bayescal.calibrated.settle import express_parameters, find_hindrance, settl
 from bayescal.density.calibration.measurements import Comparison
 from bayescal.errors import InputError
 from bayescal.machines.kinematics import Machine
-from bayescal.machines.readings import Legs, ReadingModel
+from bayescal.machines.readings import Channel, Legs, ReadingModel
 from bayescal.machines.readings.base import NOTHING, Given
 from bayescal.machines.readings.legs import divide_closure
 from bayescal.numerics.geometry import Array, matrix_from_rotation_vector
@@ -222,6 +222,19 @@ class CalibratedMachine:
     def commanded(self) -> np.ndarray:
         """Where the commanded channels stand among all, shape (C,)."""
         return self.model.select(self.model.commanded)
+
+    @cached_property
+    def command_channels(self) -> tuple[Channel, ...]:
+        """The commanded channels."""
+        return tuple(self.model.channels[k] for k in self.commanded)
+
+    @cached_property
+    def sd(self) -> Array:
+        """Standard deviation of each parameter by the posterior, (D,); zero of those that are known, or if none is."""
+        sd = np.zeros(len(self.theta))
+        if self.covariance is not None:
+            sd[self.free] = np.sqrt(np.diagonal(self.covariance))
+        return sd
 
     @cached_property
     def weights(self) -> Array:

@@ -224,7 +224,7 @@ def predict_poses(calibrated: CalibratedMachine, commands: Array, given: Given =
     ((1, 3), (1, 3, 3))
     """
     check_determined(calibrated)
-    check_shape(commands, [one.name for one in _list_commanded(calibrated)], "commands")
+    check_shape(commands, [one.name for one in calibrated.command_channels], "commands")
     _check_given(calibrated, given, len(commands))
     curved = find_curved(calibrated)
     parts = [_predict_some(calibrated, commands[part], _pick(given, part), curved) for part in split(len(commands))]
@@ -525,10 +525,6 @@ def invert(slopes: Array, good: np.ndarray, scale: Array) -> Array:
     with_scale = slopes * scale
     inverse = np.linalg.pinv(np.where(usable[:, None, None], with_scale, np.eye(*slopes.shape[1:])))
     return np.where(usable[:, None, None], scale[:, None] * inverse, np.nan)
-
-
-def _list_commanded(calibrated: CalibratedMachine) -> list[Channel]:
-    return [calibrated.model.channels[k] for k in calibrated.commanded]
 
 
 def check_shape(values: Array, names: list[str], what: str) -> None:

@@ -142,10 +142,7 @@ def _demand(
                 )
             return Demand(np.full(len(suspects.names), size * value), power, false_alarm, sessions)
     in_sd = DEFAULT_SD if in_sd is None else in_sd
-    sd = np.zeros(len(calibrated.theta))
-    assert calibrated.covariance is not None
-    sd[calibrated.free] = np.sqrt(np.diagonal(calibrated.covariance))
-    known = sd[suspects.places]
+    known = calibrated.sd[suspects.places]
     for name in np.array(suspects.names)[known <= 0.0][:1]:
         raise InputError(
             f"recheck: found {name}, which is no free parameter, expected --shift-um or --shift-arcsec for it"

@@ -153,6 +153,8 @@ def describe_default(info: FieldInfo) -> str:
 
 def write_value(value: Any) -> str:
     """Return a value as TOML has it, cut where it is long."""
+    if isinstance(value, BaseModel):
+        value = value.model_dump(exclude_unset=True)
     if isinstance(value, dict):
         text = "{ " + ", ".join(f"{key} = {write_value(one)}" for key, one in value.items()) + " }"
     elif isinstance(value, list | tuple):

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 
-from bayescal.config.load import read_toml
 from bayescal.density.calibration.measurements import Measurements
 from bayescal.density.calibration.terms import Errors
 from bayescal.density.priors import NormalPrior
@@ -19,20 +18,16 @@ from bayescal.errors import InputError, name_faults
 from bayescal.experiments.audit.planned_poses import PlannedPoses, plan_poses
 from bayescal.experiments.audit.schema import AuditConfig, VariantConfig
 from bayescal.experiments.audit.sensor_sets import Choice, list_choices
-from bayescal.experiments.shared.design import read_machine
 from bayescal.experiments.shared.readings.inputs import Variant
-from bayescal.experiments.shared.readings.instruments import read_instruments
+from bayescal.experiments.shared.readings.instruments import read_instruments, read_model
 from bayescal.experiments.shared.readings.noise import noise_of_channels
 from bayescal.experiments.shared.readings.priors import choose_priors
 from bayescal.experiments.shared.readings.schema import ChannelConfig, FreeConfig
 from bayescal.experiments.shared.readings.workspace import Workspace, build_workspace, check_told
-from bayescal.experiments.shared.schema import ModelConfig
 from bayescal.experiments.shared.study_schema import VariantConfig as FittedConfig
 from bayescal.identifiability.reading_rows import name_tool
 from bayescal.identifiability.units import Units
-from bayescal.machines.read import read_reading_model
-from bayescal.machines.readings import Legs, ReadingModel, place
-from bayescal.machines.readings.legs import TILTS
+from bayescal.machines.readings import ReadingModel, place
 from bayescal.numerics.geometry import Array
 
 
@@ -93,19 +88,9 @@ def read_audit(config: AuditConfig, folder: Path) -> ReadingAudit:
 
 
 def _read_model(config: AuditConfig, section: VariantConfig, folder: Path) -> ReadingModel:
-    """Return the machine of the config's file before its instruments; a mechanism by the channels of its legs."""
+    """Return the machine of the config's file before its instruments."""
     assert config.machine is not None
-    path = folder / config.machine
-    if "kind" in read_toml(path)[0]:
-        if section.model is not None:
-            raise InputError(f"variants.model: found {section.model!r}, expected it of a mechanism's file alone")
-        model = read_reading_model(path)
-    else:
-        if section.model is None:
-            raise InputError("variants.model: found none, expected the kinematic model that the mechanism is seen by")
-        seen = ModelConfig(model=section.model, deformation=section.deformation)
-        inclined = any(name.partition("[")[0] in TILTS for name in config.sensors)
-        model = Legs(read_machine(path, seen, config.deformation, folder), inclined=inclined)
+    model = read_model(config, section, folder / config.machine, folder)
     return place(model, read_instruments(config, folder))
 
 

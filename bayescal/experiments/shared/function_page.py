@@ -9,6 +9,7 @@ from functools import partial
 import pandas as pd
 from matplotlib.figure import Figure as Drawing
 
+from bayescal.experiments.shared.study_schema import stem_of
 from bayescal.report.blocks import Block, Cell, Column, Figure, Level, Section, Statement, make_table
 from bayescal.report.numbers import NOTHING, format_fixed, format_significant, join_words
 from bayescal.report.reading import Row, list_rows
@@ -40,7 +41,7 @@ def show_functions(tables: Mapping[str, pd.DataFrame]) -> list[Section]:
     for name, title in _list_titles(tables).items():
         own = curves[curves["variant"] == name]
         caption = f"{title}: errors over what they depend on, mean and 90 % interval."
-        blocks += [] if own.empty else [Figure(f"functions_{name}", caption, partial(draw_functions, own))]
+        blocks += [] if own.empty else [Figure(f"functions_{stem_of(name)}", caption, partial(draw_functions, own))]
     return [Section("Errors that are functions", tuple(blocks))]
 
 

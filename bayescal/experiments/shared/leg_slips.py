@@ -277,8 +277,7 @@ def find_recheck_slip(calibrated: CalibratedMachine, poses: MeasuredPoses) -> Fo
     poses : MeasuredPoses
         Whole, in the base frame.
     """
-    assert calibrated.covariance is not None
-    sd, start = np.sqrt(np.diagonal(calibrated.covariance)), calibrated.legs.mechanism.initial_actuator_positions
+    sd, start = calibrated.sd, calibrated.legs.mechanism.initial_actuator_positions
     free = np.flatnonzero(sd > 0.0)
     of_legs = (np.diagonal(calibrated.errors.noise) + calibrated.errors.model_variance).mean()
     known, stated = Tolerances(calibrated.theta, free, sd[free]), float(np.sqrt(of_legs + _position_variance(poses)))

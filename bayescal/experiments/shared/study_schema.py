@@ -245,8 +245,8 @@ class VariantConfig(KernelChoiceConfig, FreeConfig):
 
     @model_validator(mode="after")
     def _check_name_and_outliers(self) -> Self:
-        if "/" in self.name and self.has_own_name:
-            raise ValueError(f"name: found {self.name!r}, expected a name without a slash")
+        if {"/", "."} & set(self.name) and self.has_own_name:
+            raise ValueError(f"name: found {self.name!r}, expected a name without slashes and dots")
         if self.robust is not None and self.outlier_share is not None:
             raise ValueError("found robust and outlier_share, expected one of them")
         return self

@@ -19,6 +19,7 @@ from bayescal.machines.deformations import MatrixDeformation
 from bayescal.machines.parameters import ParameterLayout
 from bayescal.machines.read import build_chosen_machine, choose_model, load_mechanism, read_reading_model
 from bayescal.machines.readings import Legs, ReadingModel, place
+from bayescal.machines.readings.legs import TILTS
 from bayescal.numerics.geometry import Array
 
 
@@ -47,7 +48,8 @@ def _read_mechanism(config: SimulationConfig, folder: Path, matrix: str | None) 
     bent = np.zeros((n_legs, n_legs)) if matrix is None else 1e-3 * read_matrix(folder / matrix, n_legs)
     chosen = choose_model(config.model, "model", folder)
     with name_failures(chosen.found, "model", folder):
-        return Legs(build_chosen_machine(chosen, mechanism, MatrixDeformation(bent)))
+        machine = build_chosen_machine(chosen, mechanism, MatrixDeformation(bent))
+    return Legs(machine, inclined=any(name.partition("[")[0] in TILTS for name in config.sensors))
 
 
 def read_truth(config: SimulationConfig, layout: ParameterLayout, folder: Path) -> Array | None:

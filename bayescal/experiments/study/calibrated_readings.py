@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -19,6 +20,8 @@ from bayescal.calibrated.machine import (
     build_calibrated,
     build_calibrated_legs,
 )
+from bayescal.config.registry import list_references, list_sources
+from bayescal.config.trust import check_same, check_trust
 from bayescal.errors import InputError
 from bayescal.experiments.frame.results import Results, Writer
 from bayescal.experiments.shared.calibrating import (
@@ -32,7 +35,7 @@ from bayescal.experiments.shared.calibrating import (
 from bayescal.experiments.shared.headline import choose_best
 from bayescal.experiments.shared.origin import name_origin
 from bayescal.experiments.shared.readings.inputs import ReadingInputs, Variant
-from bayescal.experiments.shared.readings.instruments import leave_instruments
+from bayescal.experiments.shared.readings.instruments import leave_instruments, read_model
 from bayescal.experiments.shared.readings.noise import group_channels, noise_of_channels
 from bayescal.experiments.shared.readings.priors import choose_priors
 from bayescal.experiments.shared.readings.workspace import build_workspace
@@ -136,15 +139,22 @@ def calibrate_machine(
     """Return the machine of a variant of a calibration's results; see `Calibrating.calibrate`."""
     assert results.folder is not None
     chosen = _choose(results, config, variant)
-    file = chosen.machine or config.machine
-    kept = results.summary.get("machine_files", {})
-    if experiment is None and file not in kept:
+    if experiment is None and "machine_folder" not in results.summary:
         raise InputError(
             f"{results.folder}: found results without their machine, which earlier versions did not keep, expected "
             "those of a new run"
         )
-    path = results.folder / KEPT / kept[file] if experiment is None else experiment.parent / file
-    model = read_kept(path, trust or experiment is not None, results.hashes)
+    kept = results.folder / KEPT / str(results.summary.get("machine_folder"))
+    folder = kept if experiment is None else experiment.parent
+    path = Path(os.path.normpath(folder / (chosen.machine or config.machine)))
+    if chosen.model is None:
+        model = read_kept(path, trust or experiment is not None, results.hashes)
+    else:
+        for what, name in zip(("MODELS", "DEFORMATIONS"), chosen.seen, strict=True):
+            if name not in list_references(what):
+                check_trust(folder, f"own class {name!r}", trust or experiment is not None)
+                check_same(folder, list_sources(what, name, folder), results.hashes)
+        model = read_model(config, chosen, path, folder)
     config, chosen = leave_instruments(config, chosen, model)
     fit = results.summary["variants"][chosen.name]
     theta, draws = _read_posterior(results, config, chosen, model)
@@ -199,7 +209,7 @@ def _read_posterior(
 ) -> tuple[Array, Array | None]:
     """Return the posterior's mean as a parameter vector (D,) and its draws (S, D); None where the results have none."""
     layout = model.layout
-    priors, fixed, common = choose_priors(config, variant, model.layout)
+    priors, fixed, common = choose_priors(config, variant, model.layout, config.parameters)
     start = layout.nominal.copy()
     for name, value in fixed.items():
         start[layout.names.index(name)] = value

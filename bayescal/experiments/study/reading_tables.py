@@ -202,7 +202,7 @@ def summarise(inputs: ReadingInputs, tables: Mapping[str, pd.DataFrame]) -> dict
         "origin": config.origin.model_dump(),
         "n_poses": {"calibration": int((~held).sum()), "verification": int(held.sum())},
         "member": next(iter(inputs.variants.values())).model.member,
-        "machine_files": inputs.machine_files,
+        "machine_folder": inputs.machine_folder,
         "states_tool": all(one.model.states_tool for one in inputs.variants.values()),
         **({"unused": inputs.unused} if inputs.unused else {}),
         "converged": all(row["converged"] for row in rows.values()),

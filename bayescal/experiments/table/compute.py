@@ -1,4 +1,4 @@
-"""Computing a look-up table: the posterior of its calibration, then what actuators and pose do at every place."""
+"""Computing a look-up table: the posterior of its study, then what actuators and pose do at every place."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ ELSEWHERE = 64  # poses of the workspace
 
 
 def compute_table(inputs: TableInputs, run: Run) -> Results:
-    """Return the table of a calibration.
+    """Return the table of a study.
 
     Raises
     ------
@@ -41,8 +41,8 @@ def compute_table(inputs: TableInputs, run: Run) -> Results:
 
 
 def _estimate(inputs: TableInputs) -> Estimate:
-    """Return the posterior as the calibration finds it, draw by draw."""
-    config = inputs.calibration.config
+    """Return the posterior as the study finds it, draw by draw."""
+    config = inputs.study.config
     posterior = inputs.variant.posterior().anchored()
     return estimate_posterior(posterior, config.seed, inputs.variant.name, config.sampler, config.evidence)
 

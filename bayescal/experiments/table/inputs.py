@@ -1,4 +1,4 @@
-"""From a table's config to what it is computed with: a calibration's variant, the places of the table, the pose."""
+"""From a table's config to what it is computed with: a study's variant, the places of the table, the pose."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class TableInputs:
     Attributes
     ----------
     config : TableConfig
-    calibration : ReadingInputs
+    study : ReadingInputs
         With the one variant that the table is made of.
     cells : ndarray, shape (G, A)
         The places of the table, its axes in their order, the last one fastest.
@@ -38,7 +38,7 @@ class TableInputs:
     """
 
     config: TableConfig
-    calibration: ReadingInputs
+    study: ReadingInputs
     cells: Array
     reference: dict[str, float]
     pose: Array
@@ -46,7 +46,7 @@ class TableInputs:
     @property
     def variant(self) -> Variant:
         """The variant that the table is made of."""
-        return next(iter(self.calibration.variants.values()))
+        return next(iter(self.study.variants.values()))
 
     @cached_property
     def actuators(self) -> ReadingModel:
@@ -70,22 +70,22 @@ def read_table(config: TableConfig, folder: Path) -> TableInputs:
     Raises
     ------
     InputError
-        Where the file is no calibration's, an axis is no column that its machine has to know or its values cannot be,
-        a coordinate is unknown, or the actuators do not tell the pose.
+        Where the file is no study of readings, an axis is no column that its machine has to know or its values cannot
+        be, a coordinate is unknown, or the actuators do not tell the pose.
     """
     path = folder / config.study
-    calibration = _read_calibration(config, path)
-    variant = next(iter(calibration.variants.values()))
+    study = _read_study(config, path)
+    variant = next(iter(study.variants.values()))
     reference = _check_reference(config, variant)
     cells = np.array(list(product(*config.axes.values())))
-    found = TableInputs(config, calibration, cells, reference, _place(config, calibration.config, variant))
+    found = TableInputs(config, study, cells, reference, _place(config, study.config, variant))
     _check_places(found)
     _check_told(found)
     return found
 
 
-def load_calibration(path: Path) -> StudyConfig:
-    """Return the config of a study of tables of readings; InputError for another."""
+def _read_study(config: TableConfig, path: Path) -> ReadingInputs:
+    """Return the study with the table's variant alone; InputError for one without tables of readings."""
     _, found = load(path)
     if not isinstance(found, StudyConfig):
         raise InputError(f"{path}: kind: found {found.kind!r}, expected 'study', of which a table is made")
@@ -94,12 +94,6 @@ def load_calibration(path: Path) -> StudyConfig:
             f"{path}: data: found an instrument's poses of legs, which depend on nothing but the pose: all places have "
             "one correction, expected tables of readings"
         )
-    return found
-
-
-def _read_calibration(config: TableConfig, path: Path) -> ReadingInputs:
-    """Return the calibration with the table's variant alone."""
-    found = load_calibration(path)
     names = [one.name for one in found.variants]
     name = config.variant or (names[0] if len(names) == 1 else "")
     if name not in names:
@@ -125,9 +119,9 @@ def _check_reference(config: TableConfig, variant: Variant) -> dict[str, float]:
     return {name: float(config.reference[name]) for name in known}
 
 
-def _place(config: TableConfig, calibration: StudyConfig, variant: Variant) -> Array:
+def _place(config: TableConfig, study: StudyConfig, variant: Variant) -> Array:
     """Return the commanded pose, shape (q,)."""
-    coordinates, units = variant.model.coordinates, Units(calibration.units.length, calibration.units.angle)
+    coordinates, units = variant.model.coordinates, Units(study.units.length, study.units.angle)
     names = [one.name for one in coordinates]
     for name in config.pose:
         if name not in names:

@@ -28,12 +28,12 @@ class LookUpTable(OfAnother[TableConfig, TableInputs]):
     schema = TableConfig
 
     def read(self, config: TableConfig, folder: Path) -> TableInputs:
-        """Return the calibration's variant and the places of the table."""
+        """Return the study's variant and the places of the table."""
         return read_table(config, folder)
 
     def estimate_memory(self, inputs: TableInputs) -> Need:
-        """Return what every draw does at every place of the table, and what its calibration takes."""
-        variant, config = inputs.variant, inputs.calibration.config
+        """Return what every draw does at every place of the table, and what its study takes."""
+        variant, config = inputs.variant, inputs.study.config
         n_places, n_parameters = len(inputs.cells), len(variant.priors)
         width = len(inputs.actuators.channels) + len(inputs.pose)
         return estimate_arrays(

@@ -22,11 +22,11 @@ class TablePlanConfig(Section):
     poses: Annotated[int, Field(ge=1, le=1000)] = 10
     """How many random poses of the workspace are candidates at every place of the table."""
     beside_data: bool = True
-    """Whether they come beside the calibration's data, or in place of it."""
+    """Whether they come beside the study's data, or in place of it."""
 
 
 class TableConfig(OfAnotherConfig):
-    """What the actuators have to do where what is known of each pose changes, of a calibration's posterior.
+    """What the actuators have to do where what is known of each pose changes, of a study's posterior.
 
     Attributes
     ----------
@@ -45,8 +45,8 @@ class TableConfig(OfAnotherConfig):
     reference: Annotated[dict[str, Number], Field(min_length=1)]
     """By column: where the table is zero [as in the data]."""
     pose: dict[str, Number] = Field(default={})
-    """By coordinate: the commanded pose, in the units that the calibration states; the middle of the
-    workspace where nothing is said [the calibration's].
+    """By coordinate: the commanded pose, in the units that the study states; the middle of the
+    workspace where nothing is said [the study's].
     """
     plan: TablePlanConfig = TablePlanConfig()
     """Where to measure next."""

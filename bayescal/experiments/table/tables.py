@@ -106,14 +106,14 @@ def _list_plan(inputs: TableInputs, plan: Plan) -> pd.DataFrame:
 
 def summarise(inputs: TableInputs, found: Found, problems: list[str]) -> dict[str, Any]:
     """Return what ``summary.json`` holds; lengths in mm, angles in rad."""
-    config, calibration = inputs.config, inputs.calibration
+    config, study = inputs.config, inputs.study
     coordinates, offset = inputs.variant.model.coordinates, found.responses.offset
     low, high = np.quantile(offset, INTERVAL, axis=0)
     return {
         "experiment": config.name,
         "title": config.title,
-        "origin": calibration.config.origin.model_dump(),
-        "machine": calibration.machine,
+        "origin": study.config.origin.model_dump(),
+        "machine": study.machine,
         "study": config.study,
         "variant": inputs.variant.name,
         "converged": not problems,

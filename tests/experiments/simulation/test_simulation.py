@@ -263,11 +263,13 @@ def test_a_mechanism_has_readings_as_every_machine(config):
     text = config.read_text()
     truth = text[text.index("[truth]") : text.index("[poses]")]
     head = text[: text.index("[origin]")] + "n_poses = 4\n\n" + text[text.index("[origin]") : text.index("[truth]")]
-    config.write_text(head + truth + "[sensors]\nrho = { noise_um = 0.0 }\nx = { noise_um = 0.0 }\n")
+    sensors = "[sensors]\nrho = { noise_um = 0.0 }\nx = { noise_um = 0.0 }\ntilt_a = { noise_deg = 0.1 }\n"
+    config.write_text(head + truth + sensors)
     made = studies.simulate(config)
     assert made.tables["truth"].equals(studies.simulate(config, seed=9).tables["truth"])
     read = pd.read_csv(StringIO(made.files["readings.csv"]), comment="#")
     actuators = read[[f"rho_{leg}_mm" for leg in range(1, 7)]].to_numpy()
+    assert [f"tilt_a_{leg}_rad" in read for leg in (1, 6)] == [True, True]
     machine = read_model(load_experiment(config), config.parent)
     theta = machine.layout.nominal.copy()
     for _, row in made.tables["truth"].iterrows():
