@@ -7,8 +7,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
-import pandas as pd
-
 from bayescal.calibrated.exported import CALIBRATED, read_exported
 from bayescal.calibrated.machine import CalibratedMachine
 from bayescal.config.sections import ExperimentConfig
@@ -16,11 +14,12 @@ from bayescal.errors import InputError
 from bayescal.experiments.frame.identity import identify
 from bayescal.experiments.frame.load import find_kind, load
 from bayescal.experiments.shared.trees import read_draws
-from bayescal.experiments.shared.variant_tables import FREE
 from bayescal.files.atomic import read_json
 from bayescal.numerics.geometry import Array
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from bayescal.experiments.frame.results import Results, Writer
 
 KEPT = "machine"
@@ -151,7 +150,7 @@ def read_draws_of(results: Results, name: str) -> dict[str, Array] | None:
 def read_parameters(results: Results, variant: str) -> pd.DataFrame:
     """Return a variant's posterior of its parameters, with its model error if it has any, by their names."""
     rows = results.table("parameters")
-    return rows[(rows["variant"] == variant) & (rows["model_error"] == FREE)].set_index("parameter")
+    return rows[(rows["variant"] == variant) & (rows["model_error"] == "free")].set_index("parameter")
 
 
 def read_means(results: Results, variant: str) -> dict[str, float]:
