@@ -548,6 +548,7 @@ def next_pose(
         "study": CONFIG,
         "variants": [study.best.name],
         "requirements": _plain(requirements or {}),
+        "required_of": "rms",
         "candidates": {"count": candidates},
         **_plain(sections, study.project.folder),
     }
@@ -657,6 +658,7 @@ def audit(
         "parameters": _describe_widths(tolerances),
         "poses": {"count": poses},
         "requirements": _plain(requirements or {}),
+        "required_of": "rms",
         "variants": _describe_variants(variants),
         **_plain(sections, project.folder),
     }

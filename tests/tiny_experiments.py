@@ -25,11 +25,11 @@ SMALL = {
         **{"calibrations": "6", "verification_poses": "5", "n_poses": "20", "count": "3"},
         "angle_noise_arcsec": "[0.5, 2.0]",
     },
-    "calibration_audit": {"count": "12", "exhaustive": "0"},
     "study of tables": {"walkers": "24", "burn_in": "3", "steps": "6", "max_draws": "2000", "folds": "2"}
     | {"draws": "1000"},
     "sessions": {"draws": "500", "per_leg": "false"},
-    "audit": {"simulated_calibrations": "4", "expected_over_draws": "3", "draws": "2000"},
+    "audit": {"simulated_calibrations": "4", "expected_over_draws": "3", "draws": "2000"}
+    | {"count": "12", "exhaustive": "0"},
 }
 """By kind of experiment, what stands after the names of its keys in place of what is shipped."""
 

@@ -13,9 +13,6 @@ from bayescal.experiments.audit.changes import check_changes
 from bayescal.experiments.audit.compute import compute_audit
 from bayescal.experiments.audit.inputs import AuditDesign, read_design
 from bayescal.experiments.audit.page.build import build_page
-from bayescal.experiments.audit.page.reading_build import build_page as build_reading_page
-from bayescal.experiments.audit.page.reading_build import list_variants
-from bayescal.experiments.audit.reading_compute import compute_readings
 from bayescal.experiments.audit.reading_inputs import ReadingAudit, read_audit
 from bayescal.experiments.audit.schema import AuditConfig
 from bayescal.experiments.audit.terminal import show_audit
@@ -90,22 +87,16 @@ class Audit(MachineExperiment[AuditConfig, AuditDesign | ReadingAudit]):
 
     def compute(self, inputs: AuditDesign | ReadingAudit, run: Run) -> Results:
         """Return everything the audit says."""
-        return compute_readings(inputs, run) if isinstance(inputs, ReadingAudit) else compute_audit(inputs, run)
+        return compute_audit(inputs, run)
 
     def page(self, results: Results) -> Page:
         """Return the audit's page."""
-        if "variants" in results.summary:
-            return build_reading_page(results.tables, results.summary)
         return build_page(results)
 
     def show(self, results: Results, page: Page, console: Console) -> None:
         """Print the verdict, what is known of each symbol, and the requirements."""
-        if "variants" not in results.summary:
-            show_audit(results, console)
-            return
-        super().show(results, page, console)
-        for line in list_variants(results.tables):
-            console.print(line, soft_wrap=True)
+        del page
+        show_audit(results, console)
 
     def list_failures(self, results: Results) -> list[str]:
         """Return why a posterior did not converge."""

@@ -15,8 +15,10 @@ from bayescal.density.calibration.measurements import Measurements
 from bayescal.density.calibration.terms import Errors
 from bayescal.density.priors import NormalPrior
 from bayescal.errors import InputError, name_faults
+from bayescal.experiments.audit.changes import check_changes
 from bayescal.experiments.audit.planned_poses import PlannedPoses, plan_poses
-from bayescal.experiments.audit.schema import AuditConfig, VariantConfig
+from bayescal.experiments.audit.reading_plan import ReadingPlan
+from bayescal.experiments.audit.schema import AuditConfig, PosesConfig, VariantConfig
 from bayescal.experiments.audit.sensor_sets import Choice, list_choices
 from bayescal.experiments.shared.readings.inputs import Variant
 from bayescal.experiments.shared.readings.instruments import read_instruments, read_model
@@ -26,6 +28,7 @@ from bayescal.experiments.shared.readings.schema import ChannelConfig, FreeConfi
 from bayescal.experiments.shared.readings.workspace import Workspace, build_workspace, check_told
 from bayescal.experiments.shared.study_schema import VariantConfig as FittedConfig
 from bayescal.identifiability.reading_rows import name_tool
+from bayescal.identifiability.requirements import Requirement
 from bayescal.identifiability.units import Units
 from bayescal.machines.readings import ReadingModel, place
 from bayescal.numerics.geometry import Array
@@ -44,6 +47,8 @@ class ReadingAudit:
         Their readings those of the machine as expected, without noise.
     limits : dict of coordinate to float
         Largest rms errors, in inner units.
+    plans : dict of name to ReadingPlan
+        The variants as they are audited.
     sensors : Variant or None
         With all sensors there are to choose from; None where none are to be chosen.
     choices : tuple of Choice
@@ -54,8 +59,28 @@ class ReadingAudit:
     machine: str
     variants: dict[str, Variant]
     limits: dict[str, float]
+    plans: dict[str, ReadingPlan]
     sensors: Variant | None = None
     choices: tuple[Choice, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class MachineMaker:
+    """A machine whose variants are made by choosing channels and poses; see `Maker`."""
+
+    config: AuditConfig
+    folder: Path
+    model: ReadingModel
+    workspace: Workspace
+
+    def build(self, section: VariantConfig, poses: PlannedPoses) -> Variant:
+        """Return a variant at planned poses; InputError for one at which the machine cannot stand."""
+        return _build(self.config, section, self.model, poses, self.workspace)
+
+    def plan(self, section: PosesConfig) -> PlannedPoses:
+        """Return planned poses."""
+        config = self.config.model_copy(update={"poses": section})
+        return plan_poses(config, self.folder, self.model, self.workspace)
 
 
 def read_audit(config: AuditConfig, folder: Path) -> ReadingAudit:
@@ -69,22 +94,27 @@ def read_audit(config: AuditConfig, folder: Path) -> ReadingAudit:
     assert isinstance(config.workspace, dict)
     workspace = build_workspace(model, config.workspace, config.units)
     planned = plan_poses(config, folder, model, workspace)
-    variants = {}
+    limits, units = _read_limits(config, model), Units(config.units.length, config.units.angle)
+    components, _ = name_tool(model)
+    required = tuple(Requirement(name, one, components, config.required_of) for name, one in limits.items())
+    name, asked, plans = getattr(model, "name", str(config.machine)), config.sensor_choice, {}
     for one in config.variants:
         with name_faults(f"variant {one.name!r}"):
             seen = model if one.model == config.variants[0].model else _read_model(config, one, folder)
-            variants[one.name] = _build(config, one, seen, planned, workspace)
-    limits = _read_limits(config, model)
-    name, asked = getattr(model, "name", str(config.machine)), config.sensor_choice
+
+            maker = MachineMaker(config, folder, seen, workspace)
+            plans[one.name] = ReadingPlan(config, one, name, maker.build(one, planned), required, units, maker)
+            check_changes(plans[one.name])
+    variants = {key: one.variant for key, one in plans.items()}
     if asked is None:
-        return ReadingAudit(config, name, variants, limits)
+        return ReadingAudit(config, name, variants, limits, plans)
     with name_faults("sensor_choice"):
         choices = list_choices(model, asked)
         names = [*asked.always, *(one for choice in choices for one in choice.channels)]
         what = asked.model_dump(include=set(FreeConfig.model_fields))
         section = VariantConfig(name="sensor_choice", sensors=names, **what)
         sensors = _build(config, section, model, planned, workspace)
-    return ReadingAudit(config, name, variants, limits, sensors, choices)
+    return ReadingAudit(config, name, variants, limits, plans, sensors, choices)
 
 
 def _read_model(config: AuditConfig, section: VariantConfig, folder: Path) -> ReadingModel:

@@ -106,7 +106,7 @@ class PosesConfig(Section):
     def _check_one(self) -> Self:
         files = (self.file is not None) + (self.configurations is not None)
         if self.plan == "file" and (files != 1 or self.count is not None):
-            raise ValueError("expected either file or configurations, and no count, of plan 'file'")
+            raise ValueError("found both or none of count, file and configurations, expected one of them")
         if self.plan != "file" and (files or self.count is None):
             raise ValueError(f"expected count, and no file, of plan {self.plan!r}")
         if self.range_mm is not None and self.plan not in ("uniform", "extremes"):
@@ -225,6 +225,8 @@ class WhatIfConfig(Section):
     """Other sensors."""
     poses: PosesConfig | None = None
     """Another plan."""
+    structured_error: bool = Field(default=True, exclude_if=lambda value: value)
+    """Whether legs err by a function of the pose as they do in the plan."""
 
 
 class SweepConfig(Section):
@@ -296,6 +298,8 @@ class AuditConfig(ExperimentConfig):
     """Where it is planned to measure."""
     requirements: dict[str, Positive] = Field(default={})
     """By coordinate of the tool: largest error [units]."""
+    required_of: Literal["every_pose", "rms"] = "every_pose"
+    """Whether errors keep these limits at every pose of the workspace (`every_pose`), or their `rms` over it."""
     aligned: bool = Field(default=False, exclude_if=lambda value: not value)
     """Accuracy of variants, requirements and sets is the error that remains after base and tool were aligned anew."""
     variants: Annotated[list[VariantConfig], Field(min_length=1)] = Field(default=[VariantConfig()])
@@ -325,7 +329,10 @@ class AuditConfig(ExperimentConfig):
     @model_validator(mode="after")
     def _check_names(self) -> Self:
         check_once([one.name for one in self.what_if])
-        check_once([one.name for one in self.variants])
+        names = [one.name for one in self.variants]
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"variants: found {name!r} twice, expected each name once")
         for name, (low, high) in self.workspace.items() if isinstance(self.workspace, dict) else ():
             if not low < high:
                 raise ValueError(f"workspace.{name}: found {low:g} to {high:g}, expected the smaller number first")

@@ -226,7 +226,7 @@ def test_an_audit_chooses_among_instruments(arm, tmp_path, call):
     path.write_text(audit + '\n[sensor_choice]\nalways = ["encoder"]\ncandidates = [["station"], "bar", "laser"]\n')
     code, _, err = call("run", path, "--out", tmp_path / "out", "--workers", 1, "--quiet")
     assert code == 0, err
-    sets = pd.read_csv(tmp_path / "out" / "sensor_sets.csv")
+    sets = pd.read_csv(tmp_path / "out" / "tables" / "sensor_sets.csv")
     assert len(sets) == 8
 
 

@@ -112,7 +112,7 @@ def test_sets_have_prices_and_a_front(name, tiny, tmp_path, no_pictures):
     page = (tmp_path / "out" / "report.html").read_text()
     assert "at a price of" in page
     assert "The sets that no other one beats at their price or below" in page
-    assert "All accuracies are after alignment" in page
+    assert "ccuracies are after alignment" in page
 
 
 def test_front_of_a_made_up_table():
@@ -171,7 +171,7 @@ def test_reference_results_hold_what_the_documentation_claims():
 )
 def test_reference_accuracies_after_alignment(results, expected):
     """Against those of other poses, in micrometres with noise; 4 sensors leave 6.2 to 8.5 by the draw of the poses."""
-    error = pd.read_csv(RESULTS / results / "accuracy.csv", comment="#")
+    error = pd.read_csv(RESULTS / results / "tables" / "accuracy.csv", comment="#")
     found = np.sqrt((error["after"] ** 2 + error["noise"] ** 2).groupby(error["variant"]).sum())
     for name, value in expected.items():
         assert 1e3 * found[name] == pytest.approx(value, rel=0.16 if name == "s4" else 0.05)

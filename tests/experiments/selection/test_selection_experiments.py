@@ -13,11 +13,10 @@ import pytest
 import studies
 
 from bayescal.errors import InputError
-from bayescal.experiments.audit import changes as changes_module
 from bayescal.experiments.audit.audit import run_audit
 from bayescal.experiments.audit.changes import evaluate_plan, list_changes
-from bayescal.experiments.audit.i_optimal import ProposedPlan, plan_i_optimal, select_i_optimal
-from bayescal.experiments.audit.inputs import read_inputs
+from bayescal.experiments.audit.i_optimal import plan_i_optimal, select_i_optimal
+from bayescal.experiments.audit.inputs import AuditInputs, read_inputs
 from bayescal.experiments.audit.load import load_audit
 from bayescal.experiments.audit.results import summarise
 from bayescal.experiments.frame.load import load_experiment
@@ -319,7 +318,7 @@ def camera():
 
 def propose_few(inputs):
     """Return I-optimal poses from the ends of the actuators' range alone, which is quicker."""
-    return ProposedPlan("few", plan_i_optimal(inputs, n_candidates=64))
+    return plan_i_optimal(inputs, n_candidates=64)
 
 
 @pytest.mark.parametrize("design", ["telescope_six_pus_none", "camera_hexapod"])
@@ -327,7 +326,7 @@ def test_audit_gains_by_i_optimal_poses(design):
     folder = studies.EXPERIMENTS / "audit"
     inputs = read_inputs(load_audit(folder / f"{design}.toml"), folder)
     chosen = select_i_optimal(inputs, n_candidates=64)
-    plan = propose_few(inputs).plan
+    plan = propose_few(inputs)
     np.testing.assert_array_equal(plan.actuators, chosen.actuators)  # and so it is deterministic
     assert plan.actuators.shape == inputs.plan.actuators.shape
     assert plan.sensors == inputs.plan.sensors
@@ -353,7 +352,7 @@ def test_audit_lists_i_optimal_poses_among_its_changes(camera, monkeypatch):
     """They keep the requirements better than the plan; everything else stays as it is without them."""
     proposed = run_audit(camera, Run())
     with monkeypatch.context() as patch:
-        patch.setattr(changes_module, "propose_i_optimal", refuse)
+        patch.setattr(AuditInputs, "propose", refuse)
         plain = run_audit(camera, Run())
     change = proposed.what_ifs[-1]
     assert [outcome.name for outcome in proposed.what_ifs[:-1]] == [outcome.name for outcome in plain.what_ifs]
@@ -366,7 +365,7 @@ def test_audit_lists_i_optimal_poses_among_its_changes(camera, monkeypatch):
 
 
 def test_audit_goes_without_poses_that_cannot_be_chosen(camera, monkeypatch):
-    monkeypatch.setattr(changes_module, "propose_i_optimal", refuse)
+    monkeypatch.setattr(AuditInputs, "propose", refuse)
     outcomes = run_audit(camera, Run()).what_ifs
     assert [outcome.name for outcome in outcomes] == [change.name for change in list_changes(camera)]
-    assert evaluate_plan(camera, ProposedPlan("as it is", camera.plan), None).n_poses == 40
+    assert evaluate_plan("as it is", camera, None).n_poses == 40

@@ -93,6 +93,8 @@ def test_some_channels_read_what_they_read_among_all(model, rng):
             for one, other in zip(vars(found).values(), vars(whole.pick(np.array(places))).values(), strict=True):
                 np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-12)
             np.testing.assert_allclose(few.read(theta, pose, given), found.values, rtol=1e-13, atol=1e-10)
+            alone = few.linearise(theta, pose, False, given)
+            np.testing.assert_allclose(alone.by_pose, found.by_pose, rtol=1e-9, atol=1e-12)
             assert few.seen_parameters(few.names) == model.seen_parameters(few.names)
 
 

@@ -48,6 +48,24 @@ def test_loops_close_in_the_complex_plane(rng, n, points):
     assert (along > 0).all() if points == "along" else (along < 0).all()
 
 
+def test_the_platform_turns_by_its_angle(rng):
+    model = build(make_content(4))
+    _, pose = draw(model, rng)
+    x_axis = model.rotation(pose)[..., 0]
+    np.testing.assert_allclose(x_axis[..., 0] + 1j * x_axis[..., 1], np.exp(1j * pose[..., 2]), atol=1e-12)
+    np.testing.assert_allclose(np.linalg.det(model.rotation_in_space(pose)), 1.0, atol=1e-12)
+
+
+def test_the_tool_is_carried_by_the_platform(rng):
+    model = build(make_content(4))
+    theta, pose = draw(model, rng)
+    offset = model.layout.take(theta, "xi_V") + 1j * model.layout.take(theta, "eta_V")
+    there = pose[..., :1] + 1j * pose[..., 1:2] + np.exp(1j * pose[..., 2:]) * offset
+    position = model.tool_values(theta, pose)
+    np.testing.assert_allclose(position[..., 0] + 1j * position[..., 1], there[..., 0], atol=1e-10)
+    np.testing.assert_array_equal(model.read(theta, pose)[..., -3:-1], position)
+
+
 def test_readings_of_one_pose_by_hand():
     """The shipped machine at home: by symmetry sqrt(800² - 500²) from guide to joint, angle sensors at zero."""
     model = sliding_star()

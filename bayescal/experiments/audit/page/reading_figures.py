@@ -1,4 +1,4 @@
-"""Figures of an audit: contraction, requirements, sets of sensors, counts of poses."""
+"""Figures of what to measure with: sets of sensors, numbers of poses."""
 
 from __future__ import annotations
 
@@ -19,50 +19,6 @@ BEST = LEG_COLOURS[4]
 HALVED = 0.75  # contraction that halves a tolerance
 CROWDED = 40  # parameters, beyond which their names are smaller
 SHOWN = 1e3  # times the best error, above which sets are left out of the picture
-
-
-def draw_contraction(parameters: pd.DataFrame, titles: dict[str, str]) -> Figure:
-    """Return the contraction of every parameter as bars, sets of sensors below each other."""
-    names = list(dict.fromkeys(str(name) for name in parameters["parameter"]))
-    figure = Figure(figsize=(9.4, 0.9 + 1.25 * len(titles)))
-    rows = np.atleast_1d(figure.subplots(len(titles), 1, sharex=True))
-    for k, (axes, (variant, title)) in enumerate(zip(rows, titles.items(), strict=True)):
-        mine = parameters[parameters["variant"] == variant]
-        place = [names.index(str(name)) for name in mine["parameter"]]
-        axes.bar(place, mine["contraction"], color=LEG_COLOURS[(k + 4) % 6], width=0.7)
-        axes.axhline(HALVED, color=GREY, linewidth=0.8)
-        axes.set_ylim(0.0, 1.0)
-        axes.set_title(quote(title))
-        axes.grid(axis="y")
-    rows[-1].set_xticks(range(len(names)), [quote(name) for name in names], rotation=60)
-    rows[-1].tick_params(axis="x", labelsize=8.0 if len(names) <= CROWDED else 6.0)
-    figure.supylabel("Contraction", fontsize=9.0)
-    return figure
-
-
-def draw_requirements(requirements: pd.DataFrame, titles: dict[str, str]) -> Figure:
-    """Return errors over their limits, one line a set of sensors and coordinate: before, after, at the worst pose."""
-    figure = Figure(figsize=(8.4, 1.3 + 0.3 * len(requirements)))
-    axes = figure.subplots()
-    place = np.arange(len(requirements))[::-1]
-    limit = requirements["limit"]
-    before, after = requirements["before"] / limit, requirements["error"] / limit
-    axes.hlines(place, after, before, color=PALE, linewidth=2.0)
-    axes.plot(before, place, "o", color=GREY, markersize=5.0, mfc="none", label="before, rms")
-    for met, colour in ((True, BEST), (False, RED)):
-        mine = (requirements["met"] == met).to_numpy()
-        if mine.any():
-            label = "after, rms" if met else "after, rms, too much"
-            axes.plot(after[mine], place[mine], "o" if met else "D", color=colour, markersize=5.5, label=label)
-    axes.plot(requirements["worst"] / limit, place, "|", color=INK, markersize=9.0, label="after, at the worst pose")
-    axes.axvline(1.0, color=RED, linewidth=0.9)
-    lines = zip(requirements["variant"], requirements["coordinate"], strict=True)
-    axes.set_yticks(place, [quote(f"{titles[str(variant)]}: {coordinate}") for variant, coordinate in lines])
-    _scale_log(axes, "x")
-    axes.set_xlabel("Error over its limit")
-    axes.grid(axis="x")
-    figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=4)
-    return figure
 
 
 def draw_sets(sets: pd.DataFrame, best: pd.DataFrame, required: bool, against: str = "number") -> Figure:

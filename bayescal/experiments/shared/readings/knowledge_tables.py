@@ -32,13 +32,14 @@ def tabulate_accuracy(variant: Variant, known: Knowledge, units: UnitsConfig) ->
             "after": known.after,
             "noise": known.noise,
             "worst": known.worst,
-            "worst_at": [_name_place(variant, pose, Units(units.length, units.angle)) for pose in known.worst_pose],
+            "worst_at": [name_place(variant, pose, units) for pose in known.worst_pose],
         }
     )
 
 
-def _name_place(variant: Variant, pose: Array, units: Units) -> str:
-    """Return where a pose is, coordinate by coordinate."""
+def name_place(variant: Variant, pose: Array, asked: UnitsConfig | None = None) -> str:
+    """Return where a pose is, coordinate by coordinate, in the units of a config."""
+    units = Units() if asked is None else Units(asked.length, asked.angle)
     return ", ".join(
         f"{one.name} = {value / units.factor(one.unit):.4g} {units.name(one.unit)}"
         for one, value in zip(variant.model.coordinates, pose, strict=True)
