@@ -242,3 +242,27 @@ def test_a_small_slope_beside_large_numbers_is_no_fault():
         return np.stack([np.sqrt((x + 1e5) ** 2 + 1e-4 * y**2) - 1e5, (x + 1e5) ** 2 - 1e10 + 1e-9 * y], axis=-1)
 
     FunctionModel("arm", Arm(offset))
+
+
+class Crank(ReadingMachine):
+    """A crank whose pin's height is read, which two angles have: one before, one after its top."""
+
+    def __init__(self) -> None:
+        self.parameters = [ParameterBlock("r", (1.0,), per_leg=False)]
+        self.coordinates = [Coordinate("angle", "rad", home=-1.0, reach=2.5)]
+        self.channels = [Channel("height", "mm")]
+
+    def read(self, parameters, v, given):
+        return parameters["r"][..., None] * np.sin(v)
+
+
+def test_commands_are_followed_from_home_on_its_branch():
+    """A Newton step from home alone would pass the top, and end on the other side of it."""
+    model = FunctionModel("crank", Crank())
+    pose, found = model.locate(model.layout.nominal, np.array([[-0.5], [0.99], [1.5]]))
+    np.testing.assert_allclose(pose[:2, 0], np.arcsin([-0.5, 0.99]), rtol=0, atol=1e-10)
+    assert found.tolist() == [True, True, False]
+    assert np.isnan(pose[2]).all()
+    near, there = model.locate(model.layout.nominal, np.array([[0.99]]), start=np.array([[1.8]]))
+    np.testing.assert_allclose(near, [[np.pi - np.arcsin(0.99)]], rtol=0, atol=1e-10)
+    assert there.all()
