@@ -37,9 +37,9 @@ def tabulate_accuracy(variant: Variant, known: Knowledge, units: UnitsConfig) ->
     )
 
 
-def name_place(variant: Variant, pose: Array, asked: UnitsConfig | None = None) -> str:
+def name_place(variant: Variant, pose: Array, asked: UnitsConfig) -> str:
     """Return where a pose is, coordinate by coordinate, in the units of a config."""
-    units = Units() if asked is None else Units(asked.length, asked.angle)
+    units = Units(asked.length, asked.angle)
     return ", ".join(
         f"{one.name} = {value / units.factor(one.unit):.4g} {units.name(one.unit)}"
         for one, value in zip(variant.model.coordinates, pose, strict=True)
