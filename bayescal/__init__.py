@@ -1,6 +1,6 @@
-"""Bayesian identification of parallel-kinematic machines.
+"""Bayesian calibration of mechanisms.
 
-The names below are the way in from Python; they are imported when first used, so that the command line starts quickly.
+The names below are the way in from Python, in the order in which they are needed; each is imported when first used.
 """
 
 from __future__ import annotations
@@ -9,60 +9,34 @@ from importlib import import_module
 from importlib.metadata import version
 
 _HOMES = {
+    "load_machine": "bayescal.front",
+    "audit": "bayescal.front",
+    "simulate": "bayescal.front",
+    "Data": "bayescal.front",
+    "calibrate": "bayescal.front",
+    "StudyResult": "bayescal.loaded",
+    "next_pose": "bayescal.front",
+    "load_results": "bayescal.loaded",
+    "load_calibrated": "bayescal.experiments.shared.calibrating",
+    "CalibratedMachine": "bayescal.calibrated.machine",
+    "predict_poses": "bayescal.calibrated.predict",
+    "command_poses": "bayescal.calibrated.predict",
+    "export_machine": "bayescal.calibrated.export",
+    "load_experiment": "bayescal.experiments.frame.load",
+    "run_experiment": "bayescal.front",
+    "ReadingMachine": "bayescal.machines.readings",
+    "ParameterBlock": "bayescal.machines.parameters",
+    "Coordinate": "bayescal.machines.readings",
+    "Channel": "bayescal.machines.readings",
+    "Instrument": "bayescal.machines.readings",
+    "ErrorTerm": "bayescal.density.calibration.terms",
+    "Section": "bayescal.config.sections",
     "BayescalError": "bayescal.errors",
     "InputError": "bayescal.errors",
     "NumericalError": "bayescal.errors",
-    "Audit": "bayescal.loaded",
-    "Data": "bayescal.front",
-    "audit": "bayescal.front",
-    "calibrate": "bayescal.front",
-    "load_machine": "bayescal.front",
-    "next_pose": "bayescal.front",
-    "simulate": "bayescal.front",
-    "CalibratedMachine": "bayescal.calibrated.machine",
-    "Channel": "bayescal.machines.readings",
-    "Coordinate": "bayescal.machines.readings",
-    "Instrument": "bayescal.machines.readings",
-    "Machine": "bayescal.machines.kinematics",
-    "MeasuredPoses": "bayescal.data.measured_poses",
-    "Mechanism": "bayescal.machines.mechanism",
-    "ParameterBlock": "bayescal.machines.parameters",
-    "PoseLikelihood": "bayescal.density.pose_likelihood",
-    "Posterior": "bayescal.density.posterior",
-    "ReadingMachine": "bayescal.machines.readings",
-    "Section": "bayescal.config.sections",
-    "StudyInputs": "bayescal.experiments.study.inputs",
-    "StudyResult": "bayescal.loaded",
-    "build_twin": "bayescal.data.simulation",
-    "command_poses": "bayescal.calibrated.predict",
-    "compute_audit": "bayescal.api",
-    "draw_poses": "bayescal.calibrated.predict",
-    "explore": "bayescal.inference.exploration",
-    "export_machine": "bayescal.calibrated.export",
-    "extract_poses": "bayescal.data.photogrammetry.poses",
-    "identify": "bayescal.density.least_squares",
-    "load_audit": "bayescal.experiments.audit.load",
-    "load_calibrated": "bayescal.experiments.shared.calibrating",
-    "load_experiment": "bayescal.experiments.frame.load",
-    "load_inputs": "bayescal.experiments.study.load",
-    "load_results": "bayescal.loaded",
-    "load_mechanism": "bayescal.machines.read",
-    "load_simulation": "bayescal.experiments.simulation.load",
-    "predict_poses": "bayescal.calibrated.predict",
-    "read_survey": "bayescal.data.photogrammetry.survey",
-    "run_ensemble": "bayescal.inference.ensemble",
-    "run_experiment": "bayescal.experiments.frame.run",
-    "run_study": "bayescal.api",
-    "sample_posterior": "bayescal.inference.sampling",
-    "simulate_survey": "bayescal.data.simulation",
-    "solve_forward_kinematics": "bayescal.machines.kinematics",
-    "solve_inverse_kinematics": "bayescal.machines.kinematics",
-    "tabulate_jacobian": "bayescal.identifiability.jacobian",
-    "write_audit": "bayescal.api",
-    "write_report": "bayescal.experiments.frame.run",
 }
 
-__all__ = sorted(_HOMES)
+__all__ = list(_HOMES)
 
 
 def __getattr__(name: str) -> object:

@@ -8,7 +8,13 @@ from pathlib import Path
 
 
 class BayescalError(Exception):
-    """Base of every error that bayescal raises on purpose; its message is one line."""
+    """Base of every error that bayescal raises on purpose; its message is one line.
+
+    Examples
+    --------
+    >>> issubclass(bc.BayescalError, ValueError)
+    False
+    """
 
     exit_code = 1
 
@@ -20,6 +26,14 @@ class InputError(BayescalError):
     ----------
     others : tuple of str
         What else is at fault in the same place, a line each, of which only a look at everything speaks.
+
+    Examples
+    --------
+    >>> try:
+    ...     bc.load_machine("nowhere.toml")
+    ... except bc.InputError as error:
+    ...     print(error)
+    nowhere.toml: no such file...
     """
 
     exit_code = 2
@@ -59,7 +73,13 @@ class PoseInputError(InputError):
 
 
 class NumericalError(BayescalError):
-    """The input was accepted, but a computation failed or did not converge."""
+    """The input was accepted, but a computation failed or did not converge.
+
+    Examples
+    --------
+    >>> bc.NumericalError.exit_code, bc.InputError.exit_code
+    (3, 2)
+    """
 
     exit_code = 3
 

@@ -9,30 +9,28 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
+from html import escape
 from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
-import pandas as pd
-import xarray as xr
 
 from bayescal.config.load import describe_unknown
 from bayescal.errors import InputError
-from bayescal.experiments.frame.notebook import show_in_notebook
-from bayescal.experiments.frame.results import Results, read_results
-from bayescal.report.page import PAGE
 
 if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
     from matplotlib.axes import Axes
 
     from bayescal.calibrated.machine import CalibratedMachine
+    from bayescal.experiments.frame.results import Results
 
-SHOWN: dict[str, tuple[str, ...]] = {
-    "study": ("ranking",),
-    "calibration": ("variants",),
-    "audit": ("parameters", "requirements"),
-}
+RANKED = ("variant", "n_parameters", "log_evidence", "elpd_loo_difference", "misfit", "converged", "problems")
+"""What is shown of variants that are compared."""
+ROWS, COLUMNS = 12, 14
+MARKS = {"good": "✓", "warning": "!", "bad": "✗"}
 type Table = pd.DataFrame | Mapping[str, Any] | Path | str
 """A table, or the CSV file of one."""
 WITHOUT = "-tau-zero"
@@ -84,6 +82,8 @@ class LoadedResults:
 
     def page(self, path: Path | str) -> Path:
         """Write the report, one HTML file without anything beside it."""
+        from bayescal.report.page import PAGE
+
         source, target = self.folder / PAGE, Path(path)
         if not source.is_file():
             raise InputError(f"{source}: no such file, expected the page; bayescal report writes it")
@@ -104,14 +104,34 @@ class LoadedResults:
             shutil.copytree(self.project.folder, folder, ignore=ignored, dirs_exist_ok=True)
         return str((self.project.folder / "study.toml").read_text(encoding="utf-8"))
 
+    def list_shown(self) -> dict[str, pd.DataFrame]:
+        """Return the tables that are shown with headline and verdict, by their titles."""
+        return dict([*self.tables.items()][:1])
+
     def __repr__(self) -> str:
-        said = [str(self.summary.get("headline", "")), *map(_say, self.summary.get("verdict", []))]
-        tables = [self.tables[name] for name in SHOWN.get(self.kind, ()) if name in self.tables]
-        shown = [one.to_string(index=False, max_cols=8, float_format="{:.4g}".format) for one in tables[:1]]
-        return "\n".join(one for one in (*said, *shown) if one)
+        said = [str(self.summary.get("headline", ""))]
+        said += [f"{one.get('lead', '')}. {one.get('text', '')}".strip(". ") for one in self.summary.get("verdict", [])]
+        for title, table in self.list_shown().items():
+            text = table.to_string(index=False, max_rows=ROWS, max_cols=8, float_format="{:.4g}".format)
+            said.append(f"{title}:\n{text}")
+        return "\n".join(one for one in said if one)
 
     def _repr_html_(self) -> str:
-        return show_in_notebook(self.summary, self.tables, SHOWN.get(self.kind, ()))
+        said = [f"<h3>{escape(str(self.summary.get('title', self.kind)))}</h3>"]
+        if headline := self.summary.get("headline"):
+            said.append(f"<p><strong>{escape(str(headline))}</strong></p>")
+        verdict = [
+            f"<li>{MARKS.get(str(one.get('level')), '')} <strong>{escape(str(one.get('lead', '')))}.</strong> "
+            f"{escape(str(one.get('text', '')))}</li>"
+            for one in self.summary.get("verdict", [])
+        ]
+        said += ["<ul>", *verdict, "</ul>"] if verdict else []
+        for title, table in self.list_shown().items():
+            text = table.to_html(
+                index=False, max_rows=ROWS, max_cols=COLUMNS, float_format="{:.5g}".format, border=0, escape=True
+            )
+            said += [f"<h4>{escape(title)}</h4>", text]
+        return "\n".join(said)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -128,6 +148,11 @@ class Audit(LoadedResults):
         """Every requirement with what is predicted."""
         return self.results.table("requirements")
 
+    def list_shown(self) -> dict[str, pd.DataFrame]:
+        """Return parameters, and requirements where there are any."""
+        found = {"parameters": self.parameters, "requirements": self.requirements}
+        return {title: table for title, table in found.items() if not table.empty}
+
     def plot_contraction(self, axes: Axes | None = None) -> Axes:
         """Draw the contraction of every parameter, and return the axes."""
         found = {name: one["contraction"] for name, one in self.summary["parameters"].items()}
@@ -141,13 +166,41 @@ class Audit(LoadedResults):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class StudyResult(LoadedResults):
-    """Results of a study or of a calibration: variants, their posteriors and predictions."""
+    """Results of a study: variants, their posteriors and predictions.
+
+    Examples
+    --------
+    >>> isinstance(study, bc.StudyResult), study.variants, study.best
+    (True, ['everything'], variant 'everything': log-evidence ..., 9 parameters)
+    >>> study.best.predict({"s_1_mm": [250.0], "s_2_mm": [250.0], "s_3_mm": [250.0]}).columns[:4]
+    Index(['pose', 'x_mm', 'y_mm', 'z_mm'], ...)
+    """
 
     @property
     def ranking(self) -> pd.DataFrame:
-        """The variants, the largest log-evidence first, indexed by their names."""
+        """The variants, the largest log-evidence first, indexed by their names.
+
+        Evidences of different data do not compare: such variants follow those of the data that lead the report.
+        """
         table = self.tables["ranking"] if "ranking" in self.tables else self.tables["variants"]
-        return table.sort_values("log_evidence", ascending=False, ignore_index=True).set_index("variant")
+        return table.set_index("variant").loc[[name for group in self._rankings for name in group]]
+
+    @property
+    def _rankings(self) -> list[list[str]]:
+        """Names of the variants, the best first, a list for each set of data, the largest set first."""
+        rows = self.summary["variants"]
+        groups = self.summary.get("rankings") or [self.summary["ranking"]]
+        return sorted(groups, key=lambda names: (-rows[names[0]].get("n_equations", 0), -len(names)))
+
+    def list_shown(self) -> dict[str, pd.DataFrame]:
+        """Return the ranking of variants that are compared, and the accuracy of the best one's tool."""
+        ranking, found = self.ranking.loc[self._rankings[0]].reset_index(), {}
+        if len(ranking) > 1:
+            found["variants"] = ranking[[name for name in RANKED if name in ranking]]
+        if not (accuracy := self.results.table("accuracy")).empty:
+            own = accuracy[accuracy["variant"] == self.best.name].drop(columns="variant")
+            found[f"standard uncertainty of the tool, {self.best.name!r}"] = own
+        return found
 
     @property
     def variants(self) -> list[str]:
@@ -156,7 +209,7 @@ class StudyResult(LoadedResults):
 
     @property
     def best(self) -> VariantResult:
-        """The variant of the largest log-evidence."""
+        """The variant of the largest log-evidence, of those that lead the report."""
         return self[self.variants[0]]
 
     def __getitem__(self, variant: str) -> VariantResult:
@@ -181,6 +234,8 @@ class StudyResult(LoadedResults):
         InputError
             For an unknown variant, and where the run has not kept the draws.
         """
+        import xarray as xr
+
         name = self._check(variant)
         stems = {name.replace("/", "-").replace(" ", "_"), re.sub(r"[^\w.-]+", "_", name)}
         for stem in sorted(stems):
@@ -276,6 +331,8 @@ class VariantResult:
 
         Standard uncertainty, and the expanded one of a coverage probability; in µm, µrad or the number's own unit.
         """
+        import pandas as pd
+
         from bayescal.experiments.shared.certify import Wishes, certify
 
         found = certify(self.machine, self.study.folder, Wishes(coverage, poses))
@@ -306,24 +363,33 @@ def _written(table: Table) -> Iterator[Path]:
     if isinstance(table, str | Path):
         yield Path(table)
         return
-    found = pd.DataFrame(table)
-    if "pose" not in found.columns:
-        found.insert(0, "pose", [f"P{k}" for k in range(1, len(found) + 1)])
+    found = name_rows(table)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "table.csv"
         found.to_csv(path, index=False)
         yield path
 
 
+def name_rows(table: pd.DataFrame | Mapping[str, Any]) -> pd.DataFrame:
+    """Return a table whose first column names the poses: its own, else the index, else P1, P2 ..."""
+    import pandas as pd
+
+    found = pd.DataFrame(table)
+    if "pose" not in found.columns:
+        plain = isinstance(found.index, pd.RangeIndex)
+        names = [f"P{k}" for k in range(1, len(found) + 1)] if plain else [str(one) for one in found.index]
+        found = found.reset_index(drop=True)
+        found.insert(0, "pose", names)
+    return found
+
+
 def _read(text: str) -> pd.DataFrame:
+    import pandas as pd
+
     return pd.read_csv(StringIO(text), comment="#")
 
 
-def _say(one: Mapping[str, Any]) -> str:
-    return f"{one.get('lead', '')}. {one.get('text', '')}".strip(". ")
-
-
-CLASSES: dict[str, type[LoadedResults]] = {"study": StudyResult, "calibration": StudyResult, "audit": Audit}
+CLASSES: dict[str, type[LoadedResults]] = {"study": StudyResult, "audit": Audit}
 
 
 def load_results(folder: Path | str, trust: bool = False) -> LoadedResults:
@@ -335,7 +401,14 @@ def load_results(folder: Path | str, trust: bool = False) -> LoadedResults:
     ------
     InputError
         Where the folder holds no results, or a table of them is missing.
+
+    Examples
+    --------
+    >>> bc.load_results(study.folder).ranking.index
+    Index(['everything'], ...)
     """
+    from bayescal.experiments.frame.results import read_results
+
     results = read_results(Path(folder))
     return CLASSES.get(str(results.provenance.get("kind")), LoadedResults)(results, trust)
 

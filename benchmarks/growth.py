@@ -143,10 +143,9 @@ def write_study(folder: Path, n_legs: int, n_poses: int, symbols: tuple[str, ...
 
 
 DESIGN = """
-mechanism = "machine.toml"
-measured_by = ["tracker"]
+machine = "machine.toml"
 
-[variant]
+[[variants]]
 model = "six_ups"
 {deformation}
 [noise]
@@ -185,8 +184,11 @@ def write_selection(folder: Path, n_candidates: int) -> Path:
     (folder / "machine.toml").write_text(describe_machine(6))
     path = folder / "selection.toml"
     path.write_text(
-        'kind = "pose_selection"\nname = "growth"\ntitle = "Growth"\norigin = "Simulated"\nseed = 1\n'
-        + DESIGN.format(deformation="").replace("[workspace]", "[workspace]\nposes = 50")
+        'kind = "selection"\nname = "growth"\ntitle = "Growth"\nseed = 1\n'
+        'origin = { status = "simulated", text = "for a benchmark" }\n'
+        + DESIGN.format(deformation="")
+        .replace("[workspace]", "[workspace]\nposes = 50")
+        .replace("[[variants]]", '[variant]\nsensors = ["tracker"]')
         + f'{describe_parameters(SYMBOLS)}[domain]\nwithin = "workspace"\nposition_mm = [40.0, 40.0, 40.0]\n'
         f"rotation_deg = [1.0, 1.0, 1.0]\n[candidates]\ncount = {n_candidates}\n[[selections]]\n"
         'method = "exchange"\ncriteria = ["O1", "I"]\nn_poses = [12]\n'

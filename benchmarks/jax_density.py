@@ -1,8 +1,7 @@
 """The benchmark posterior written in JAX, as one would for a gradient-based sampler: same data, same priors.
 
 Standardised parameters z = (θ - mean) / sd have standard normal priors. The likelihood has the same fixed covariances
-as bayescal's; the pose error is found either by solving A(θ) e = f pose by pose or by bayescal's own iteration. With a
-structured model error τ and the kernel's scale have standard normal coordinates, too.
+as bayescal's; the pose error is found either by solving A(θ) e = f pose by pose or by bayescal's own iteration.
 """
 
 # ruff: noqa: I001 - telescope_problem comes before NumPy and JAX: it sets the number of threads
@@ -15,7 +14,6 @@ from telescope_problem import Problem  # before JAX: sets one thread
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.scipy.special import ndtr, ndtri
 
 from bayescal.density.pose_likelihood import REFINEMENTS
 from bayescal.density.legs import LegPosterior
@@ -35,35 +33,6 @@ def build_log_likelihood(
         return -0.5 * jnp.sum(white**2)
 
     return log_likelihood
-
-
-def build_structured_log_density(problem: Problem, posterior: LegPosterior) -> Callable[[jax.Array], jax.Array]:
-    """Return the log-density of geometry, τ of each leg and one scale, all standardised, up to an additive constant.
-
-    There is a structured error: whether there is one is a switch, which gradients do not see.
-    """
-    likelihood, m = posterior.likelihood, posterior.n_geometry
-    errors = build_errors(problem, posterior, likelihood.base._refinements)
-    combination, unmap = jnp.asarray(likelihood.combination), jnp.asarray(likelihood._unmap)
-    n_legs = likelihood.n_legs
-    weight = jnp.asarray(likelihood.actuator_weight)
-    known, scale, spread = (
-        jnp.asarray(likelihood._mean_known),
-        posterior.errors.model_error.scale,
-        posterior.kernel_scale,
-    )
-
-    def log_density(z: jax.Array) -> jax.Array:
-        tau = -scale * ndtri(0.5 * ndtr(-z[m : m + n_legs]))
-        size = spread.scale * jnp.exp(spread.spread * z[-1])
-        rows = jnp.einsum("pk,pij,pj->ki", combination, unmap, errors(z[:m]))
-        added = weight[:, :n_legs] * tau**2 + weight[:, n_legs:] * size**2
-        factor = jnp.linalg.cholesky(known + jax.vmap(jnp.diag)(added))
-        white = jax.scipy.linalg.solve_triangular(factor, rows[..., None], lower=True)
-        half_log_det = jnp.sum(jnp.log(jnp.diagonal(factor, axis1=-2, axis2=-1)))
-        return -0.5 * jnp.sum(white**2) - half_log_det - 0.5 * jnp.sum(z**2)
-
-    return log_density
 
 
 def build_errors(

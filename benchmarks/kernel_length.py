@@ -28,7 +28,6 @@ import numpy as np
 from scipy.special import logsumexp
 
 from bayescal.data.measured_poses import MeasuredPoses
-from bayescal.density.free_length import FreeLengthLikelihood
 from bayescal.density.batches import BATCH
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.errors import KernelLength, KernelScale
@@ -77,9 +76,8 @@ class Twin:
 
     def free(self, kernel: str, lengths: LogNormalPrior) -> LegPosterior:
         """Return the posterior with a length that is not."""
-        likelihood = FreeLengthLikelihood(
-            self.likelihood, kernel, lengths, self.likelihood.machine.mechanism.actuator_range
-        )
+        travel, median = self.likelihood.machine.mechanism.actuator_range, build_kernel(kernel, lengths.median)
+        likelihood = StructuredLikelihood(self.likelihood, median, travel, lengths)
         error = ModelError(MODEL_ERROR_SCALE)
         return build_leg_posterior(likelihood, self.priors(), error, terms=(SCALE, KernelLength(lengths)))
 

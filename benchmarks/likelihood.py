@@ -130,7 +130,7 @@ def build_model_case(problem: Problem, name: str) -> dict[str, Callable[[], obje
     return {
         "µs / machine": lambda: [likelihood(theta, none) for _ in range(CALLS)],
         "µs with τ": lambda: [likelihood(theta, tau) for _ in range(CALLS)],
-        "Jacobian, ms": lambda: [likelihood.leg_error_jacobian(theta[0]) for _ in range(CALLS)],
+        "Jacobian, ms": lambda: [likelihood.error_jacobian(theta[0]) for _ in range(CALLS)],
         "poses, s": lambda: solve_forward_kinematics(machine, theta[0], actuators),
     }
 

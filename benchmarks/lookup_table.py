@@ -18,10 +18,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from bayescal.experiments.calibration.table.inputs import TableInputs, read_table
-from bayescal.experiments.calibration.table.responses import respond
-from bayescal.experiments.calibration.table.schema import LookupTableConfig
 from bayescal.experiments.frame.load import load
+from bayescal.experiments.table.inputs import TableInputs, read_table
+from bayescal.experiments.table.responses import respond
+from bayescal.experiments.table.schema import TableConfig
+from bayescal.inference.mode import find_modes
 
 SHIPPED = Path(__file__).parent.parent / "experiments" / "m2_hexapod_table"
 DRAWS, CHECKED = 300, 60
@@ -31,7 +32,7 @@ AXES = {"elevation_deg": [0.0, 30.0, 60.0, 90.0], "temperature_c": [-5.0, 10.0, 
 def read_shipped() -> TableInputs:
     """Return the shipped table with few places."""
     table = load(SHIPPED / "table.toml")[1]
-    assert isinstance(table, LookupTableConfig)
+    assert isinstance(table, TableConfig)
     return read_table(table.model_copy(update={"axes": AXES}), SHIPPED)
 
 
@@ -53,10 +54,8 @@ def judge_twin(shipped: TableInputs, seed: int) -> dict[str, float]:
     """Return which part of a twin's corrections and offsets lies in its 90 % intervals, and how sound these are."""
     rng = np.random.default_rng([seed, 1])
     inputs, truth = simulate_twin(shipped, rng)
-    unanchored = inputs.variant.posterior()
-    mode, pose = unanchored.fit(np.zeros(unanchored.n_parameters), unanchored.likelihood.start)
-    anchored = unanchored.likelihood.anchored(pose, unanchored.theta(mode[None])[0])
-    posterior = replace(unanchored, likelihood=anchored)
+    posterior = inputs.variant.posterior().anchored()
+    mode = find_modes(posterior, np.random.default_rng(seed))[0].y
     factor = np.linalg.cholesky(np.linalg.inv(-posterior.gradient(mode)[1]))
     white = rng.standard_normal((DRAWS, len(mode)))
     draws = mode + white @ factor.T

@@ -51,7 +51,7 @@ EFFORT = "[sampler]\nensembles = 4\nwalkers = 64\nburn_in = 5\nsteps = 20\n[evid
 
 def simulate(path: Path, out: Path) -> None:
     """Run a simulation in a process of its own."""
-    command = [sys.executable, "-m", "bayescal.cli", "simulate", str(path), "--out", str(out)]
+    command = [sys.executable, "-m", "bayescal", "simulate", str(path), "--out", str(out)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
 

@@ -31,11 +31,11 @@ from telescope_problem import MODEL_ERROR_SCALE, simulate, time_interleaved  # f
 import numpy as np
 
 from bayescal.data.photogrammetry.poses import extract_poses
-from bayescal.data.simulation import Twin, build_twin, simulate_survey
+from bayescal.experiments.simulation.twin import Twin, build_twin, simulate_survey
 from bayescal.density.batches import BATCH
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.errors import KernelScale
-from bayescal.density.model_error import LinearKernel, SmoothKernel
+from bayescal.density.model_error import SCALE, LinearKernel, SmoothKernel
 from bayescal.density.errors import ModelError
 from bayescal.density.legs import LegPosterior, build_leg_posterior
 from bayescal.density.prediction import replicate
@@ -43,10 +43,9 @@ from bayescal.density.schema import BlundersConfig, NormalConfig
 from bayescal.density.structured import StructuredLikelihood
 from bayescal.density.structured_prediction import predict_structured
 from bayescal.experiments.frame.load import load_experiment
-from bayescal.experiments.simulation.load import load_simulation
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.measurement import TargetMeasurement
-from bayescal.experiments.study.schema import StudyConfig, VariantConfig
+from bayescal.experiments.shared.study_schema import StudyConfig, VariantConfig
 from bayescal.inference.exploration import MAX_PILOTS, explore
 from bayescal.inference.importance import resample
 from bayescal.machines.deformations import MatrixDeformation
@@ -128,9 +127,10 @@ def judge(
 
 def judge_scale(inputs: StudyInputs, posterior: LegPosterior, y: Array, truth: float | None) -> dict[str, float]:
     """Return what draws tell of the kernel's scale where there is an error, and how far that is from the truth."""
-    if not isinstance(posterior, LegPosterior):
+    places = [k for k, name in enumerate(posterior.names) if name.startswith(SCALE)]
+    if not places:
         return {}
-    scale = posterior.scales(y)[:, 0]
+    scale = posterior.natural(y)[:, places[0]]
     there = scale > 0.0
     if there.mean() < 0.5:
         return {"present": float(there.mean())}
@@ -188,7 +188,7 @@ def main() -> None:
         time_density(40)
         return
     twin, config = (
-        build_twin(load_simulation(TELESCOPE / "simulate.toml"), TELESCOPE),
+        build_twin(load_experiment(TELESCOPE / "simulate.toml"), TELESCOPE),
         load_experiment(TELESCOPE / "study.toml"),
     )
     prior = {"kernel_scale_um": arguments.scale, "kernel_spread": arguments.spread}

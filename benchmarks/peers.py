@@ -2,7 +2,7 @@
 
     python benchmarks/peers.py [--posteriors well misfitting ridge multimodal lengths] [--peers nuts ...]
                                [--seconds 60] [--warm-up 1500] [--draws 500] [--steps 120] [--live 500]
-                               [--figaroh PYTHON] [--add]
+                               [--add]
 
 Five posteriors of the telescope's 6-PUS with 40 simulated poses: ``well``, 60 parameters as in sampling.py;
 ``misfitting``, the same where the poses have errors of 20 µm that depend on where they are and that no parameter
@@ -14,13 +14,11 @@ data see it by a quadratic; ``multimodal``, the same with twice the tolerance of
 - NUTS (NumPyro): full mass matrix, started at draws of bayescal's posterior; with and without its warm-up. ``nuts`` has
   NumPyro's defaults, which add to the variances found; ``nuts_exact`` leaves them as they are (an option of NumPyro);
   ``nuts_whitened`` is given the covariance of bayescal's draws as coordinates, the most that one could do for it.
-- Stretch move (emcee): started there too; its effective draws are an upper bound (see stretch.py).
+- Stretch move (emcee): started there too; its effective draws are an upper bound (it starts at draws of the posterior).
 - Nautilus and dynesty: evidence from the prior, cut after so many seconds. dynesty, which takes one vector at a time,
   has the likelihood compiled by JAX.
 - `least_squares` (SciPy) with exact derivatives, from draws of the prior: how many reach the best point that anybody
   found.
-- figaroh: base parameters of an identification Jacobian by QR beside its rank by singular values, and DETMAX of 300
-  candidates by both, where the interpreter of an environment that has it is given.
 
 All seconds are processor time. Other processes on the machine make it longer still, so that bayescal is timed twice
 before and twice after each sampler, and ratios are those of neighbours; its draws are the same each time. With
@@ -32,23 +30,16 @@ from __future__ import annotations
 
 import argparse
 import json
-import subprocess
-import tempfile
-import time
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 from peers_sampling import compare_rates, run_bayescal, run_nuts, run_stretch, time_bayescal  # first
 from peers_evidence import compile_likelihood, run_dynesty, run_least_squares, run_nautilus
 from peers_posteriors import BUILD, PlainDensity
-from telescope_problem import RESULTS, SEED, write_results
+from telescope_problem import RESULTS, write_results
 
 import numpy as np
 
-from bayescal.pose_selection import SelectionProblem, even_candidates, select
-from bayescal.pose_selection.criteria import O1
-from bayescal.pose_selection.methods import Detmax
 
 NUTS = {  # whether variances are regularised, whether the posterior's covariance is given
     "nuts": (True, False),
@@ -86,42 +77,6 @@ def compare(name: str, options: argparse.Namespace) -> dict[str, Any]:
     return {"n_parameters": density.n, **rows}
 
 
-def compare_figaroh(interpreter: Path) -> dict[str, Any]:
-    """Return base parameters and DETMAX by both, of the six-hardpoint machine of pose_selection.py.
-
-    The columns of two redundant parameters are put beside the identification Jacobian, so that there is something for a
-    base to leave out. DETMAX: 15 of 300 candidates, det(Σ JᵀJ)^(1/L) with all L = 42 parameters, in units of O1's.
-    """
-    import pose_selection
-
-    domain, rng = pose_selection.build_domain(), np.random.default_rng(SEED)
-    candidates = even_candidates(domain, 300)
-    problem = SelectionProblem(candidates, O1(), 15)
-    begun = time.perf_counter()
-    chosen = select(problem, Detmax(), rng)
-    seconds_detmax = time.perf_counter() - begun
-    blocks = problem.blocks
-    information = np.swapaxes(blocks, 1, 2) @ blocks
-    jacobian = blocks.reshape(-1, blocks.shape[-1])
-    jacobian = np.concatenate([jacobian, jacobian[:, :1] + jacobian[:, 7:8], jacobian[:, 3:4] - jacobian[:, 9:10]], 1)
-    begun = time.perf_counter()
-    spectrum = np.linalg.svd(jacobian / np.linalg.norm(jacobian, axis=0), compute_uv=False)
-    rank = int(np.sum(spectrum > 1e-9 * spectrum[0]))
-    seconds_base = time.perf_counter() - begun
-    members = [int(k) for k in chosen.index]
-    value = float(np.exp(np.linalg.slogdet(information[members].sum(axis=0))[1] / blocks.shape[-1]))
-    ours = {"n_base": rank, "seconds_base": seconds_base, "criterion": value, "seconds_detmax": seconds_detmax}
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "given.npz"
-        np.savez(path, jacobian=jacobian, blocks=information, chosen=15)
-        script = Path(__file__).with_name("peers_figaroh.py")
-        done = subprocess.run([interpreter, script, path], capture_output=True, text=True, timeout=500, check=False)
-    if done.returncode:
-        return {"bayescal": ours, "figaroh": {"failed": done.stderr.strip().splitlines()[-1]}}
-    theirs = json.loads(done.stdout.strip().splitlines()[-1])
-    return {"bayescal": ours, "figaroh": {"n_base": len(theirs.pop("base")), **theirs}}
-
-
 def report(name: str, rows: dict[str, Any]) -> None:
     """Print a posterior's table."""
     print(
@@ -150,7 +105,7 @@ def _describe(row: dict[str, Any]) -> str:
 def read_results(name: str) -> dict[str, Any]:
     """Return the figures that a results' file has."""
     found = json.loads((RESULTS / f"{name}.json").read_text())
-    return {key: found[key] for key in (*BUILD, "figaroh") if key in found}
+    return {key: found[key] for key in BUILD if key in found}
 
 
 def main() -> None:
@@ -163,7 +118,6 @@ def main() -> None:
     parser.add_argument("--draws", type=int, default=500, help="draws of each NUTS chain")
     parser.add_argument("--steps", type=int, default=120, help="of each of bayescal's ensembles")
     parser.add_argument("--live", type=int, default=500, help="points of dynesty; nautilus has four times as many")
-    parser.add_argument("--figaroh", type=Path, help="interpreter of an environment with figaroh")
     parser.add_argument("--add", action="store_true", help="to what the results' file has")
     parser.add_argument("--name", default="peers", help="of the results' file")
     options = parser.parse_args()
@@ -171,9 +125,6 @@ def main() -> None:
     for name in options.posteriors:
         found[name] = found.get(name, {}) | compare(name, options)
         report(f"{name}: {found[name]['n_parameters']} parameters", found[name])
-    if options.figaroh is not None:
-        found["figaroh"] = compare_figaroh(options.figaroh)
-        print(json.dumps(found["figaroh"], indent=1))
     packages = ("numpy", "scipy", "emcee", "jax", "numpyro", "dynesty", "nautilus-sampler")
     print(write_results(options.name, found, packages).name)
 

@@ -25,7 +25,7 @@ from bayescal.errors import BayescalError
 from bayescal.experiments.check.subject import Subject
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.shared.leg_slips import find_leg_slip, state_error, suspect_poses
-from bayescal.experiments.shared.measured import MeasuredVariant, see_legs
+from bayescal.experiments.shared.measured import MeasuredVariant, measure_variants, see_legs
 from bayescal.experiments.shared.reading_slips import find_calibration_slip
 from bayescal.experiments.shared.readings.inputs import Variant, read_inputs
 from bayescal.experiments.shared.readings.workspace import find_starts
@@ -143,7 +143,8 @@ def try_poses(machine: str, twins: int, first: int, planted: bool) -> Iterator[d
     """Yield what is found of twins of a study."""
     path, name = ROOT / STUDIES[machine][0], STUDIES[machine][1]
     experiment, study = load(path)
-    measured = experiment.measure(study, path, experiment.list_variants(study)[name], True)
+    measured = measure_variants(experiment, study, path, [name])[name].legs
+    assert measured is not None
     plants = list_plants(measured.machine.mechanism.initial_actuator_positions)
     for k in range(first, first + twins):
         labels, n, share, error, rng = draw_setting(machine, k)

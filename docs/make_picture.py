@@ -13,7 +13,7 @@ from pathlib import Path
 
 from PIL import Image
 
-from bayescal import write_report
+from bayescal.experiments.frame.run import write_report
 
 ROOT = Path(__file__).parents[1]
 RESULTS, PICTURE = ROOT / "results" / "hangprinter", ROOT / "docs" / "images" / "report.png"

@@ -8,6 +8,7 @@ import numpy as np
 import telescope_machines as machines
 
 from bayescal.identifiability.design import Knowledge, Plan
+from bayescal.identifiability.requirements import Forecast
 from bayescal.identifiability.sensitivity import compute_sensitivity
 from bayescal.machines.frames import FRAME_BLOCKS
 from bayescal.machines.kinematics import Machine
@@ -59,6 +60,12 @@ def build_telescope_problem(deformation: str = "none", model: str = "six_pus", *
     actuators = machine.mechanism.initial_actuator_positions + machines.ACTUATOR_RANGE * machines.TABLE_3
     fields = {"sensors": (PoseSensor(2e-3, 1.7e-5),), "actuator_noise": 1e-3}
     return build_knowledge(machine), Plan(actuators, **(fields | changes))
+
+
+def foretell(knowledge: Knowledge, actuators: np.ndarray, plan: Plan) -> Forecast:
+    """Return how poses err at actuator positions (W, N)."""
+    sensitivity = compute_sensitivity(knowledge, actuators)
+    return Forecast(sensitivity.slope * knowledge.sd, sensitivity.pose_noise(plan))
 
 
 def compute_rows(knowledge: Knowledge, plan: Plan) -> np.ndarray:

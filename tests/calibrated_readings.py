@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 from calibration_problems import fit_jointly
-from function_machines import point_on_lines, star_function
+from function_machines import point_on_lines
 from sliding_platforms import sliding_star
 
 from bayescal.calibrated.machine import CalibratedMachine, Errors, Source, build_calibrated
@@ -57,7 +57,7 @@ def build_planned(name: str) -> Planned:
         model = point_on_lines(4)
         tolerances, noise = {"a_x": 1.0, "a_y": 1.0, "zero": 1.0}, {"l": 0.05}
     else:
-        model = star_function()
+        model = sliding_star()
         tolerances = {"x_P": 0.3, "y_P": 0.3, "l": 0.3, "xi_B": 0.3, "eta_B": 0.3}
         noise = {"s": 5e-3, "x_V": 0.02, "y_V": 0.02, "phi_V": 20.0 * arcsec}
     home = np.array([one.home for one in model.coordinates])
@@ -75,7 +75,7 @@ def calibrate(planned: Planned, n_poses: int, rng: np.random.Generator, n_draws:
     """Return a machine of the tolerances, calibrated by simulated readings, its posterior by Laplace."""
     model, sd = planned.model, planned.sd
     layout = model.layout
-    frame = sliding_star().frame_parameters()  # symbols that no other of the machines has
+    frame = sliding_star().machine.frame_parameters()  # symbols that no other of the machines has
     priors = {
         name: NormalPrior(value, planned.tolerances[name.partition("[")[0]])
         for name, value in zip(layout.names, layout.nominal, strict=True)

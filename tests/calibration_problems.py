@@ -13,11 +13,18 @@ from bayescal.density.calibration.functions import FunctionErrors, Travel
 from bayescal.density.calibration.joint_fit import JointFit
 from bayescal.density.calibration.likelihood import CalibrationLikelihood, CalibrationPosterior
 from bayescal.density.calibration.measurements import Measurements
-from bayescal.density.calibration.outliers import NORMAL, Outliers
 from bayescal.density.calibration.terms import Errors, ErrorTerm, ModelErrorTerm, NoiseFactor
+from bayescal.density.outliers import NORMAL, Contaminated, Outliers, StudentT
 from bayescal.density.posterior import Posterior
-from bayescal.density.priors import LogNormalPrior, NormalPrior, Prior, UniformPrior
+from bayescal.density.priors import LogNormalPrior, NormalPrior, Prior, SharePrior, UniformPrior
 from bayescal.machines.readings import ReadingModel
+
+
+def rows_of(nu: float | Outliers) -> Outliers:
+    """Return the density of rows with so many degrees of freedom, normal for infinitely many; another as it is."""
+    if isinstance(nu, Outliers):
+        return nu
+    return StudentT(nu) if np.isfinite(nu) else NORMAL
 
 
 def measurements(values: np.ndarray, sd: np.ndarray | float, correlation: np.ndarray | None = None) -> Measurements:
@@ -38,7 +45,7 @@ def density(
 def pointwise(likelihood: CalibrationLikelihood, theta: np.ndarray, tau: float = 0.0, nu: float = np.inf) -> np.ndarray:
     """Return the log-densities (C, P) with the noise as stated, a model error τ beside it."""
     own = np.broadcast_to(likelihood.sd, (len(theta), *likelihood.sd.shape))
-    return evaluate_rows(likelihood, theta, own, np.full((len(theta), 1, own.shape[-1]), tau), Outliers(nu))
+    return evaluate_rows(likelihood, theta, own, np.full((len(theta), 1, own.shape[-1]), tau), rows_of(nu))
 
 
 def evaluate_rows(
@@ -93,7 +100,7 @@ def lines_posterior(
     rng: np.random.Generator,
     n_poses: int = 20,
     terms: tuple[ErrorTerm, ...] = (),
-    nu: float = np.inf,
+    nu: float | Outliers = np.inf,
     correlation: np.ndarray | None = None,
     uniform: bool = False,
     common: bool = False,
@@ -115,7 +122,7 @@ def lines_posterior(
         priors[name] = NormalPrior(0.0, LINE_WIDTH)
     pose = rng.uniform(-150.0, 150.0, (n_poses, 2))
     empty = measurements(np.zeros((n_poses, k)), sd, correlation)
-    blank = Posterior(density(model, empty, pose, 9e4), priors, Errors(terms, Outliers(nu)), {}, shared)
+    blank = Posterior(density(model, empty, pose, 9e4), priors, Errors(terms, rows_of(nu)), {}, shared)
     y = rng.standard_normal(blank.n_parameters)
     values = simulate(blank, y, pose, rng)
     lack = rng.random(n_poses) < missing  # one reading each: three lines left still tell where the point is
@@ -128,13 +135,12 @@ def lines_posterior(
 
 def simulate(posterior: CalibrationPosterior, y: np.ndarray, pose: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Return readings (P, K) of the machine y (n,) at poses, as its density says."""
-    likelihood, freedom = posterior.likelihood, posterior.errors.outliers.freedom
+    likelihood, outliers = posterior.likelihood, posterior.errors.tails(posterior.zeta(y[None]))
     own, tau = posterior.likelihood.noise(posterior.errors, posterior.zeta(y[None]))
     covariance = own[0][:, :, None] * likelihood.correlation * own[0][:, None]
     covariance = covariance + np.einsum("pk,kl->pkl", np.broadcast_to(tau[0] ** 2, own[0].shape), np.eye(own.shape[-1]))
     noise = (np.linalg.cholesky(covariance) @ rng.standard_normal((*own[0].shape, 1)))[..., 0]
-    if np.isfinite(freedom):
-        noise /= np.sqrt(rng.gamma(0.5 * freedom, 2.0 / freedom, (len(noise), 1)))
+    noise *= np.sqrt(outliers.draw_wide((1, len(noise), 1), rng)[0])
     return likelihood.model.read(posterior.theta(y[None])[0], pose) + noise
 
 
@@ -156,3 +162,47 @@ def fit_jointly(posterior: CalibrationPosterior, y: np.ndarray, pose: np.ndarray
     m = posterior.n_geometry
     found, stood = JointFit(posterior.likelihood, posterior.sampling, posterior.errors, y[m:]).run(y[:m], pose)
     return np.append(found, y[m:]), stood
+
+
+MIXED = np.array([[1.0, 0.6, 0.1, 0.0], [0.6, 1.0, 0.2, -0.3], [0.1, 0.2, 1.0, 0.5], [0.0, -0.3, 0.5, 1.0]])
+LINE_CASES = {
+    "as stated": {},
+    "factor": {"terms": unknown_noise(4)},
+    "model error": {"terms": unknown_noise(4, False, True, 0.1)},
+    "factor and model error": {"terms": unknown_noise(4, True, True, 0.1)},
+    "robust": {"nu": 4.0},
+    "robust, factor and model error": {"nu": 3.0, "terms": unknown_noise(4, True, True, 0.1)},
+    "correlated": {"correlation": MIXED},
+    "correlated, factor and model error": {"correlation": MIXED, "terms": unknown_noise(4, True, True, 0.1)},
+    "uniform": {"uniform": True},
+    "common": {"common": True, "uniform": True},
+    "missing": {"missing": 0.5},
+    "commanded": {"commanded": (0, 2), "terms": unknown_noise(4, True, True, 0.1)},
+    "commanded by more than coordinates": {"commanded": (0, 1, 2), "correlation": MIXED},
+    "a circle": {"bearing": True, "terms": unknown_noise(5, True, True, 0.1)},
+    "functions": {"terms": (line_functions(),)},
+    "functions of a free length": {"terms": (line_functions("smooth", 0.3),)},
+    "functions, factor and model error": {"terms": (*unknown_noise(4, True, True, 0.1), line_functions("linear"))},
+    "functions, robust": {"nu": 4.0, "terms": (line_functions("quadratic"),), "n_poses": 30},
+    "functions, robust, factor and model error": {
+        "nu": 3.0,
+        "terms": (line_functions(), *unknown_noise(4, True, True, 0.1)),
+        "correlation": MIXED,
+        "missing": 0.3,
+    },
+    "contaminated": {"nu": Contaminated(SharePrior(0.1)), "terms": unknown_noise(4)},
+    "functions, contaminated": {
+        "nu": Contaminated(SharePrior(0.02)),
+        "terms": (line_functions("quadratic"),),
+        "n_poses": 30,
+    },
+    "everything": {
+        "terms": unknown_noise(4, True, True, 0.1),
+        "nu": 5.0,
+        "correlation": MIXED,
+        "uniform": True,
+        "common": True,
+        "missing": 0.3,
+    },
+}
+"""Keys of `lines_posterior`: what is unknown of the noise, common errors, outliers, and of which readings."""

@@ -66,7 +66,7 @@ def list_posteriors():
     for path, variants in SHIPPED.items():
         config = load(ROOT / path)[1]
         names = [one.name for one in config.variants if variants is None or one.name in variants]
-        found |= {f"{path}: {name}": one for name, one in ACCESS[config.kind](config, ROOT / path, names).items()}
+        found |= {f"{path}: {name}": one for name, one in access(config, ROOT / path, names).items()}
     path = ROOT / "experiments/telescope/study.toml"
     config = load(path)[1].model_copy(update={"blunders": BlundersConfig()})
     names = ["six_pus/none", "six_pus/matrix"]
@@ -121,12 +121,12 @@ def build_with_functions(variant, kernel):
     Travels are those of the tool's centre within 200 mm and 30 degrees of home.
     """
     model, places = variant.model, np.arange(len(variant.model.channels))
-    machine, origin = variant.whole, np.array(variant.whole.home)
+    machine, origin = variant.whole, np.array(variant.whole.home_pose)
     half = np.array([200.0, 200.0, np.radians(30.0)])
     ends = half * np.array(list(product([-1.0, 0.0, 1.0], repeat=3)))
     angle, tool = origin[2] + ends[:, 2], machine.tool(machine.layout.nominal, origin[None])[0]
     arm = np.stack([np.cos(angle), -np.sin(angle), np.sin(angle), np.cos(angle)], axis=1).reshape(-1, 2, 2)
-    pose = np.concatenate([tool + ends[:, :2] - arm @ machine.tool_point, angle[:, None]], axis=1)
+    pose = np.concatenate([tool + ends[:, :2] - arm @ machine.machine.tool_point, angle[:, None]], axis=1)
     home = model.read(model.layout.nominal, origin)
     travel = np.nanmax(np.abs(model.read(model.layout.nominal, pose) - home), axis=0)
     reach = 1.05 * max(1.0, float(np.abs((variant.data.values - home) / travel).max()))
@@ -139,7 +139,9 @@ def build_with_functions(variant, kernel):
     return replace(variant.posterior(), errors=Errors((functions,)))
 
 
-ACCESS = {"study": access_study, "calibration": access_calibration}
+def access(config, path, names):
+    """Return how to get at the posteriors of a study's variants."""
+    return (access_calibration if config.by_tables else access_study)(config, path, names)
 
 
 def draw_points(name, mode, scale):

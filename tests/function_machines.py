@@ -1,52 +1,14 @@
-"""Machines of one function that the tests share: Sliding Star written as one, and small ones."""
+"""Small machines of one function that the tests share."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
-from sliding_platforms import sliding_star
 
 from bayescal.machines.parameters import ParameterBlock
-from bayescal.machines.readings import Channel, Coordinate, FunctionModel, Parameters, ReadingMachine, SlidingPlatform
+from bayescal.machines.readings import Channel, Coordinate, FunctionModel, Parameters, ReadingMachine
 from bayescal.numerics.analytic import atan2
-
-
-class StarMachine(ReadingMachine):
-    """Sliding Star by its geometry alone, all derivatives left to the complex step."""
-
-    def __init__(self, whole: SlidingPlatform) -> None:
-        self.parameters = whole.layout.blocks
-        self.coordinates, self.channels = whole.coordinates, whole.channels
-        self.commanded, self.tool_channels = ["s"], whole.tool_channels
-        self.sign = np.where(whole.forward, 1.0, -1.0)
-
-    def read(self, parameters: Parameters, v: Any, given: Any) -> Any:
-        p, phi = parameters, v[..., 2, None]
-        cosine, sine = np.cos(phi), np.sin(phi)
-        w_x = v[..., 0, None] + cosine * p["xi_B"] - sine * p["eta_B"] - p["x_P"]
-        w_y = v[..., 1, None] + sine * p["xi_B"] + cosine * p["eta_B"] - p["y_P"]
-        e_x, e_y = np.cos(p["beta"]), np.sin(p["beta"])
-        across = e_x * w_y - e_y * w_x
-        along = np.sqrt(p["l"] ** 2 - across**2)
-        alpha = atan2(across, along)
-        alpha = np.where(self.sign < 0.0, np.pi - alpha, alpha)
-        legs = (e_x * w_x + e_y * w_y - self.sign * along, alpha - p["phi0"], alpha + p["beta"] - phi - p["psi0"])
-        tool = np.broadcast_arrays(*self._place(p, v), v[..., 2])
-        return np.concatenate([*legs, np.stack(tool, axis=-1)], axis=-1)
-
-    def tool(self, parameters: Parameters, v: Any) -> Any:
-        return np.stack(np.broadcast_arrays(*self._place(parameters, v)), axis=-1)
-
-    def _place(self, p: Parameters, v: Any) -> tuple[Any, Any]:
-        cosine, sine = np.cos(v[..., 2]), np.sin(v[..., 2])
-        x, y = cosine * p["xi_V"] - sine * p["eta_V"], sine * p["xi_V"] + cosine * p["eta_V"]
-        return v[..., 0] + x, v[..., 1] + y
-
-
-def star_function(whole: SlidingPlatform | None = None) -> FunctionModel:
-    """Return Sliding Star, or another star, as a machine of one function."""
-    return FunctionModel("star", StarMachine(whole or sliding_star()))
 
 
 class PointOnLines(ReadingMachine):

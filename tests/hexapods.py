@@ -7,8 +7,6 @@ from pathlib import Path
 import numpy as np
 import studies
 
-from bayescal.data.simulation import build_twin, format_survey, simulate_survey
-from bayescal.experiments.simulation.load import load_simulation
 from bayescal.machines.mechanism import Mechanism
 from bayescal.machines.read import load_mechanism
 from bayescal.numerics.geometry import matrix_from_rotation_vector
@@ -25,10 +23,13 @@ SIMULATION = f"""
 kind = "simulation"
 name = "hexapod_twin"
 title = "Hexapod twin"
-origin = "Simulated for the tests, never measured"
 seed = 3
-mechanism = "mechanism.toml"
+machine = "mechanism.toml"
 model = "six_ups"
+
+[origin]
+status = "simulated"
+text = "Simulated for the tests, never measured"
 
 [truth]
 deformation_matrix = "deformation_matrix.csv"
@@ -63,10 +64,13 @@ kind = "study"
 name = "hexapod"
 title = "Tiny study of a hexapod"
 seed = 11
-mechanism = "mechanism.toml"
+machine = "mechanism.toml"
+
+[origin]
+status = "simulated"
+text = "for the tests"
 
 [data]
-origin = "Simulated for the tests, never measured"
 targets = "data/targets.csv"
 actuators = "data/actuators.csv"
 reference = "data/target_reference.csv"
@@ -125,7 +129,5 @@ def write_hexapod_study(folder: Path, name: str) -> Path:
     texts["mechanism.toml"] = (AUDIT / f"{name}_hexapod_mechanism.toml").read_text()
     texts["deformation_matrix.csv"] = "# none\n1,2,3,4,5,6\n" + "0,0,0,0,0,0\n" * 6
     studies.write_texts(folder, texts | {"simulate.toml": SIMULATION, "study.toml": STUDY})
-    config = load_simulation(folder / "simulate.toml")
-    survey = simulate_survey(build_twin(config, folder), np.random.default_rng(config.seed))
-    studies.write_texts(folder, {f"data/{file}": text for file, text in format_survey(survey, config.origin).items()})
+    studies.write_texts(folder / "data", studies.simulate(folder / "simulate.toml").files)
     return folder / "study.toml"

@@ -7,15 +7,14 @@ import shutil
 from pathlib import Path
 
 import numpy as np
-
-from bayescal.experiments.calibration.simulate import read_simulation, simulate
-from bayescal.experiments.frame.load import load
+import studies
 
 SHIPPED = Path(__file__).parents[1] / "experiments" / "m2_hexapod_table"
 LITTLE = {"walkers": "24", "burn_in": "4", "steps": "10", "ensembles": "4", "draws": "1000", "max_draws": "1000"}
 RAIL = """from typing import Any
 
 import numpy as np
+import studies
 
 from bayescal.machines.parameters import ParameterBlock
 from bayescal.machines.readings import Channel, Coordinate, ReadingMachine
@@ -32,7 +31,7 @@ class Rail(ReadingMachine):
         q = v[..., 0] + parameters["zero"] + moved + parameters["growth"] * given["temperature_c"]
         return np.stack(np.broadcast_arrays(q, v[..., 0]), axis=-1)
 """
-RAIL_STUDY = """kind = "calibration"
+RAIL_STUDY = """kind = "study"
 name = "rail"
 title = "A carriage on a rail"
 seed = 1
@@ -47,11 +46,11 @@ variants = [{ name = "all", title = "All" }]
 sampler = { ensembles = 4, walkers = 16, burn_in = 10, steps = 20 }
 evidence = { draws = 1000, max_draws = 1000 }
 """
-RAIL_TABLE = """kind = "lookup_table"
+RAIL_TABLE = """kind = "table"
 name = "rail_table"
 title = "A carriage on a rail by elevation and temperature"
 seed = 3
-calibration = "study.toml"
+study = "study.toml"
 axes = { elevation_deg = [0.0, 45.0, 90.0], temperature_c = [0.0, 20.0] }
 reference = { elevation_deg = 90.0, temperature_c = 10.0 }
 plan = { measurements = 3, poses = 2 }
@@ -100,10 +99,7 @@ def write_rail(folder: Path) -> Path:
 
 def write_data(folder: Path) -> None:
     """Simulate the data of a folder."""
-    (folder / "data").mkdir()
-    inputs = read_simulation(load(folder / "simulate.toml")[1], folder)
-    for name, text in simulate(inputs, np.random.default_rng(5)).files.items():
-        (folder / "data" / name).write_text(text)
+    studies.write_texts(folder / "data", studies.simulate(folder / "simulate.toml", seed=5).files)
 
 
 def change(path: Path, old: str, new: str) -> Path:

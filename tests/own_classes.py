@@ -147,16 +147,19 @@ free = ["l"]
 """
 
 SELECTION = """
-kind = "pose_selection"
+kind = "selection"
 name = "own"
 title = "Own criterion and method"
-origin = "Simulated for the tests; nothing was measured"
 seed = 5
-mechanism = "mechanism.toml"
-measured_by = ["tracker"]
+machine = "mechanism.toml"
+
+[origin]
+status = "simulated"
+text = "for the tests"
 
 [variant]
 model = "six_pus"
+sensors = ["tracker"]
 
 [parameters]
 b_x = { prior = "normal", sd = 0.5 }

@@ -11,7 +11,7 @@ import numpy as np
 
 from bayescal import Channel, Coordinate, ParameterBlock, ReadingMachine
 
-STUDY = """kind = "calibration"
+STUDY = """kind = "study"
 name = "planar_rrr"
 title = "A planar 3-RRR seen by a camera"
 seed = 1

@@ -19,7 +19,7 @@ from bayescal.density.calibration.terms import Errors, ErrorTerm
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior, Prior
 from bayescal.machines.parameters import ParameterBlock, ParameterLayout
-from bayescal.machines.readings import Channel, Coordinate, Given, ReadingModel, Readings, SlidingPlatform
+from bayescal.machines.readings import Channel, Coordinate, FunctionModel, Given, ReadingModel, Readings
 from bayescal.machines.readings.base import NOTHING
 from bayescal.numerics.units import ARCSECOND, MICROMETRE
 
@@ -33,7 +33,7 @@ class Tolerances(NamedTuple):
 
     def scale(self, model: ReadingModel, names: Iterable[str]) -> np.ndarray:
         """Return those of all parameters (D,): zero for what these sensors do not see, and for what defines frames."""
-        layout, free = model.layout, set(model.seen_parameters(names)) - set(model.frame_parameters())
+        layout, free = model.layout, set(model.seen_parameters(names)) - set(model.machine.frame_parameters())
         kinds = [name.partition("[")[0] for name in layout.names]
         angles = [self.zero if kind in ("phi0", "psi0") else self.angle for kind in kinds]
         scale = np.where(np.array(layout.units) == "mm", self.length, angles)
@@ -78,7 +78,7 @@ def small_posterior(
     names: Iterable[str],
     n_poses: int,
     seed: int,
-    model: SlidingPlatform | None = None,
+    model: FunctionModel | None = None,
     tolerances: Tolerances = TOLERANCES,
     common: Iterable[str] = (),
     terms: tuple[ErrorTerm, ...] = (),

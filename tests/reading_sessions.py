@@ -20,7 +20,7 @@ title = "A linear delta over three months"
 seed = 3
 study = "study.toml"
 variant = "{variant}"
-origin = "Simulated for the tests, never measured"
+origin = {{ status = "simulated", text = "for the tests" }}
 draws = 500
 
 [drift]

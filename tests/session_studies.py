@@ -9,9 +9,6 @@ from pathlib import Path
 import numpy as np
 import studies
 
-from bayescal.data.simulation import build_twin, format_survey, survey_twin
-from bayescal.experiments.simulation.load import load_simulation
-
 MOVED_UM = (0.0, 10.0, 60.0)
 LEG = 2
 WARM = (15.0, 20.0, 25.0)
@@ -23,10 +20,13 @@ kind = "study"
 name = "lengths"
 title = "Lengths alone"
 seed = 11
-mechanism = "mechanism.toml"
+machine = "mechanism.toml"
+
+[origin]
+status = "simulated"
+text = "for the tests"
 
 [data]
-origin = "Simulated for the tests, never measured"
 targets = "data/1/targets.csv"
 actuators = "data/1/actuators.csv"
 reference = "data/1/target_reference.csv"
@@ -57,7 +57,7 @@ title = "Sessions"
 seed = 3
 study = "study.toml"
 variant = "six_pus/none"
-origin = "Simulated for the tests, never measured"
+origin = { status = "simulated", text = "for the tests" }
 draws = 500
 
 [drift]
@@ -118,9 +118,8 @@ def _simulate(offsets: np.ndarray, seed: int) -> dict[str, str]:
         text = path.read_text().split("[truth]")[0] + "[truth.offsets]\nl = "
         text += str([float(x) for x in offsets]) + "\n\n[poses]" + path.read_text().split("[poses]")[1]
         path.write_text(text)
-        config = load_simulation(path)
-        survey, _ = survey_twin(build_twin(config, folder), np.random.default_rng(seed))
-        return format_survey(survey, config.origin)
+        files = studies.simulate(path, seed=seed).files
+        return {name: files[name] for name in studies.SURVEY}
 
 
 def copy_sessions(source: Path, folder: Path) -> Path:

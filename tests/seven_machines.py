@@ -9,14 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import calibrations
-import numpy as np
 import own_arm
 import studies
 
-from bayescal.data.simulation import build_twin, format_survey, simulate_survey
-from bayescal.experiments.calibration.simulate import read_simulation, simulate
-from bayescal.experiments.frame.load import load
-from bayescal.experiments.simulation.load import load_simulation
 from bayescal.files.csv_tables import read_table
 from bayescal.machines.kinematics import guess_home_pose
 from bayescal.machines.read import load_mechanism
@@ -59,9 +54,9 @@ text = "one machine drawn within its tolerances"
 [[data]]
 file = "data/readings.csv"
 """
-SIMULATION = """origin = "Simulated for the tests, never measured"
-machine = "machine.toml"
+SIMULATION = """machine = "machine.toml"
 n_poses = {n_poses}
+origin = {{ status = "simulated", text = "Simulated for the tests, never measured" }}
 """
 VARIANTS = """
 [[variants]]
@@ -111,7 +106,7 @@ ahead = 3
 """
 SESSIONS = """study = "study.toml"
 variant = "{variant}"
-origin = "Simulated for the tests, never measured"
+origin = {{ status = "simulated", text = "for the tests" }}
 draws = 1000
 
 [drift]
@@ -141,7 +136,7 @@ def _write_questions(
     folder: Path, variant: str, next_pose: str, drift: str, files: Mapping[str, Sequence[str]]
 ) -> None:
     """Write what is asked of a study: the next pose, two sessions of every second of its rows each, a table."""
-    _write(folder / "next.toml", "next_pose", next_pose)
+    (folder / "next.toml").write_text(f'name = "next_pose"\ntitle = "Tiny"\nseed = 1\n{next_pose}')
     text = SESSIONS.format(variant=variant, drift=drift)
     for half in (0, 1):
         text += f'\n[[sessions]]\nlabel = "{half + 1}"\nday = {30.0 * half}\n'
@@ -149,7 +144,7 @@ def _write_questions(
             halves = [_halve(folder / name, half) for name in names]
             text += f"{key} = {halves if key == 'readings' else halves[0]!r}\n".replace("'", '"')
     _write(folder / "sessions.toml", "sessions", text)
-    _write(folder / "table.toml", "lookup_table", TABLE.format(variant=variant))
+    _write(folder / "table.toml", "table", TABLE.format(variant=variant))
 
 
 def _halve(path: Path, half: int) -> str:
@@ -201,22 +196,21 @@ class Readings:
         known = f"\n[sensors]\n{self.sensors}\n\n[parameters]\n{self.parameters}\n{self.more}"
         _write(
             folder / "simulate.toml",
-            "calibration_simulation",
+            "simulation",
             SIMULATION.format(n_poses=self.n_poses) + self.given + known,
             seed=3,
         )
-        read = read_simulation(load(folder / "simulate.toml")[1], folder)
-        studies.write_texts(folder / "data", simulate(read, np.random.default_rng(3)).files)
+        studies.write_texts(folder / "data", studies.simulate(folder / "simulate.toml").files)
         _write(
             folder / "study.toml",
-            "calibration",
+            "study",
             STUDY + known + VARIANTS.format(few=self.few) + SAMPLER.format(steps=40),
         )
         keys = {"scale": 1e-4, "function": "scale_arcsec = 5.0"} if self.turns else {}
         together = TOGETHER.format(
             **{"own": self.own, "few": self.few, "scale": 0.01, "function": "scale_um = 5.0"} | keys
         )
-        _write(folder / "together.toml", "calibration", STUDY + known + together + SAMPLER.format(steps=6))
+        _write(folder / "together.toml", "study", STUDY + known + together + SAMPLER.format(steps=6))
 
 
 FIVE_BAR = '''"""A five-bar that grows with its temperature: two cranks turn, their couplers meet at the tool."""
@@ -404,9 +398,7 @@ def write_hexaglide(folder: Path) -> Written:
     shutil.copytree(studies.EXPERIMENTS / "hexaglide", folder)
     twin = folder / "simulate.toml"
     twin.write_text(re.sub(r"(?m)^(a_y|a_z|b_x|u_z) = .*\n", "", twin.read_text()))
-    config = load_simulation(twin)
-    survey = simulate_survey(build_twin(config, folder), np.random.default_rng(config.seed))
-    studies.write_texts(folder / "data", format_survey(survey, config.origin))
+    studies.write_texts(folder / "data", studies.simulate(twin).files)
     path = folder / "study.toml"
     text = path.read_text().replace('free = ["a_y", "a_z", "b_x", "l", "u_y", "u_z"]', 'free = ["l", "u_y"]')
     path.write_text(

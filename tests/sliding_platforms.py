@@ -7,32 +7,28 @@ from dataclasses import dataclass
 import numpy as np
 import studies
 
-from bayescal.machines.read import build_sliding_platform, read_sliding_platform
-from bayescal.machines.readings import SlidingPlatform
+from bayescal.machines.read import read_reading_model
+from bayescal.machines.readings import FunctionModel
 from bayescal.machines.readings.schema import SlidingPlatformConfig
-from bayescal.machines.readings.sliding_platform import matrix_of_angle
+from bayescal.machines.readings.sliding_platform import SlidingPlatform, matrix_of_angle
 
 STAR = studies.EXPERIMENTS / "sliding_star"
 SETS = {4: ("s",), 8: ("s", "phi"), 12: ("s", "phi", "psi")}
 
 
-def sliding_star() -> SlidingPlatform:
+def sliding_star() -> FunctionModel:
     """Return the shipped machine of four legs."""
-    return read_sliding_platform(STAR / "machine.toml")
+    model = read_reading_model(STAR / "machine.toml")
+    assert isinstance(model, FunctionModel)
+    return model
 
 
-def star_of(n_legs: int) -> SlidingPlatform:
+def star_of(n_legs: int) -> FunctionModel:
     """Return the same with another number of legs, a turn's n-th apart."""
-    around = 2 * np.pi * np.arange(n_legs) / n_legs
-    ring = np.stack([np.cos(around), np.sin(around)], axis=1)
-    first, second = 100.0 * ring[:2]
-    along = (second - first) / np.linalg.norm(second - first)
-    own = np.array([along, [-along[1], along[0]]])
-    points = (100.0 * ring - first) @ own.T
-    home = np.array([*first, np.arctan2(along[1], along[0])])
-    ahead = np.full(n_legs, True)
-    legs = np.full(n_legs, 800.0)
-    return SlidingPlatform("star", 600.0 * ring, around + np.pi / 2, legs, points, -own @ first, home, ahead)
+    content = make_content(n_legs)
+    for leg in content["legs"]:
+        leg |= {"length_mm": 800.0}
+    return build(content | {"tool": {"point_mm": [0.0, 0.0]}, "home": {"tool_mm": [0.0, 0.0], "angle_deg": 0.0}})
 
 
 def make_content(n_legs: int, points: str = "along", turn_deg: float = 0.0) -> dict:
@@ -53,16 +49,17 @@ def make_content(n_legs: int, points: str = "along", turn_deg: float = 0.0) -> d
     return {"kind": "sliding_platform", "name": "star", "legs": legs, "tool": {"point_mm": [5.0, 7.0]}, "home": home}
 
 
-def build(content: dict) -> SlidingPlatform:
+def build(content: dict) -> FunctionModel:
     """Return the machine of a config's content."""
-    return build_sliding_platform(SlidingPlatformConfig.model_validate(content))
+    return FunctionModel("star", SlidingPlatform(SlidingPlatformConfig.model_validate(content)))
 
 
-def poses_about_home(model: SlidingPlatform, displacement: np.ndarray) -> np.ndarray:
+def poses_about_home(model: FunctionModel, displacement: np.ndarray) -> np.ndarray:
     """Return poses (P, 3) from displacements of the tool's centre and angle from home (P, 3), mm and rad."""
-    angle = model.home[2] + displacement[:, 2]
-    home = model.home[:2] + matrix_of_angle(model.home[2:])[0] @ model.tool_point
-    origin = home + displacement[:, :2] - np.einsum("pij,j->pi", matrix_of_angle(angle), model.tool_point)
+    home, tool = model.home_pose, model.machine.tool_point
+    angle = home[2] + displacement[:, 2]
+    centre = home[:2] + matrix_of_angle(home[2:])[0] @ tool
+    origin = centre + displacement[:, :2] - np.einsum("pij,j->pi", matrix_of_angle(angle), tool)
     return np.column_stack([origin, angle])
 
 
@@ -84,10 +81,10 @@ class Workspace:
         """Volume that poses may lie in, mm² rad."""
         return float(np.prod(2 * self.width))
 
-    def draw(self, model: SlidingPlatform, rng: np.random.Generator) -> np.ndarray:
+    def draw(self, model: FunctionModel, rng: np.random.Generator) -> np.ndarray:
         """Return poses (P, 3) that the machine reaches."""
         pose = poses_about_home(model, self.width * rng.uniform(-1.0, 1.0, (self.n_poses, 3)))
-        model.check_poses(pose)
+        model.machine.check_poses(pose)
         return pose
 
 

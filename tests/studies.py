@@ -7,11 +7,9 @@ import shutil
 from functools import cache
 from pathlib import Path
 
-import numpy as np
-
-from bayescal.data.simulation import build_twin, format_survey, simulate_survey
 from bayescal.experiments.frame.load import load_experiment
-from bayescal.experiments.simulation.load import load_simulation
+from bayescal.experiments.frame.results import Results
+from bayescal.experiments.frame.run import compute_experiment
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.load import load_inputs
 from bayescal.machines.kinematics import STEP_TOLERANCE
@@ -22,6 +20,7 @@ CLAIMS = f"{EXPERIMENTS}/rr8096/claims.py:Rr8096"
 N_CALIBRATION = 13
 N_VERIFICATION = 3
 SEED = 20
+SURVEY = ("targets.csv", "actuators.csv", "target_reference.csv")
 
 NUMBER = re.compile(r"-?\d+\.\d+(?:e[+-]?\d+)?")
 PROGRESS = re.compile(r"[A-Za-z -]+: \d+ of \d+ done, \d+ s(, about \d+ s left)?(; .*)?")
@@ -30,10 +29,13 @@ SIMULATION = """
 kind = "simulation"
 name = "tiny_twin"
 title = "Tiny twin"
-origin = "Reconstructed: simulated for the tests, never measured"
 seed = 20
-mechanism = "mechanism.toml"
+machine = "mechanism.toml"
 model = "six_pus"
+
+[origin]
+status = "reconstructed"
+text = "Reconstructed: simulated for the tests, never measured"
 
 [truth]
 deformation_matrix = "deformation_matrix.csv"
@@ -67,10 +69,13 @@ kind = "study"
 name = "tiny"
 title = "Tiny study"
 seed = 11
-mechanism = "mechanism.toml"
+machine = "mechanism.toml"
+
+[origin]
+status = "simulated"
+text = "for the tests"
 
 [data]
-origin = "Reconstructed: simulated for the tests, never measured"
 targets = "data/targets.csv"
 actuators = "data/actuators.csv"
 reference = "data/target_reference.csv"
@@ -158,9 +163,8 @@ def tiny_survey_texts() -> dict[str, str]:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         write_texts(folder, tiny_texts())
-        config = load_simulation(folder / "simulate.toml")
-        survey = simulate_survey(build_twin(config, folder), np.random.default_rng(config.seed))
-    return {f"data/{name}": text for name, text in format_survey(survey, config.origin).items()}
+        files = simulate(folder / "simulate.toml").files
+    return {f"data/{name}": str(files[name]) for name in SURVEY}
 
 
 def write_texts(folder: Path, texts: dict[str, str]) -> None:
@@ -216,6 +220,12 @@ def snapshot(folder: Path) -> dict[str, bytes | None]:
         str(path.relative_to(folder)): path.read_bytes() if path.is_file() else None
         for path in sorted(folder.rglob("*"))
     }
+
+
+def simulate(path: Path, **changed: object) -> Results:
+    """Return what a config of a simulation, changed in some keys, gives: files by their names, and the truth."""
+    config = load_experiment(path).model_copy(update=changed)
+    return compute_experiment(config, path.parent)
 
 
 def assert_same_text(found: str, expected: str, name: str = "") -> None:

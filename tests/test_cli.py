@@ -19,11 +19,10 @@ import pytest
 import studies
 
 from bayescal.config.registry import list_references
-from bayescal.data.simulation import build_twin
 from bayescal.errors import NumericalError
 from bayescal.experiments.frame import run as frame
 from bayescal.experiments.frame.load import load_experiment
-from bayescal.experiments.simulation.load import load_simulation
+from bayescal.experiments.simulation.twin import build_twin
 from bayescal.experiments.study import compute
 from bayescal.files.csv_tables import read_table
 from bayescal.machines.kinematics import solve_forward_kinematics
@@ -89,7 +88,7 @@ def finished(tmp_path_factory) -> Path:
 
 def start(*arguments: object, cwd: Path) -> subprocess.Popen[str]:
     """Start the command line as a process of its own, in pipes."""
-    command = [sys.executable, "-m", "bayescal.cli", *map(str, arguments)]
+    command = [sys.executable, "-m", "bayescal", *map(str, arguments)]
     return subprocess.Popen(
         command,
         cwd=cwd,
@@ -159,7 +158,7 @@ def test_wrong_usage(refuse, study, arguments, expected):
 @pytest.mark.parametrize(
     ("name", "old", "new", "expected"),
     [
-        ("study.toml", "target_noise_um", "target_noise_mm", "study.toml, line 13: data.target_noise_mm: unknown key"),
+        ("study.toml", "target_noise_um", "target_noise_mm", "study.toml, line 16: data.target_noise_mm: unknown key"),
         ("study.toml", "seed = 11", 'seed = "11"', "study.toml, line 5: seed: found '11', expected a valid integer"),
         ("study.toml", "seed = 11", '"a\\nb" = 11', "unknown key"),
         ("study.toml", "[data]", "[data", "study.toml: not valid TOML"),
@@ -190,7 +189,7 @@ def test_missing_config(refuse, study):
 
 
 def test_kind_of_another_command(refuse, study):
-    assert "kind: found 'study', expected a kind that simulates data" in refuse("simulate", study, "--out", "x")
+    assert "kind: found 'study', expected 'simulation'" in refuse("simulate", study, "--out", "x")
     for path, kind in ((study, "study"), ("simulate.toml", "simulation")):
         assert f"kind: found {kind!r}, expected 'audit'" in refuse("audit", path)
     studies.edit(Path(study), 'kind = "study"', 'kind = "mechanism"')
@@ -424,7 +423,7 @@ def test_poses_match_the_true_ones(call, study, to_file):
         Path("new/poses.csv").write_text(out)
     table = read_table(Path("new/poses.csv"), None)
     position = table.numbers(("x_mm", "y_mm", "z_mm"))
-    config = load_simulation(Path("simulate.toml"))
+    config = load_experiment(Path("simulate.toml"))
     twin = build_twin(config, Path())
     travel = np.concatenate([twin.calibration, twin.verification])
     truth = solve_forward_kinematics(twin.machine, twin.theta, twin.mechanism.initial_actuator_positions + travel)
@@ -432,7 +431,7 @@ def test_poses_match_the_true_ones(call, study, to_file):
     # the covariance leaves out the actuators' 1 µm, which moves the truth by some µm
     sd = 1e-3 * np.sqrt(table.numbers(("cov_x_x", "cov_y_y", "cov_z_z")))
     assert (np.abs(position - truth.position) < 5 * np.hypot(sd, 0.005)).all()
-    assert "Reconstructed" in Path("new/poses.csv").read_text().splitlines()[0]
+    assert "Simulated, never measured" in Path("new/poses.csv").read_text().splitlines()[0]
 
 
 def test_method_of_poses(call, refuse, study):
@@ -472,8 +471,8 @@ def test_report_of_what_is_no_results_directory(refuse, study):
             '{"kind": "simulation", "tables": {}, "versions": {"bayescal": "0.0.1"}}',
             "found results of bayescal 0.0.1 (KeyError: 'n_poses'), expected those of",
         ),
-        ('{"kind": "pose_selection", "tables": {}}', "found a config in its provenance that is none"),
-        ('{"kind": "pose_selection", "tables": {}, "config": 1}', "found damaged results (TypeError: "),
+        ('{"kind": "selection", "tables": {}}', "found a config in its provenance that is none"),
+        ('{"kind": "selection", "tables": {}, "config": 1}', "found damaged results (AttributeError: "),
     ],
 )
 def test_report_of_results_that_no_experiment_wrote(refuse, tmp_path, provenance, expected):

@@ -15,7 +15,8 @@ import xarray as xr
 
 import bayescal
 from bayescal.errors import InputError
-from bayescal.experiments.frame.results import Results
+from bayescal.experiments.frame.results import Results, read_results
+from bayescal.loaded import Audit, LoadedResults
 
 RESULTS = Path(__file__).parents[1] / "results"
 
@@ -38,7 +39,7 @@ def audit():
     folder = RESULTS / "audit_m2_hexapod"
     summary, provenance = (json.loads((folder / name).read_text()) for name in ("summary.json", "provenance.json"))
     table = pd.read_csv(folder / "tables" / "parameters.csv")
-    return bayescal.Audit(Results(summary, {"parameters": table}, {}, provenance, folder))
+    return Audit(Results(summary, {"parameters": table}, {}, provenance, folder))
 
 
 def test_a_study_has_variants_tables_and_predictions(study):
@@ -65,9 +66,20 @@ def test_results_show_themselves(study, audit):
     assert study.summary["headline"].split(";")[0][:40] in html
     assert html.count("<table") == 1
     assert "stiffness/matrix" in html
-    assert study.results._repr_html_().count("<table") == 1
+    assert "stiffness/matrix" in repr(study)
     assert "posterior_sd" in audit._repr_html_()
-    assert "&lt;" in bayescal.StudyResult(Results({"title": "a < b"}))._repr_html_()
+    assert "&lt;" in LoadedResults(Results({"title": "a < b"}))._repr_html_()
+
+
+def test_evidences_of_other_data_are_not_ranked_beside():
+    hangprinter = bayescal.StudyResult(read_results(RESULTS / "hangprinter"))
+    lead, other = hangprinter.summary["rankings"]
+    assert hangprinter.variants == lead + other
+    assert hangprinter.ranking["log_evidence"].idxmax() in other
+    said = repr(hangprinter)
+    assert lead[1] in said
+    assert other[1] not in said
+    assert f"standard uncertainty of the tool, '{lead[0]}'" in said
 
 
 def test_plots_return_axes(study, audit):

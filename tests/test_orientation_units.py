@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from bayescal.data.schema import PoseInstrumentConfig
 from bayescal.experiments.shared.schema import PoseSensorConfig
-from bayescal.experiments.study.schema import PoseDataConfig
+from bayescal.experiments.shared.study_schema import PoseDataConfig
+from bayescal.experiments.simulation.schema import PoseInstrumentConfig
 
 SECTIONS = {
     PoseSensorConfig: {"kind": "pose"},

@@ -119,7 +119,7 @@ def test_python_snippet_runs(tmp_path, monkeypatch):
     """The example from Python, without its long middle part: running the whole study."""
     text = (DOCS / "howto" / "python.md").read_text()
     code = re.findall(r"```python\n(.*?)```", text, re.DOTALL)[1]
-    lines = [line for line in code.splitlines() if "run_study(" not in line and "result." not in line]
+    lines = [line for line in code.splitlines() if "run_experiment(" not in line]
     monkeypatch.chdir(ROOT)
     namespace: dict = {}
     exec("\n".join(lines), namespace)

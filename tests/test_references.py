@@ -54,6 +54,11 @@ def test_given_examples_are_valid_and_needed(keys, examples):
     assert not given
 
 
+def test_every_page_is_written(examples):
+    for title, text, schema in references.list_schemas().values():
+        assert f"# {title}" in references.write_page(title, text, schema, examples)
+
+
 def test_a_page_of_a_kind_has_its_keys(examples):
     _, _, schema = references.list_schemas()["kind_study"]
     page = references.write_page("study", "", schema, examples)

@@ -17,7 +17,7 @@ SMALL = {
         **{"candidates": "150", "list_length": "5", "iterations": "3", "verification_poses": "7", "repeats": "4"},
         **{"selections": "2", "parameter_sets": "3", "noise_draws": "4"},
     },
-    "pose_selection": {
+    "selection": {
         **{"repeats": "2", "iterations": "5", "n_sets": "20", "max_iterations": "5", "list_length": "10"},
         **{"count": "150", "poses": "14", "machines": "4"},
     },
@@ -25,16 +25,16 @@ SMALL = {
         **{"calibrations": "6", "verification_poses": "5", "n_poses": "20", "count": "3"},
         "angle_noise_arcsec": "[0.5, 2.0]",
     },
-    "calibration_audit": {"count": "12", "exhaustive": "0"},
-    "calibration": {"walkers": "24", "burn_in": "3", "steps": "6", "max_draws": "2000", "folds": "2"}
+    "study of tables": {"walkers": "24", "burn_in": "3", "steps": "6", "max_draws": "2000", "folds": "2"}
     | {"draws": "1000"},
     "sessions": {"draws": "500", "per_leg": "false"},
-    "audit": {"simulated_calibrations": "4", "expected_over_draws": "3", "draws": "2000"},
+    "audit": {"simulated_calibrations": "4", "expected_over_draws": "3", "draws": "2000"}
+    | {"count": "12", "exhaustive": "0"},
 }
 """By kind of experiment, what stands after the names of its keys in place of what is shipped."""
 
 REPLACED: dict[str, tuple[tuple[str, str], ...]] = {
-    "pose_selection": ((r"(?m)^n_poses = \[(\d+).*$", r"n_poses = [\1]"),),
+    "selection": ((r"(?m)^n_poses = \[(\d+).*$", r"n_poses = [\1]"),),
     "kind.py:HexapodCalibrations": ((r"(?m)^poses = \[.*$", "poses = [12, 24]"),),
 }
 """What is replaced besides, as regular expressions."""

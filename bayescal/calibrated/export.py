@@ -27,6 +27,12 @@ def export_machine(calibrated: CalibratedMachine, folder: Path, name: str | None
     ------
     InputError
         For an unknown format or one that cannot have the machine; nothing is written then.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> sorted(path.name for path in bc.export_machine(calibrated, Path("machines/delta"), "csv"))
+    [...'covariance.csv'...]
     """
     files = look_up(FORMATS, name or choose_format(calibrated), "--format", Path())(calibrated) | list_posterior_files(
         calibrated

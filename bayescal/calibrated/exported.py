@@ -212,10 +212,7 @@ def list_posterior_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
 
 def _format_parameters(calibrated: CalibratedMachine) -> str:
     layout, known = calibrated.model.layout, calibrated.covariance is not None
-    sd = np.zeros(layout.size)
-    if calibrated.covariance is not None:
-        sd[calibrated.free] = np.sqrt(np.diagonal(calibrated.covariance))
-    columns = zip(layout.names, layout.units, calibrated.theta, sd, strict=True)
+    columns = zip(layout.names, layout.units, calibrated.theta, calibrated.sd, strict=True)
     rows = [(name, unit, repr(float(value)), repr(float(s)) if known else "") for name, unit, value, s in columns]
     return format_table(calibrated.source.describe(), ["parameter", "unit", "mean", "sd"], rows)
 
@@ -260,7 +257,8 @@ def read_exported(folder: Path, trust: bool = False) -> CalibratedMachine:
         For anything at fault in its files.
     """
     path = folder / CALIBRATED
-    config = check_section(ExportedConfig, *_with_path(path))
+    content, text = read_toml(path)
+    config = check_section(ExportedConfig, content, path, text)
     if (config.mechanism is None) == (config.machine is None):
         raise InputError(f"{path}: found both or none of mechanism and machine, expected one of them")
     model = (
@@ -335,11 +333,6 @@ def _read_large(path: Path, cells: list[str]) -> Array:
     if not np.isfinite(found).all():
         raise InputError(f"{path}: found a number that is not finite, expected finite ones")
     return found
-
-
-def _with_path(path: Path) -> tuple[dict[str, object], Path, str]:
-    content, text = read_toml(path)
-    return content, path, text
 
 
 def _read_errors(config: ErrorsConfig, folder: Path, model: ReadingModel, theta: Array) -> Errors:

@@ -15,19 +15,25 @@ from bayescal.config.classes import CLASS
 from bayescal.config.load import read_toml
 from bayescal.config.registry import list_references
 from bayescal.config.trust import check_same, check_trust
-from bayescal.machines.read import READERS, list_machine_sources, read_reading_model
+from bayescal.machines.read import LEGS, list_machine_sources, read_reading_model
 from bayescal.machines.readings import ReadingModel
 
 
-def keep_machines(paths: Iterable[Path]) -> tuple[dict[str, bytes], dict[Path, str]]:
-    """Return the files that machines are read from, by names in one folder, and each machine's own name there."""
+def keep_machines(
+    paths: Iterable[Path], others: Iterable[Path] = (), folder: Path | None = None
+) -> tuple[dict[str, bytes], dict[Path, str]]:
+    """Return the files that machines are read from, by names in one folder, and each machine's own name there.
+
+    Other files are kept beside them, and where a ``folder`` is given it has a place there, too.
+    """
     machines = {path: path.resolve() for path in paths}
-    every = dict.fromkeys(machines.values())
+    every = dict.fromkeys([*machines.values(), *(one.resolve() for one in others)])
     for path in machines:
         every |= dict.fromkeys((path.parent / one).resolve() for one in list_machine_sources(path))
-    root = Path(os.path.commonpath([one.parent for one in every]))
+    known = machines if folder is None else machines | {folder: folder.resolve()}
+    root = Path(os.path.commonpath([*(one.parent for one in every), *(known[folder] for _ in [folder] if folder)]))
     files = {one.relative_to(root).as_posix(): one.read_bytes() for one in every}
-    return files, {path: one.relative_to(root).as_posix() for path, one in machines.items()}
+    return files, {path: one.relative_to(root).as_posix() for path, one in known.items()}
 
 
 def read_kept(path: Path, trust: bool, known: Collection[str] | None = None) -> ReadingModel:
@@ -58,7 +64,7 @@ def _list_own_classes(path: Path) -> list[str]:
     """Return the names of classes in a machine's file that are neither built in nor an installed package's."""
     content = read_toml(path)[0]
     named = [("MACHINES", content.get("kind"))]
-    if content.get("kind") in READERS:
+    if content.get("kind") == LEGS:
         named = [("MODELS", content.get("model")), ("DEFORMATIONS", content.get("deformation"))]
     found = [(what, one.get(CLASS) if isinstance(one, dict) else one) for what, one in named]
     return [one for what, one in found if isinstance(one, str) and one not in list_references(what)]

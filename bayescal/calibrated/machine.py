@@ -16,7 +16,7 @@ from bayescal.calibrated.settle import express_parameters, find_hindrance, settl
 from bayescal.density.calibration.measurements import Comparison
 from bayescal.errors import InputError
 from bayescal.machines.kinematics import Machine
-from bayescal.machines.readings import Legs, ReadingModel
+from bayescal.machines.readings import Channel, Legs, ReadingModel
 from bayescal.machines.readings.base import NOTHING, Given
 from bayescal.machines.readings.legs import divide_closure
 from bayescal.numerics.geometry import Array, matrix_from_rotation_vector
@@ -185,6 +185,11 @@ class CalibratedMachine:
         That file and the code of a class of its own, by their names.
     noise : ndarray, shape (K,), or None
         Of each channel as the calibration found it; NaN where that is not known. None where nothing is.
+
+    Examples
+    --------
+    >>> isinstance(study.best.machine, bc.CalibratedMachine), study.best.machine.names[:2]
+    (True, ('x[1]', 'x[2]'))
     """
 
     model: ReadingModel
@@ -219,6 +224,19 @@ class CalibratedMachine:
         return self.model.select(self.model.commanded)
 
     @cached_property
+    def command_channels(self) -> tuple[Channel, ...]:
+        """The commanded channels."""
+        return tuple(self.model.channels[k] for k in self.commanded)
+
+    @cached_property
+    def sd(self) -> Array:
+        """Standard deviation of each parameter by the posterior, (D,); zero of those that are known, or if none is."""
+        sd = np.zeros(len(self.theta))
+        if self.covariance is not None:
+            sd[self.free] = np.sqrt(np.diagonal(self.covariance))
+        return sd
+
+    @cached_property
     def weights(self) -> Array:
         """One over the standard deviation of each command's errors, shape (C,); alike where there are none."""
         variance = np.diagonal(self.errors.noise) + self.errors.model_variance
@@ -238,11 +256,6 @@ class CalibratedMachine:
     def names(self) -> tuple[str, ...]:
         """Names of the uncertain parameters."""
         return tuple(self.model.layout.names[k] for k in self.free)
-
-    @property
-    def is_settled(self) -> bool:
-        """Whether its geometry is the nominal one of its mechanism."""
-        return bool(np.array_equal(self.theta, self.model.layout.nominal))
 
     def typical(self, n: int) -> dict[str, Array]:
         """Return what a pose has to know besides, n times the median of the poses that calibrated it.

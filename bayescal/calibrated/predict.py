@@ -215,9 +215,16 @@ def predict_poses(calibrated: CalibratedMachine, commands: Array, given: Given =
     ------
     InputError
         For another shape, something missing of what is given, and a machine whose commands do not tell its pose.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> found = bc.predict_poses(calibrated, np.array([[250.0, 250.0, 250.0]]))
+    >>> found.tool.shape, found.covariance.shape
+    ((1, 3), (1, 3, 3))
     """
     check_determined(calibrated)
-    check_shape(commands, [one.name for one in _list_commanded(calibrated)], "commands")
+    check_shape(commands, [one.name for one in calibrated.command_channels], "commands")
     _check_given(calibrated, given, len(commands))
     curved = find_curved(calibrated)
     parts = [_predict_some(calibrated, commands[part], _pick(given, part), curved) for part in split(len(commands))]
@@ -295,6 +302,11 @@ def command_poses(
     ------
     InputError
         For another shape, and a tool that does not tell the machine's coordinates.
+
+    Examples
+    --------
+    >>> bc.command_poses(calibrated, found.tool).commands.round(6)
+    array([[250., 250., 250.]])
     """
     model = calibrated.model
     coordinates = coordinates or is_pose(calibrated)
@@ -513,10 +525,6 @@ def invert(slopes: Array, good: np.ndarray, scale: Array) -> Array:
     with_scale = slopes * scale
     inverse = np.linalg.pinv(np.where(usable[:, None, None], with_scale, np.eye(*slopes.shape[1:])))
     return np.where(usable[:, None, None], scale[:, None] * inverse, np.nan)
-
-
-def _list_commanded(calibrated: CalibratedMachine) -> list[Channel]:
-    return [calibrated.model.channels[k] for k in calibrated.commanded]
 
 
 def check_shape(values: Array, names: list[str], what: str) -> None:

@@ -128,7 +128,7 @@ def read_commanded(path: Path, calibrated: CalibratedMachine) -> Commanded:
     upper, lower = name_covariances([one.name for one in model.pose_channels])
     of_tool, _ = name_covariances([f"{TOOL}{one.stem}" for one in model.tool_channels])
     sds = [*(f"sd_{one}" for one in pose), *_name_sd(model.pose_channels)]
-    others = ("use", *sds, *upper, *lower, *of_tool, *list_columns(list_commanded(calibrated)))
+    others = ("use", *sds, *upper, *lower, *of_tool, *list_columns(calibrated.command_channels))
     expected = [name_column(one) for one in model.pose_channels]
     expected += [f"or {', '.join(TOOL + name_column(one) for one in model.tool_channels)}"] if tool else []
     table, names = read_named(path, [*pose, *tool, *model.given, *others], [*expected, *model.given])
@@ -143,7 +143,7 @@ def read_commanded(path: Path, calibrated: CalibratedMachine) -> Commanded:
 
 def read_commands(path: Path, calibrated: CalibratedMachine) -> tuple[tuple[str, ...], Array, dict[str, Array]]:
     """Return names (P), commands (P, C) in the channels' units and what is given; InputError where out of range."""
-    model, channels = calibrated.model, list_commanded(calibrated)
+    model, channels = calibrated.model, calibrated.command_channels
     others = ("use", REACHED, *_name_sd(channels))
     expected = [name_column(one) for one in channels]
     table, names = read_named(path, [*list_columns(channels), *model.given, *others], [*expected, *model.given])
@@ -153,11 +153,6 @@ def read_commands(path: Path, calibrated: CalibratedMachine) -> tuple[tuple[str,
             mechanism = model.machine.mechanism
             check_range(commands, mechanism.initial_actuator_positions, mechanism.actuator_range, names)
     return names, commands, read_given(table, model.given)
-
-
-def list_commanded(calibrated: CalibratedMachine) -> list[Channel]:
-    """Return the commanded channels."""
-    return [calibrated.model.channels[k] for k in calibrated.commanded]
 
 
 def check_reached(commanded: Commanded, command: Command) -> None:
@@ -192,9 +187,8 @@ def format_command(
     calibrated: CalibratedMachine, names: Sequence[str], command: Command, given: Mapping[str, Array]
 ) -> str:
     """Return commands as CSV text, with standard deviations, and which poses are out of reach."""
-    channels = list_commanded(calibrated)
-    fine = np.array([FINE.get(one.unit, ("", 1.0))[1] for one in channels])
-    sd = np.full(command.commands.shape, np.nan) if command.sd is None else command.sd * fine
+    channels = calibrated.command_channels
+    sd = np.full(command.commands.shape, np.nan) if command.sd is None else command.sd * _fine(channels)
     known = [[repr(float(x)) for x in row] for row in zip(*given.values(), strict=True)] or [[]] * len(names)
     rows = [
         (name, _quote(fault) or "yes", *own, *_format_cells(value, ".9f", fault), *_format_cells(spread, ".6g", fault))

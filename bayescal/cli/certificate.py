@@ -48,7 +48,7 @@ def certificate(
     trust: Trust = False,
 ) -> None:
     """Certify how sure the poses of a calibrated machine are: budget, expanded uncertainty, ISO figures."""
-    from bayescal.api import load_calibrated
+    from bayescal.experiments.shared.calibrating import load_calibrated
     from bayescal.experiments.shared.certificate_page import build_certificate, state_headline
     from bayescal.experiments.shared.certify import Wishes, certify
     from bayescal.report.page import render_page

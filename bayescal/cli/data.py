@@ -22,14 +22,11 @@ def simulate(
 ) -> None:
     """Simulate photogrammetry, an instrument's or a machine's own readings; the config states the truth."""
     del no_plugins
-    from bayescal.experiments.frame.load import load
+    from bayescal.experiments.frame.load import load_kind
     from bayescal.experiments.frame.run import compute_experiment
-    from bayescal.experiments.shared.simulated_data import SimulatedData
     from bayescal.files.atomic import check_writable, make_directory, write_atomically
 
-    experiment, loaded = load(config)
-    if not isinstance(experiment, SimulatedData):
-        raise InputError(f"{config}: kind: found {loaded.kind!r}, expected a kind that simulates data")
+    loaded = load_kind(config, "simulation")
     check_writable(out)
     if seed is not None:
         loaded = loaded.model_copy(update={"seed": seed})
@@ -58,8 +55,9 @@ def poses_from_targets(
 
     config = load_kind(experiment, "study")
     check_out(out)
-    if config.data.measurement != "targets":
-        raise InputError(f"{experiment}: data.measurement: found {config.data.measurement!r}, expected 'targets'")
+    found = "tables of readings" if config.by_tables else config.measured.measurement
+    if found != "targets":
+        raise InputError(f"{experiment}: data.measurement: found {found!r}, expected 'targets'")
     if method is not None:
         look_up(METHODS, method, "--method", experiment)
         config = config.model_copy(update={"data": config.data.model_copy(update={"pose_method": method})})

@@ -42,7 +42,8 @@ def export(
     trust: Trust = False,
 ) -> None:
     """Write the machine as calibrated, with covariance and draws, as files for the next tool."""
-    from bayescal.api import export_machine, load_calibrated
+    from bayescal.calibrated.export import export_machine
+    from bayescal.experiments.shared.calibrating import load_calibrated
     from bayescal.files.atomic import check_writable
 
     calibrated = load_calibrated(results, variant, experiment, force, trust)
@@ -67,8 +68,9 @@ def command(
     trust: Trust = False,
 ) -> None:
     """Compute the commands (actuator positions) that hold poses, and their uncertainty."""
-    from bayescal.api import command_poses, load_calibrated
+    from bayescal.calibrated.predict import command_poses
     from bayescal.calibrated.tables import check_reached, format_command, read_commanded
+    from bayescal.experiments.shared.calibrating import load_calibrated
 
     calibrated = load_calibrated(results, variant, experiment, force, trust)
     check_out(out)
@@ -97,8 +99,9 @@ def predict(
     """Predict where the machine and its tool are at commands (actuator positions), with their covariance."""
     import numpy as np
 
-    from bayescal.api import draw_poses, load_calibrated, predict_poses
+    from bayescal.calibrated.predict import draw_poses, predict_poses
     from bayescal.calibrated.tables import check_found, format_draws, format_prediction, read_commands
+    from bayescal.experiments.shared.calibrating import load_calibrated
 
     calibrated = load_calibrated(results, variant, experiment, force, trust)
     check_out(out)

@@ -9,25 +9,22 @@ import typer
 
 from bayescal.cli.app import app
 from bayescal.cli.options import RunOptions, spread_options
-from bayescal.cli.run import run_file
-from bayescal.errors import InputError
+from bayescal.cli.run import run_config
 
 
 @app.command("next", epilog="Example: bayescal next experiments/m2_hexapod/next.toml")
 @spread_options
 def next_pose(
-    question: Annotated[
-        Path, typer.Argument(metavar="NEXT.toml", help="Study, workspace, requirements and poses to choose from.")
+    study: Annotated[
+        Path, typer.Argument(metavar="STUDY.toml", help="Config of the study, or a file that names it and asks more.")
     ],
     options: RunOptions,
+    variant: Annotated[list[str] | None, typer.Option(help="Variant that may be right; default all.")] = None,
+    require: Annotated[
+        list[str] | None, typer.Option(metavar="NAME=VALUE", help="Largest error of the tool allowed, mm or degrees.")
+    ] = None,
 ) -> None:
     """Tell after the poses measured so far which one to measure next, what it will bring, and whether to stop."""
-    from bayescal.experiments.frame.load import load
+    from bayescal.experiments.next.kind import configure_next
 
-    found = load(question)[1].kind
-    if found == "study":
-        raise InputError(
-            f"{question}: kind: found 'study', expected 'next_pose', a file of its own with study = "
-            f'"{question.name}", [workspace] and [requirements]'
-        )
-    run_file(question, "next_pose", options)
+    run_config(configure_next(study, variant or [], require or [], options.seed), study, options)

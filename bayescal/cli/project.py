@@ -20,17 +20,16 @@ def validate(experiment: Experiment, no_plugins: NoPlugins = False) -> None:
     """Find everything at fault in a config and its files without computing, and say what a run would do."""
     del no_plugins
     from bayescal.experiments.frame.run import check_file
-    from bayescal.experiments.shared.simulated_data import SimulatedData
     from bayescal.files.plain_text import add_article
 
-    kind, config, files, outlook, doubts = check_file(experiment)
+    _, config, files, outlook, doubts = check_file(experiment)
     typer.echo(f"{experiment}: fit to run, {add_article(config.kind)} {config.name!r} ({config.title})")
     for line in outlook:
         typer.echo(line)
     for doubt in doubts:
         typer.echo(f"but {doubt}")
     typer.echo(f"{len(files)} files belong to it: {', '.join(files)}" if files else "no other file belongs to it")
-    command = "simulate" if isinstance(kind, SimulatedData) else "run"
+    command = "simulate" if config.kind == "simulation" else "run"
     typer.echo(f"next: bayescal {command} {experiment}, into results/{config.name}")
 
 

@@ -71,12 +71,12 @@ def recheck(
     trust: Trust = False,
 ) -> None:
     """Name the fewest poses that show whether a calibration still holds, or judge what was read at them."""
-    from bayescal.api import load_calibrated
     from bayescal.calibrated.recheck.judge import judge_recheck
     from bayescal.calibrated.recheck.plan import list_candidates, plan_recheck
     from bayescal.calibrated.recheck.statistics import choose_suspects
     from bayescal.calibrated.recheck.tables import describe_plan, describe_recheck, expect_readings, format_plan
     from bayescal.calibrated.tables import read_commands
+    from bayescal.experiments.shared.calibrating import load_calibrated
     from bayescal.machines.readings import Legs
 
     orientation_arcsec = _choose_arcseconds(orientation_arcsec, orientation_urad)
@@ -142,10 +142,7 @@ def _demand(
                 )
             return Demand(np.full(len(suspects.names), size * value), power, false_alarm, sessions)
     in_sd = DEFAULT_SD if in_sd is None else in_sd
-    sd = np.zeros(len(calibrated.theta))
-    assert calibrated.covariance is not None
-    sd[calibrated.free] = np.sqrt(np.diagonal(calibrated.covariance))
-    known = sd[suspects.places]
+    known = calibrated.sd[suspects.places]
     for name in np.array(suspects.names)[known <= 0.0][:1]:
         raise InputError(
             f"recheck: found {name}, which is no free parameter, expected --shift-um or --shift-arcsec for it"

@@ -22,6 +22,6 @@ def table(
     """Tell what actuators have to do by elevation, temperature and the like: `bayescal run` of a look-up table."""
     from bayescal.experiments.frame.load import load_kind
 
-    found = load_kind(config, "lookup_table")
+    found = load_kind(config, "table")
     changed = {} if options.seed is None else {"seed": options.seed}
     run_config(found.model_copy(update={**changed, **({"force": True} if force else {})}), config, options)

@@ -89,7 +89,8 @@ def _choose_faults(error: ValidationError) -> list[Any]:
     Places inside of one another are one place, seen by several branches of a union.
     """
     rank = {"extra_forbidden": -1, "list_type": 1}
-    faults = sorted(error.errors(), key=lambda one: (rank.get(one["type"], 0), -len(_keys_of(one["loc"]))))
+    told = [one for one in error.errors() if one["type"] != "default_factory_not_called"]  # for another field's fault
+    faults = sorted(told, key=lambda one: (rank.get(one["type"], 0), -len(_keys_of(one["loc"]))))
     chosen: dict[tuple[int | str, ...], Any] = {}
     for fault in faults:
         place = tuple(_keys_of(fault["loc"]))
@@ -105,8 +106,10 @@ def _describe(fault: Any, schema: type[Section], path: Path, text: str) -> str:
     line = find_line(text, location[:-1] if fault["type"] == "missing" else location)
     where = f"{path}, line {line}: {field}" if line else f"{path}: {field}"
     if fault["type"] == "extra_forbidden":
-        known = _known_keys(schema, _keys_of(fault["loc"], tags=True)[:-1])
-        return f"{where}: {describe_unknown_key(known, str(location[-1]))}"
+        sections, key = _find_sections(schema, _keys_of(fault["loc"], tags=True)[:-1]), str(location[-1])
+        for successor in (one.gone[key] for one in sections if issubclass(one, Section) and key in one.gone):
+            return f"{where}: key is gone, expected {successor}"
+        return f"{where}: {describe_unknown_key(sorted({k for one in sections for k in one.model_fields}), key)}"
     message = fault["msg"].removeprefix("Value error, ")
     if fault["type"] == "missing":
         return f"{where}: missing, expected a value"
@@ -134,13 +137,12 @@ def _short(value: object) -> str:
     return text if len(text) < 60 else text[:57] + "..."
 
 
-def _known_keys(schema: Any, location: list[Any]) -> list[str]:
-    """Return the keys of the section at a location, looking through lists, unions and dictionaries."""
+def _find_sections(schema: Any, location: list[Any]) -> list[type[BaseModel]]:
+    """Return the sections that may stand at a location, looking through lists, unions and dictionaries."""
     found = [schema]
     for part in location:
         found = [inner for kind in found for inner in _step(kind, part)]
-    keys = {key for kind in found for model in _models(kind) for key in model.model_fields}
-    return sorted(keys)
+    return [model for kind in found for model in _models(kind)]
 
 
 def _step(kind: Any, part: Any) -> list[Any]:

@@ -55,6 +55,7 @@ class Registry:
 _MACHINES, _POSES = "bayescal.machines", "bayescal.pose_selection"
 REGISTRIES = {
     "KINDS": Registry(("bayescal.experiments",), "bayescal.kinds", "bayescal.experiments.frame.experiment:Experiment"),
+    "BLOCKS": Registry((), "bayescal.blocks", "bayescal.experiments.frame.blocks:PageBlock"),
     "CLAIMS": Registry(("bayescal.experiments",), "bayescal.claims", "bayescal.experiments.study.claims:Claims"),
     "MACHINES": Registry((f"{_MACHINES}.readings",), "bayescal.machines", f"{_MACHINES}.readings:ReadingMachine"),
     "INSTRUMENTS": Registry(

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat, ValidationInfo, field_validator
 
@@ -51,7 +51,23 @@ InputFile = Annotated[str, FileMark()]
 
 
 class Section(BaseModel):
-    """A table of a config: unknown keys and wrong types are errors; docstrings of its fields describe the keys."""
+    """A table of a config: unknown keys and wrong types are errors; docstrings of its fields describe the keys.
+
+    Attributes
+    ----------
+    gone : mapping of str to str
+        Keys that are no more, and what replaces each, as the message says it.
+
+    Examples
+    --------
+    >>> class RodConfig(bc.Section):
+    ...     length_mm: float
+    ...     '''Between the centres of its joints.'''
+    >>> RodConfig(length_mm=120.0)
+    RodConfig(length_mm=120.0)
+    """
+
+    gone: ClassVar[Mapping[str, str]] = {}
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, use_attribute_docstrings=True)
 
@@ -97,3 +113,5 @@ class ExperimentConfig(Section):
     """Headline of the page."""
     seed: Annotated[int, Field(ge=0, le=LARGEST_SEED)]
     """Seed of all random numbers: the same seed gives the same results."""
+    blocks: list[str] = Field(default=[], exclude_if=lambda value: not value)
+    """Blocks of one's own that the page has besides, each `file.py:Class`."""

@@ -19,6 +19,33 @@ EDGE = 1e-3  # how near to a bound, by the width of a uniform prior, a machine k
 HALF_LOG_TWO_PI = 0.5 * float(np.log(2 * np.pi))
 
 
+def place_free(
+    layout: ParameterLayout,
+    priors: Mapping[str, Prior],
+    fixed: Mapping[str, float],
+    common: Mapping[str, tuple[str, ...]],
+) -> tuple[tuple[str, ...], Array, Array]:
+    """Return the names of what is free in the layout's order, the machine as expected and which parameters it moves.
+
+    Arguments are those of `Elimination.sampling`; shapes (m,), (D,) and (m, D). InputError for a name that no parameter
+    has.
+    """
+    shared = [name for members in common.values() for name in members]
+    for name in (*(name for name in priors if name not in common), *shared, *fixed):
+        if name not in layout.names:
+            raise InputError(f"parameter {name!r}: unknown here, expected one of {', '.join(layout.symbols)}")
+    places = {name: [layout.names.index(one) for one in common.get(name, (name,))] for name in priors}
+    names = tuple(sorted(priors, key=lambda name: places[name][0]))
+    start, moved = layout.nominal.copy(), np.zeros((len(names), layout.size))
+    for name, value in fixed.items():
+        start[layout.names.index(name)] = value
+    for k, name in enumerate(names):
+        own = places[name]
+        start[own] = priors[name].mean + (start[own] - start[own[0]])
+        moved[k, own] = 1.0
+    return names, start, moved
+
+
 @dataclass(frozen=True, eq=False)
 class AffineSampling(Sampling):
     """Coordinates that are standard normal under the prior.
@@ -51,20 +78,8 @@ class AffineSampling(Sampling):
         fixed: Mapping[str, float],
         common: Mapping[str, tuple[str, ...]],
     ) -> AffineSampling:
-        """Return the coordinates; see `Elimination.sampling`. InputError for a name that no parameter has."""
-        shared = [name for members in common.values() for name in members]
-        for name in (*(name for name in priors if name not in common), *shared, *fixed):
-            if name not in layout.names:
-                raise InputError(f"parameter {name!r}: unknown here, expected one of {', '.join(layout.symbols)}")
-        places = {name: [layout.names.index(one) for one in common.get(name, (name,))] for name in priors}
-        names = tuple(sorted(priors, key=lambda name: places[name][0]))
-        start, moved = layout.nominal.copy(), np.zeros((len(names), layout.size))
-        for name, value in fixed.items():
-            start[layout.names.index(name)] = value
-        for name, prior in priors.items():
-            start[places[name]] += prior.mean - start[places[name][0]]
-        for k, name in enumerate(names):
-            moved[k, places[name]] = 1.0
+        """Return the coordinates; see `Elimination.sampling` and `place_free`."""
+        names, start, moved = place_free(layout, priors, fixed, common)
         return cls(layout, start, names, tuple(priors[name] for name in names), moved)
 
     @cached_property

@@ -28,6 +28,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bayescal.density.elimination import whiten_covariance
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.structured import StructuredLikelihood
 from bayescal.machines.models.base import Linearisation, newton_step
@@ -214,11 +215,10 @@ class ExactDensity:
         covariance = self._cover(here, model_error)
         good = (np.isfinite(seen).all(axis=-1) & np.isfinite(covariance).all(axis=(-1, -2))).all(axis=-1)
         seen[~good], covariance[~good] = 0.0, np.eye(seen.shape[-1])
-        factor = np.linalg.cholesky(covariance)
-        half_log_det = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(axis=(-1, -2))
-        seen = _whiten(factor, seen[..., None])[..., 0]
-        total = -0.5 * np.einsum("bpi,bpi->b", seen, seen) - half_log_det + self._log_volume(pose)
-        columns = self._columns(factor, here, model_error)
+        white, log_det = whiten_covariance(covariance)
+        seen = (white @ seen[..., None])[..., 0]
+        total = -0.5 * np.einsum("bpi,bpi->b", seen, seen) + log_det.sum(axis=-1) + self._log_volume(pose)
+        columns = self._columns(white, here, model_error)
         if columns is not None:
             total += _add_columns(seen, *self._factorise(columns))
         return np.where(good, total - 0.5 * seen[0].size * np.log(2.0 * np.pi), -np.inf)
@@ -232,11 +232,10 @@ class ExactDensity:
         own = here.legs * np.sqrt(tau**2 + self._variance)[..., None, :]
         return np.asarray(covariance + own @ np.swapaxes(own, -1, -2))
 
-    def _columns(self, factor: Array, here: _Here, model_error: Array) -> Array | None:
+    def _columns(self, white: Array, here: _Here, model_error: Array) -> Array | None:
         """Return V of all that poses have in common, shape (B, P, N, R), whitened; None where there is nothing."""
         if self._shared is None and self._function is None:
             return None
-        white = _whiten(factor, np.broadcast_to(np.eye(factor.shape[-1]), factor.shape))
         parts = [] if self._shared is None else [self._shared.columns(white, here)]
         if self._function is not None:
             parts.append(self._function.columns(white, here, model_error))
@@ -258,10 +257,10 @@ class ExactDensity:
         position = poses.position - here.error[0, :, :3]
         rotation = matrix_from_rotation_vector(-here.error[0, :, 3:]) @ poses.rotation
         slope = machine.linearise(theta, position, rotation, poses.actuators).parameters
-        factor = np.linalg.cholesky(self._cover(here, model_error[None]))
-        rows = _whiten(factor, slope[None]).reshape(-1, slope.shape[-1])
+        white, _ = whiten_covariance(self._cover(here, model_error[None]))
+        rows = (white @ slope).reshape(-1, slope.shape[-1])
         total = rows.T @ rows
-        columns = self._columns(factor, here, model_error[None])
+        columns = self._columns(white, here, model_error[None])
         if columns is not None:
             inner, columns = self._factorise(columns)
             seen = columns[0].T @ rows
@@ -274,16 +273,6 @@ class ExactDensity:
         if pose.shape[-2] == pose.shape[-1]:
             return np.asarray(np.linalg.slogdet(pose)[1].sum(axis=-1))
         return np.asarray(0.5 * np.linalg.slogdet(np.swapaxes(pose, -1, -2) @ pose)[1].sum(axis=-1))
-
-
-def _whiten(factor: Array, rows: Array) -> Array:
-    """Return L⁻¹ times rows (B, P, N, R), for Cholesky factors (B, P, N, N): row after row, of all at once."""
-    white = rows.copy()
-    for i in range(factor.shape[-1]):
-        if i:
-            white[..., i : i + 1, :] -= factor[..., i : i + 1, :i] @ white[..., :i, :]
-        white[..., i, :] /= factor[..., i, i, None]
-    return white
 
 
 def _add_columns(white: Array, inner: Array, columns: Array) -> Array:

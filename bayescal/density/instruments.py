@@ -20,6 +20,7 @@ import numpy as np
 
 from bayescal.data.instruments.base import Instrument
 from bayescal.data.measured_poses import MeasuredPoses
+from bayescal.density.elimination import whiten_covariance
 from bayescal.density.likelihood import Likelihood
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.errors import InputError
@@ -199,12 +200,11 @@ class InstrumentLikelihood(Likelihood):
     @np.errstate(all="ignore")  # far out numbers overflow: no density in the end
     def _evaluate(self, theta: Array, model_error: Array) -> tuple[Array, Array]:
         errors = self._errors(theta)
-        factor = np.linalg.cholesky(self.error_covariance(model_error))
-        half_log_det = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(axis=-1)
+        whitening, log_det = whiten_covariance(self.error_covariance(model_error))
         good = np.isfinite(errors).all(axis=-1)
-        white = np.linalg.solve(factor, np.where(good[..., None], errors, 0.0)[..., None])[..., 0]
+        white = (whitening @ np.where(good[..., None], errors, 0.0)[..., None])[..., 0]
         square = np.einsum("bpk,bpk->bp", white, white)
-        density = self._constant - half_log_det - 0.5 * square
+        density = self._constant + log_det - 0.5 * square
         return np.where(good & np.isfinite(density), density, -np.inf), np.where(good, square, np.inf)
 
 

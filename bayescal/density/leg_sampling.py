@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.special import ndtr
 
 from bayescal.data.measured_poses import MeasuredPoses
+from bayescal.density.affine_sampling import EDGE, place_free
 from bayescal.density.priors import Prior, UniformPrior
 from bayescal.density.protocols import Sampling
 from bayescal.errors import InputError
@@ -20,7 +20,6 @@ from bayescal.machines.parameters import ParameterLayout
 from bayescal.numerics.geometry import Array
 
 HALF_LOG_TWO_PI = 0.5 * float(np.log(2 * np.pi))
-EDGE = 1e-3  # how near to a bound, by the width of a uniform prior, a machine known otherwise is taken to be
 
 
 def build_sampling(
@@ -49,24 +48,16 @@ def build_sampling(
     InputError
         For a name that no parameter has.
     """
-    unknown = [name for name in (*priors, *fixed) if name not in layout.names]
-    if unknown:
-        known = ", ".join(layout.symbols)
-        raise InputError(f"parameter {unknown[0]!r}: unknown here, expected one of {known}")
-    start = layout.nominal.copy()
-    position = {name: k for k, name in enumerate(layout.names)}
-    for name, value in fixed.items():
-        start[position[name]] = value
-    free = np.array(sorted(position[name] for name in priors), dtype=int)
-    ordered = tuple(priors[layout.names[k]] for k in free)
-    start[free] = [prior.mean for prior in ordered]
+    names, start, moved = place_free(layout, priors, fixed, {})
+    free, ordered = np.flatnonzero(moved.any(axis=0)), tuple(priors[name] for name in names)
     bounds = [(p.lower, p.upper) if isinstance(p, UniformPrior) else (-np.inf, np.inf) for p in ordered]
     lower, upper = np.array(bounds).reshape(-1, 2).T
     scale = np.array([p.sd for p in ordered])
     coordinates = Coordinates(layout, start, free, scale, compute_leg_lines(machine), lower, upper)
     if closing is not None:
         coordinates = close_at_mean(coordinates, machine, closing.position, closing.rotation, closing.actuators)
-    return LegSampling(coordinates, ordered)
+    units = tuple(layout.units[k] for k in free)
+    return LegSampling(layout, coordinates.start, ordered, names, units, coordinates, len(coordinates.legs))
 
 
 def check_bounds(coordinates: Coordinates) -> None:
@@ -89,43 +80,23 @@ class LegSampling(Sampling):
 
     Attributes
     ----------
+    n_jumps : int
+        Number of legs.
     coordinates : Coordinates
-    priors : tuple of Prior
-        Of the m free parameters, in order.
     """
 
-    coordinates: Coordinates
+    layout: ParameterLayout
+    start: Array
     priors: tuple[Prior, ...]
-
-    @property
-    def layout(self) -> ParameterLayout:  # type: ignore[override]
-        """Of θ."""
-        return self.coordinates.layout
-
-    @property
-    def start(self) -> Array:  # type: ignore[override]
-        """The machine as expected."""
-        return self.coordinates.start
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    coordinates: Coordinates
+    n_jumps: int = 0
 
     @property
     def free(self) -> np.ndarray:
         """Where the free parameters stand in θ, shape (m,)."""
         return self.coordinates.free
-
-    @cached_property
-    def names(self) -> tuple[str, ...]:  # type: ignore[override]
-        """Names of the free parameters."""
-        return tuple(self.layout.names[k] for k in self.free)
-
-    @cached_property
-    def units(self) -> tuple[str, ...]:  # type: ignore[override]
-        """Units of the free parameters."""
-        return tuple(self.layout.units[k] for k in self.free)
-
-    @property
-    def n_jumps(self) -> int:  # type: ignore[override]
-        """Number of legs."""
-        return len(self.coordinates.legs)
 
     def theta_from_y(self, y: Array) -> Array:
         """Return full parameter vectors (..., D)."""
@@ -201,7 +172,7 @@ class LegSampling(Sampling):
         """Return draws in the coordinates, NaN where there are none."""
         theta = np.tile(self.start, (len(standard), 1))
         for k, (place, prior) in enumerate(zip(self.free, self.priors, strict=True)):
-            theta[:, place] = prior.at_quantile(ndtr(standard[:, k]))
+            theta[:, place] = prior.value(standard[:, k])
         with np.errstate(invalid="ignore"):
             return self.coordinates.y_from_theta(theta)
 

@@ -6,10 +6,11 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from bayescal.density.errors import NO_MODEL_ERROR, LegErrors, LegTerm, ModelError, Outliers
+from bayescal.density.errors import NO_MODEL_ERROR, LegErrors, LegTerm, ModelError
 from bayescal.density.leg_sampling import LegSampling, check_bounds
 from bayescal.density.likelihood import Likelihood
 from bayescal.density.model_error import LENGTH, SCALE, Kernel
+from bayescal.density.outliers import NORMAL, Outliers
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import Prior
 from bayescal.errors import InputError
@@ -25,7 +26,7 @@ def build_leg_posterior(
     model_error: ModelError = NO_MODEL_ERROR,
     fixed: Mapping[str, float] | None = None,
     terms: Sequence[LegTerm] = (),
-    outliers: Outliers | None = None,
+    outliers: Outliers = NORMAL,
 ) -> LegPosterior:
     """Return the posterior of a machine on legs.
 
@@ -41,10 +42,10 @@ def build_leg_posterior(
         Values of fixed parameters that are not nominal.
     terms : sequence of LegTerm
         What else the likelihood takes: scale and length of an error that is a function of the pose.
-    outliers : Outliers, optional
-        Where poses may be outliers.
+    outliers : Outliers
+        What poses are like that are wrong as a whole; by default none is expected.
     """
-    errors = LegErrors(likelihood.n_legs, (model_error, *terms), outliers)
+    errors = LegErrors.of_legs(likelihood.n_legs, (model_error, *terms), outliers)
     return Posterior(likelihood, priors, errors, fixed or {})
 
 

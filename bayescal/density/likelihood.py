@@ -156,16 +156,12 @@ class Likelihood(Elimination[LegSampling, LegErrors]):
         """
         result = np.empty((len(theta), self.n_poses))
         for part in self._batches(len(theta)):
-            result[part] = self._pointwise(theta[part], model_error if model_error.ndim == 1 else model_error[part])
+            result[part] = self._evaluate(theta[part], model_error if model_error.ndim == 1 else model_error[part])[0]
         return result
 
     def _batches(self, size: int) -> list[slice]:
         """Return how many vectors to take at a time."""
         return batches(size, self.n_poses)
-
-    def _pointwise(self, theta: Array, model_error: Array) -> Array:
-        """Return `pointwise` of a batch."""
-        return self._evaluate(theta, model_error)[0]
 
     @abstractmethod
     def _evaluate(self, theta: Array, model_error: Array) -> tuple[Array, Array]:
@@ -187,29 +183,24 @@ class Likelihood(Elimination[LegSampling, LegErrors]):
 
     def density(self, theta: Array, errors: LegErrors, zeta: Array) -> Array:
         """Return the log-likelihood, shape (B,); see `Elimination.density`."""
-        if errors.outliers is None:
-            return self(theta, errors.amplitudes(zeta))
-        return self._mix(theta, errors, zeta)[0].sum(axis=1)
+        if errors.outliers.expected:
+            return self.density_by_row(theta, errors, zeta).sum(axis=1)
+        return self(theta, errors.amplitudes(zeta))
 
     def density_by_row(self, theta: Array, errors: LegErrors, zeta: Array) -> Array:
         """Return the log-likelihood of each pose, shape (B, P); see `Elimination.density_by_row`."""
-        if errors.outliers is None:
+        if not errors.outliers.expected:
             return self.pointwise(theta, errors.amplitudes(zeta))
-        return np.concatenate([self._mix(theta[part], errors, zeta[part])[0] for part in batches(len(theta))])
+        density, square = self.evaluate(theta, errors.amplitudes(zeta))
+        with np.errstate(all="ignore"):  # where there is no machine
+            density += errors.tails(zeta).exceed(square, self.n_rows)
+        return np.where(np.isfinite(density), density, -np.inf)
 
     def outlier_probabilities(self, theta: Array, errors: LegErrors, zeta: Array) -> Array:
         """Return how probable it is that each pose is an outlier, shape (B, P)."""
-        return np.concatenate([self._mix(theta[part], errors, zeta[part])[1] for part in batches(len(theta))])
-
-    def _mix(self, theta: Array, errors: LegErrors, zeta: Array) -> tuple[Array, Array]:
-        """Return the log-density of poses that may be outliers, and the probability that they are, shapes (B, P)."""
-        assert errors.outliers is not None
-        density, square = self.evaluate(theta, errors.amplitudes(zeta))
-        share = errors.shares(zeta)[:, None]
-        with np.errstate(all="ignore"):  # where there is no machine
-            both = density + errors.outliers.add(square, self.n_rows, share)
-            outlier = errors.outliers.probability(square, self.n_rows, share)
-        return np.where(np.isfinite(both), both, -np.inf), outlier
+        square = self.evaluate(theta, errors.amplitudes(zeta))[1]
+        with np.errstate(all="ignore"):
+            return errors.tails(zeta).suspect(square, self.n_rows)
 
     # --- derivatives ---------------------------------------------------------------------------------------------
 
@@ -218,16 +209,10 @@ class Likelihood(Elimination[LegSampling, LegErrors]):
         precision = np.linalg.inv(self.error_covariance(errors.amplitudes(zeta)))
         rows, slope = self.error_jacobian(theta)
         local = Local(theta, rows, turn_to_coordinates(slope, change), precision, change)
-        if errors.outliers is None:
+        if not errors.outliers.expected:
             return local
-        counts, outlier = self._weigh_poses(rows, precision, errors, zeta)
-        return local._replace(precision=counts[:, None, None] * precision, counts=counts, outlier=outlier)
-
-    def _weigh_poses(self, rows: Array, precision: Array, errors: LegErrors, zeta: Array) -> tuple[Array, Array]:
-        """Return how much each pose counts, shape (P,), and its probability of being an outlier."""
-        assert errors.outliers is not None
-        square = np.einsum("pi,pij,pj->p", rows, precision, rows)
-        return errors.outliers.weigh(square, self.n_rows, errors.shares(zeta))
+        counts = errors.tails(zeta[None]).trust(local.square[None], self.n_rows)[0]
+        return local._replace(precision=counts[:, None, None] * precision, counts=counts)
 
     def inform(self, theta: Array, change: Array, errors: LegErrors, zeta: Array) -> Array:
         """Return the information of the data on the geometry, shape (m, m)."""
@@ -248,27 +233,28 @@ class Likelihood(Elimination[LegSampling, LegErrors]):
         """
         m, k = change.shape[1], errors.n_amplitudes
         gradient, hessian = np.zeros(m + len(zeta)), np.zeros((m + len(zeta), m + len(zeta)))
-        amplitudes, slopes, inside = errors.amplitudes(zeta), errors.slopes(zeta), slice(m, m + k)
+        amplitudes, slopes, inside = errors.amplitudes(zeta), errors.slopes_of_amplitudes(zeta), slice(m, m + k)
         views = self.views(amplitudes)
         for share, view in views:
             local = view.linearise(theta, change, errors, zeta)
             gradient[:m] -= share * (local.weighted.ravel() @ local.slope.reshape(-1, m))
             hessian[:m, :m] -= share * local.inform()
-            if k and newton and len(views) == 1 and errors.outliers is None:
+            if k and newton and len(views) == 1 and not errors.outliers.expected:
                 across, own, by_errors = view.curve_by_errors(local, amplitudes)
                 hessian[:m, inside] = across @ slopes.T
                 hessian[inside, :m] = hessian[:m, inside].T
                 gradient[inside] = slopes @ by_errors
-                hessian[inside, inside] = slopes @ own @ slopes.T + np.diag(errors.curvatures(zeta) @ by_errors)
+                hessian[inside, inside] = slopes @ own @ slopes.T
+                hessian[inside, inside] += np.diag(errors.curvatures_of_amplitudes(zeta) @ by_errors)
             elif k:
                 by_errors, curvature = view.differentiate_by_errors(local, amplitudes)
                 gradient[inside] += share * (slopes @ by_errors)
                 hessian[inside, inside] += share * (slopes @ curvature @ slopes.T)
-            if local.outlier is not None and errors.outliers is not None:
-                epsilon, speed = errors.shares(zeta), errors.outliers.share.slope(zeta[-1])
-                by_share = local.outlier / epsilon - (1.0 - local.outlier) / (1.0 - epsilon)
-                gradient[-1] += by_share.sum() * speed
-                hessian[-1, -1] -= np.sum(by_share**2) * speed**2
+            if local.counts is not None:
+                square = local.square / local.counts
+                by_share = errors.tails(zeta[None]).slopes(square[None], self.n_rows)[0]
+                gradient[m + k :] += by_share.sum(axis=0)
+                hessian[m + k :, m + k :] -= by_share.T @ by_share
         return gradient, hessian
 
     def views(self, model_error: Array) -> list[tuple[float, Likelihood]]:
@@ -400,9 +386,9 @@ class Likelihood(Elimination[LegSampling, LegErrors]):
         what is hardly determined stays near its prior. Outliers are weighed down on the way.
         """
         y = np.zeros(sampling.size + errors.n_parameters)
-        for size in APPROACH if errors.outliers is None else (*APPROACH, APPROACH[-1] / 3.0):
+        for size in (*APPROACH, APPROACH[-1] / 3.0) if errors.outliers.expected else APPROACH:
             y = self._fit(sampling, errors, y, errors.uniform(size))
-        return y if errors.outliers is None else self.polish(sampling, errors, y)
+        return self.polish(sampling, errors, y) if errors.outliers.expected else y
 
     def polish(self, sampling: LegSampling, errors: LegErrors, y: Array) -> Array:
         """Return y, shape (n,), with the geometry of least squares at its errors, reweighted where outliers may be."""
@@ -413,13 +399,13 @@ class Likelihood(Elimination[LegSampling, LegErrors]):
         view, found, m = self.nearest(amplitudes), start.copy(), sampling.size
         covariance = view.error_covariance(amplitudes)
         whitening = np.linalg.inv(np.linalg.cholesky(covariance))
-        if errors.outliers is None:
+        if not errors.outliers.expected:
             found[:m] = view.fit_geometry(sampling, start[:m], whitening)
             return found
-        precision = np.linalg.inv(covariance)
+        tails = errors.tails(found[None, m:])
         for _ in range(REWEIGHTINGS):
-            rows = view.errors(sampling.theta_from_y(found[None, :m]))[0]
-            weight, _ = view._weigh_poses(rows, precision, errors, found[m:])
+            white = whitening @ view.errors(sampling.theta_from_y(found[None, :m]))[0][..., None]
+            weight = tails.trust(np.sum(white**2, axis=(1, 2))[None], view.n_rows)[0]
             found[:m] = view.fit_geometry(sampling, found[:m], whitening * np.sqrt(weight)[:, None, None])
         return found
 

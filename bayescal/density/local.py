@@ -22,8 +22,8 @@ class Local(NamedTuple):
         Of r, as far as each pose counts.
     change : ndarray, shape (D, m)
         dθ/dy.
-    counts, outlier : ndarray, shape (P,), optional
-        How much each pose counts, and how probably it is an outlier; None where all count in full.
+    counts : ndarray, shape (P,), optional
+        How much each pose counts; None where all count in full.
     """
 
     theta: Array
@@ -32,12 +32,16 @@ class Local(NamedTuple):
     precision: Array
     change: Array
     counts: Array | None = None
-    outlier: Array | None = None
 
     @property
     def weighted(self) -> Array:
         """C⁻¹ r, shape (P, K)."""
         return np.asarray((self.precision @ self.errors[..., None])[..., 0])
+
+    @property
+    def square(self) -> Array:
+        """rᵀ C⁻¹ r of each pose as far as it counts, shape (P,)."""
+        return np.einsum("pi,pi->p", self.errors, self.weighted)
 
     def inform(self) -> Array:
         """Return the information of the data on the geometry, shape (m, m)."""

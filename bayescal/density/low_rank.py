@@ -1,7 +1,8 @@
-"""The density of many legs' errors without a matrix of all legs: each errs by itself, but for the six of the pose.
+"""The density of the legs' errors at many poses, for many machines at once: by columns of a factor, or of low rank.
 
-Of N legs' errors r, C = D + U Uᵀ with D diagonal, from actuators, deformations and model errors, and U = A⁰ L of six
-columns, Σ = L Lᵀ, from the measured pose. By Woodbury's identity and the determinant's lemma with M = 1 + Uᵀ D⁻¹ U,
+Many legs need no matrix of all of them: each errs by itself, but for the six of the pose. Of N legs' errors r,
+C = D + U Uᵀ with D diagonal, from actuators, deformations and model errors, and U = A⁰ L of six columns, Σ = L Lᵀ, from
+the measured pose. By Woodbury's identity and the determinant's lemma with M = 1 + Uᵀ D⁻¹ U,
 
     rᵀ C⁻¹ r = rᵀ D⁻¹ r - vᵀ M⁻¹ v,   v = Uᵀ D⁻¹ r,   log det C = log det D + log det M,
 
@@ -25,6 +26,46 @@ SMALLEST = 1e-5
 DIAGONAL = 1e-12
 """Share that may stand beside the diagonal."""
 PAIRS = np.tril_indices(DEGREES_OF_FREEDOM)
+
+
+def factor_by_columns(
+    known: Array, add: Callable[[int], Array], errors: Array, scratch: Scratch
+) -> tuple[Array, Array]:
+    """Return log-densities but for 2 π, and rᵀ C⁻¹ r; Cholesky factors of all poses and batch entries, by columns.
+
+    The errors are carried along as one more row of the matrix; in the factor that row holds the whitened errors.
+
+    Parameters
+    ----------
+    known : ndarray, shape (P, N, N)
+        Covariance but for the model error.
+    add : callable
+        From a leg to the variance that its model error adds, shape (P, B).
+    errors : ndarray, shape (N, P, B)
+    scratch : Scratch
+
+    Returns
+    -------
+    ndarray, ndarray, shapes (P, B)
+    """
+    n = len(errors)
+    factor = scratch.take("factor", n + 1, n, *errors.shape[1:])
+    determinant = np.ones(errors.shape[1:])
+    for j in range(n):
+        column = factor[j:, j]
+        own = known[:, j:, j].T[..., None]
+        if j:
+            np.einsum("ikpb,kpb->ipb", factor[j:, :j], factor[j, :j], out=column)
+            np.subtract(own, column[:-1], out=column[:-1])
+            np.subtract(errors[j], column[-1], out=column[-1])
+        else:
+            column[:-1], column[-1] = own, errors[j]
+        column[0] += add(j)
+        inverse = 1.0 / np.sqrt(column[0])
+        column[1:] *= inverse
+        determinant *= inverse
+    square = np.einsum("kpb,kpb->pb", factor[n], factor[n])
+    return np.log(determinant) - 0.5 * square, square
 
 
 @dataclass(frozen=True, eq=False)

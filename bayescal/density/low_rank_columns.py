@@ -23,7 +23,7 @@ from functools import cached_property
 
 import numpy as np
 
-from bayescal.density.calibration.outliers import Outliers
+from bayescal.density.outliers import Outliers
 from bayescal.numerics.geometry import Array
 
 BUDGET = 1 << 17  # numbers of the columns of all machines that are worked on together
@@ -125,7 +125,7 @@ class Coefficients:
         covariance G = A M_others⁻¹ Aᵀ.
         """
         own = self._spread(self.columns)
-        soft = outliers.soften(self.trust, spare)[..., None, None]
+        soft = outliers.soften(self.square, spare)[..., None, None]
         outer = self.residual[..., :, None] * self.residual[..., None, :]
         identity = np.eye(own.shape[-1])
         curvature = self.trust[..., None, None] * identity - soft * outer
@@ -181,10 +181,11 @@ def find_coefficients(error: Array, columns: Array, outliers: Outliers, spare: n
         return _conclude(error, columns, mean, curvature, np.ones(shape[:2]))
     mean = _reweight(safe, columns, outliers, spare)
     residual = safe - _act(columns, mean)
-    trust = outliers.trust(np.einsum("bpk,bpk->bp", residual, residual), spare)
+    square = np.einsum("bpk,bpk->bp", residual, residual)
+    trust = outliers.trust(square, spare)
     curvature = _accumulate(columns, residual, trust)[0]
     pulled = np.einsum("bpkn,bpk->bpn", columns, residual, optimize=True)
-    softer = curvature - np.swapaxes(pulled, -1, -2) @ (outliers.soften(trust, spare)[..., None] * pulled)
+    softer = curvature - np.swapaxes(pulled, -1, -2) @ (outliers.soften(square, spare)[..., None] * pulled)
     definite = np.linalg.eigvalsh(softer)[:, 0] > 0.0  # as at every mode; elsewhere the weights' own curvature
     curvature = np.where(definite[:, None, None], softer, curvature)
     return _conclude(error, columns, mean, curvature, trust)
@@ -203,7 +204,7 @@ def _reweight(error: Array, columns: Array, outliers: Outliers, spare: np.ndarra
     for _ in range(MAX_ITERATIONS):
         own = columns[going]
         residual = error[going] - _act(own, mean[going])
-        trust = outliers.trust(np.einsum("bpk,bpk->bp", residual, residual), spare)
+        trust = outliers.pick(going).trust(np.einsum("bpk,bpk->bp", residual, residual), spare)
         curvature, told = _accumulate(own, residual, trust)
         step = np.linalg.solve(curvature, (told - mean[going])[..., None])[..., 0]
         mean[going] += step

@@ -153,11 +153,6 @@ class KernelScalePrior(Prior):
             below = ndtr(np.log(np.maximum(value, 0.0) / self.scale) / self.spread)
         return np.asarray(ndtri(0.5 + 0.5 * below))
 
-    def at_quantile(self, share: Array) -> Array:
-        """Return scales by the prior's mass below them, zero up to one half."""
-        inside = np.maximum(2.0 * np.asarray(share) - 1.0, 0.0)
-        return np.asarray(np.where(inside > 0.0, self.scale * np.exp(self.spread * ndtri(inside)), 0.0))
-
     def value(self, zeta: Array) -> Array:
         """Return scales of coordinates."""
         return np.where(zeta > BORDER, self.scale * np.exp(self.spread * np.maximum(zeta, BORDER)), 0.0)

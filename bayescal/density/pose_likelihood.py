@@ -25,9 +25,8 @@ import numpy as np
 
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.density.batches import POSES, batches
-from bayescal.density.columns import factor_by_columns
 from bayescal.density.likelihood import Likelihood
-from bayescal.density.low_rank import FEWEST_LEGS, find_low_rank
+from bayescal.density.low_rank import FEWEST_LEGS, factor_by_columns, find_low_rank
 from bayescal.errors import InputError
 from bayescal.machines.kinematics import Machine, solve_forward_kinematics
 from bayescal.machines.models.home import BatchHome
@@ -249,23 +248,11 @@ class PoseLikelihood(Likelihood):
             return self._gain, None
         return np.concatenate([self._gain, seen], axis=1), None
 
-    def errors(self, theta: Array) -> Array:
-        """Return the legs' errors; see `leg_errors`."""
-        return self.leg_errors(theta)
-
-    def error_jacobian(self, theta: Array) -> tuple[Array, Array]:
-        """Return the legs' errors and their derivative; see `leg_error_jacobian`."""
-        return self.leg_error_jacobian(theta)
-
-    def error_covariance(self, model_error: Array) -> Array:
-        """Return the covariance of the legs' errors; see `leg_covariance`."""
-        return self.leg_covariance(model_error)
-
     def on_legs(self, rows: Array) -> Array:
         """Return the rows as they are: they are the legs'."""
         return rows
 
-    def leg_errors(self, theta: Array) -> Array:
+    def errors(self, theta: Array) -> Array:
         """Return r = A⁰ e, the pose errors seen by the legs in mm, for (B, D) parameter vectors, shape (B, P, N)."""
         result = np.empty((len(theta), self.poses.n_poses, self.n_legs))
         if len(theta) == 1:
@@ -279,9 +266,9 @@ class PoseLikelihood(Likelihood):
 
     def pose_errors(self, theta: Array) -> Array:
         """Return e, measured minus predicted pose (mm, rad; base frame), for (B, D) vectors, shape (B, P, 6)."""
-        return np.einsum("pij,bpj->bpi", self._gain, self.leg_errors(theta))
+        return np.einsum("pij,bpj->bpi", self._gain, self.errors(theta))
 
-    def leg_error_jacobian(self, theta: Array) -> tuple[Array, Array]:
+    def error_jacobian(self, theta: Array) -> tuple[Array, Array]:
         """Return r, shape (P, N), and its exact derivative, shape (P, N, D), for one parameter vector (D,).
 
         The derivative is that of the implicit function: the closure is differentiated at the predicted pose.
@@ -314,7 +301,7 @@ class PoseLikelihood(Likelihood):
         """Covariance of r but for the model error, shape (P, N, N), mm²."""
         return self._known
 
-    def leg_covariance(self, model_error: Array) -> Array:
+    def error_covariance(self, model_error: Array) -> Array:
         """Return the covariance of r in mm², shape (P, N, N), for model errors τ in mm, shape (N,)."""
         return self._known + np.eye(self.n_legs) * (self.actuator_weight * model_error**2)[:, None, :]
 
@@ -326,26 +313,16 @@ class PoseLikelihood(Likelihood):
 
     # --- density -------------------------------------------------------------------------------------------------
 
-    def evaluate(self, theta: Array, model_error: Array) -> tuple[Array, Array]:
-        """Return `pointwise` and rᵀ C⁻¹ r of each pose, shapes (B, P); infinite where there is no machine."""
+    def _evaluate(self, theta: Array, model_error: Array) -> tuple[Array, Array]:
+        if len(self._parts) == 1:
+            return self._evaluate_at_once(theta, model_error)
         density, square = np.empty((2, len(theta), self.n_poses))
-        for part in batches(len(theta)):
-            some = model_error if model_error.ndim == 1 else model_error[part]
-            for poses, here in self._parts:
-                density[part, poses], square[part, poses] = here._evaluate(theta[part], some)
-        square[~np.isfinite(square)] = np.inf
+        for poses, part in self._parts:
+            density[:, poses], square[:, poses] = part._evaluate_at_once(theta, model_error)
         return density, square
 
-    def _pointwise(self, theta: Array, model_error: Array) -> Array:
-        if len(self._parts) == 1:
-            return self._evaluate(theta, model_error)[0]
-        result = np.empty((len(theta), self.n_poses))
-        for poses, part in self._parts:
-            result[:, poses] = part._evaluate(theta, model_error)[0]
-        return result
-
     @np.errstate(all="ignore")  # far out numbers overflow: no density in the end
-    def _evaluate(self, theta: Array, model_error: Array) -> tuple[Array, Array]:
+    def _evaluate_at_once(self, theta: Array, model_error: Array) -> tuple[Array, Array]:
         errors = self._find_leg_errors(theta) if len(theta) != 1 else self._find_at(theta[0])[0]
         if model_error.ndim == 1:
             density, square = self._density_fixed(errors, model_error)
@@ -358,7 +335,7 @@ class PoseLikelihood(Likelihood):
     def _whiten(self, model_error: Array) -> tuple[Array, Array]:
         """Return the inverse Cholesky factors (P, N, N) and half log-determinants (P,) at τ; kept for the next call."""
         if self._whitening is None or not np.array_equal(self._whitening[0], model_error):
-            factor = np.linalg.cholesky(self.leg_covariance(model_error))
+            factor = np.linalg.cholesky(self.error_covariance(model_error))
             half_log_det = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(axis=-1)
             self._whitening = (model_error.copy(), np.linalg.inv(factor), half_log_det)
         return self._whitening[1:]

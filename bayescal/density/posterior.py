@@ -13,9 +13,10 @@ from typing import Any, final
 
 import numpy as np
 
+from bayescal.density.calibration.terms import Errors
 from bayescal.density.local import Funnel
 from bayescal.density.priors import Prior
-from bayescal.density.protocols import Elimination, ErrorCoordinates, Sampling
+from bayescal.density.protocols import Elimination, Sampling
 from bayescal.numerics.geometry import Array
 
 HALF_LOG_TWO_PI = 0.5 * float(np.log(2 * np.pi))
@@ -23,7 +24,7 @@ HALF_LOG_TWO_PI = 0.5 * float(np.log(2 * np.pi))
 
 @final
 @dataclass(frozen=True, eq=False)
-class Posterior[L: Elimination[Any, Any], S: Sampling, E: ErrorCoordinates]:
+class Posterior[L: Elimination[Any, Any], S: Sampling, E: Errors]:
     """Posterior of the free parameters and errors of one variant; a `bayescal.inference.target.Target`.
 
     Attributes
@@ -32,7 +33,7 @@ class Posterior[L: Elimination[Any, Any], S: Sampling, E: ErrorCoordinates]:
         Density of the measurements at the calibration poses.
     priors : mapping of name to Prior
         Of the free parameters.
-    errors : ErrorCoordinates
+    errors : Errors
         What is unknown of the errors; their coordinates come behind those of the geometry.
     fixed : mapping of parameter name to float
         Values of fixed parameters that are not nominal.

@@ -30,18 +30,14 @@ class Prior(ABC):
     def standardise(self, value: Array) -> Array:
         """Return the values whose standard normal has the probability that the prior has below these."""
 
-    @abstractmethod
-    def at_quantile(self, share: Array) -> Array:
-        """Return the values below which the prior has given shares of its mass."""
-
     # --- the coordinate that is sampled: standard normal about its place ------------------------------------------
 
     off: ClassVar[float | None] = None
     """A second place of the coordinate, as probable as zero, about which the value is zero: a switch."""
 
+    @abstractmethod
     def value(self, zeta: Array) -> Array:
         """Return values of coordinates."""
-        return self.at_quantile(ndtr(zeta))
 
     def slope(self, zeta: Array) -> Array:
         """Return the derivative of the value by its coordinate."""
@@ -73,7 +69,7 @@ class NormalPrior(Prior):
 
     def log_density(self, value: Array) -> Array:
         """Return the normal log-density."""
-        return -0.5 * ((value - self.centre) / self.scale) ** 2 - np.log(self.scale) - 0.5 * np.log(2 * np.pi)
+        return -0.5 * ((value - self.centre) / self.scale) ** 2 - np.log(self.scale) - HALF_LOG_TWO_PI
 
     def draw(self, n: int, rng: np.random.Generator) -> Array:
         """Return n normal draws."""
@@ -83,9 +79,9 @@ class NormalPrior(Prior):
         """Return the distance from the centre in standard deviations."""
         return (value - self.centre) / self.scale
 
-    def at_quantile(self, share: Array) -> Array:
-        """Return the normal quantiles."""
-        return self.centre + self.scale * ndtri(share)
+    def value(self, zeta: Array) -> Array:
+        """Return values by their standard deviations off the centre."""
+        return self.centre + self.scale * zeta
 
     @property
     def mean(self) -> float:
@@ -118,9 +114,9 @@ class UniformPrior(Prior):
         """Return the normal quantile of the share of the width below each value."""
         return ndtri((value - self.lower) / (self.upper - self.lower))
 
-    def at_quantile(self, share: Array) -> Array:
+    def value(self, zeta: Array) -> Array:
         """Return values by their share of the width."""
-        return self.lower + (self.upper - self.lower) * share
+        return self.lower + (self.upper - self.lower) * ndtr(zeta)
 
     @property
     def mean(self) -> float:
@@ -166,12 +162,6 @@ class HalfNormalPrior(Prior):
         slope = self.slope(zeta)
         return slope * (self.value(zeta) * slope / self.scale**2 - zeta)
 
-    def at_quantile(self, share: Array) -> Array:
-        """Return the half-normal quantiles."""
-        from scipy import stats  # a second to import, for those who scale priors
-
-        return np.asarray(stats.halfnorm.ppf(share, scale=self.scale))
-
     @property
     def mean(self) -> float:
         """The scale times sqrt(2 / π)."""
@@ -180,9 +170,7 @@ class HalfNormalPrior(Prior):
     @property
     def sd(self) -> float:
         """The scale times sqrt(1 - 2 / π)."""
-        from scipy import stats
-
-        return float(stats.halfnorm.std(scale=self.scale))
+        return self.scale * float(np.sqrt(1.0 - 2.0 / np.pi))
 
 
 @dataclass(frozen=True)
@@ -209,10 +197,6 @@ class SharePrior(Prior):
     def standardise(self, value: Array) -> Array:
         """Return ζ."""
         return np.asarray(-ndtri_exp(self.exponent * np.log1p(-value)))
-
-    def at_quantile(self, share: Array) -> Array:
-        """Return shares by the prior's mass below them."""
-        return np.asarray(-np.expm1(np.log1p(-share) / self.exponent))
 
     @property
     def mean(self) -> float:
@@ -244,7 +228,7 @@ class LogNormalPrior(Prior):
 
     def log_density(self, value: Array) -> Array:
         """Return the log-normal log-density."""
-        return np.asarray(-0.5 * self.standardise(value) ** 2 - np.log(value * self.spread) - 0.5 * np.log(2.0 * np.pi))
+        return np.asarray(-0.5 * self.standardise(value) ** 2 - np.log(value * self.spread) - HALF_LOG_TWO_PI)
 
     def draw(self, n: int, rng: np.random.Generator) -> Array:
         """Return n draws."""
@@ -265,10 +249,6 @@ class LogNormalPrior(Prior):
     def curvature(self, zeta: Array) -> Array:
         """Return the second derivative."""
         return self.spread * self.slope(zeta)
-
-    def at_quantile(self, share: Array) -> Array:
-        """Return values by the prior's mass below them."""
-        return self.value(ndtri(share))
 
     @property
     def mean(self) -> float:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from functools import cached_property
 from typing import Self
 
 import numpy as np
 
+from bayescal.density.calibration.terms import Errors
 from bayescal.density.local import Funnel
 from bayescal.density.priors import Prior
 from bayescal.machines.parameters import ParameterLayout
@@ -94,69 +94,7 @@ class Sampling(ABC):
         return []
 
 
-class ErrorCoordinates(ABC):
-    """Coordinates ζ of what is unknown of the errors, as their priors say: standard normal about their places."""
-
-    @property
-    @abstractmethod
-    def names(self) -> tuple[str, ...]:
-        """Names of the k unknowns."""
-
-    @property
-    @abstractmethod
-    def units(self) -> tuple[str, ...]:
-        """Units of the same."""
-
-    @property
-    @abstractmethod
-    def priors(self) -> tuple[Prior, ...]:
-        """Priors of the same, in these units."""
-
-    @cached_property
-    def n_parameters(self) -> int:
-        """Number k of coordinates."""
-        return len(self.names)
-
-    @cached_property
-    def switches(self) -> dict[int, float]:
-        """Coordinates with a second place, at which there is no such error, each with that place."""
-        return {k: prior.off for k, prior in enumerate(self.priors) if prior.off is not None}
-
-    @property
-    def log_mass(self) -> float:
-        """What the log-prior has beside the normal density of the deviations: half for each place of a switch."""
-        return -len(self.switches) * float(np.log(2.0))
-
-    def natural(self, zeta: Array) -> Array:
-        """Return what is unknown in its own units, (..., k)."""
-        found = [prior.value(zeta[..., k]) for k, prior in enumerate(self.priors)]
-        return np.stack(found, axis=-1) if found else np.zeros(zeta.shape)
-
-    def deviations(self, zeta: Array) -> Array:
-        """Return coordinates less their places, standard normal under the prior, (..., k)."""
-        found = zeta.copy()
-        for k, place in self.switches.items():
-            found[..., k] -= np.where(zeta[..., k] > 0.5 * place, 0.0, place)
-        return found
-
-    def draw(self, standard: Array, rng: np.random.Generator) -> Array:
-        """Return coordinates of the prior from standard normal numbers (S, k), half of the switches off."""
-        found, places = standard.copy(), list(self.switches)
-        off = rng.random((len(found), len(places))) < 0.5 if places else np.zeros((len(found), 0), dtype=bool)
-        found[:, places] += np.where(off, list(self.switches.values()), 0.0)
-        return found
-
-    def jumps(self, zeta: Array) -> list[tuple[int, Array]]:
-        """Return each error switched on or off, seen from ζ (k,), with the number of its coordinate."""
-        found = []
-        for k, place in self.switches.items():
-            image = zeta.copy()
-            image[k] = place if zeta[k] > 0.5 * place else 0.0
-            found.append((k, image))
-        return found
-
-
-class Elimination[S: Sampling, E: ErrorCoordinates](ABC):
+class Elimination[S: Sampling, E: Errors](ABC):
     """The density of measured rows under a machine θ (D,) and errors with coordinates ζ (k,), the poses eliminated."""
 
     layout: ParameterLayout

@@ -14,6 +14,11 @@ costs. Real poses differ a little, by the machine's Jacobian and by what was mea
 covariance of pose n and C its mean over the poses, r_n is first taken to T_n⁻¹ r_n, T_n C T_nᵀ = C_n with T_n the
 symmetric matrix nearest to one. What is known of the noise stays exact, and the model errors act along the columns of
 T_n in place of the legs. Where these differ by more than `ALIKE` the poses are refused.
+
+With a free length L the eigenvectors turn, and with them the combinations that are independent of each other. They are
+found beforehand at `NODES` lengths, a hundredth of the prior's standard deviation of log L apart. Between two of them
+the log-density is interpolated along log L: it is that of the dense kernel but for h² / 8 times its second derivative,
+h the distance of the nodes, and batched over vectors that each have a length of their own.
 """
 
 from __future__ import annotations
@@ -28,11 +33,12 @@ from scipy.linalg import eigh
 
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.density.batches import batches
-from bayescal.density.columns import factor_by_columns
 from bayescal.density.likelihood import Likelihood
 from bayescal.density.local import Local, root_of
-from bayescal.density.model_error import Kernel
+from bayescal.density.low_rank import factor_by_columns
+from bayescal.density.model_error import Kernel, build_kernel
 from bayescal.density.pose_likelihood import PoseLikelihood
+from bayescal.density.priors import LogNormalPrior
 from bayescal.errors import InputError
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.scratch import Scratch
@@ -42,6 +48,15 @@ ALIKE_LEVELS = 1.5  # ratio of eigenvalues that count as one level
 NO_LEVEL = 1e-9
 FEWEST_POSES = 3
 NOTHING = 1e-8  # share of the kernel's largest eigenvalue below which a direction is left out
+REACH = 4.5  # sds of log L on either side of its median; shorter and longer ones are taken for the outermost
+NODES, FEWEST_NODES = 901, 91
+MOST_BYTES = 128e6
+AT_ONCE = 64  # nodes, while they are found
+
+
+def count_nodes(n_poses: int) -> int:
+    """Return at how many lengths the eigenvectors are kept, an odd number: at fewer where poses are very many."""
+    return int(np.clip(MOST_BYTES / (8.0 * n_poses**2), FEWEST_NODES, NODES)) | 1
 
 
 class Conditional(NamedTuple):
@@ -75,15 +90,20 @@ def factor_kernel(values: Array, vectors: Array) -> Array:
 class StructuredLikelihood(Likelihood):
     """Log-density of poses with a structured model error, in terms of independent combinations of the poses.
 
-    Its rows are those of combination k; model errors are vectors of 2 N entries, τ of each leg and then s.
+    Its rows are those of combination k; model errors are vectors of 2 N entries, τ of each leg and then s, and of one
+    more where the length is free: that, in units of the actuators' range. What has no model errors to go by is then
+    that of the prior's median.
 
     Parameters
     ----------
     poses : PoseLikelihood
         Density of the calibration poses without structured error.
     kernel : Kernel
+        Where the length is free, that of its median.
     travel : float
         What the actuators' displacements are divided by, mm.
+    lengths : LogNormalPrior, optional
+        Prior of a length that is free: where the nodes are.
 
     Raises
     ------
@@ -91,7 +111,9 @@ class StructuredLikelihood(Likelihood):
         For poses that are not measured alike, or too few.
     """
 
-    def __init__(self, poses: PoseLikelihood, kernel: Kernel, travel: float) -> None:
+    def __init__(
+        self, poses: PoseLikelihood, kernel: Kernel, travel: float, lengths: LogNormalPrior | None = None
+    ) -> None:
         if poses.n_poses < FEWEST_POSES:
             raise InputError(
                 f"model_error.kernel: found {poses.n_poses} calibration poses, expected {FEWEST_POSES} or more"
@@ -99,36 +121,39 @@ class StructuredLikelihood(Likelihood):
         # where the geometry is hardly known the mode's gradient needs more digits
         self.base, self.travel = poses.refined(), travel
         self.machine, self.layout = poses.machine, poses.layout
-        known = poses.legs_known
-        self._mean_known = known.mean(axis=0)
+        self._mean_known = poses.legs_known.mean(axis=0)
         self._map = self._find_map(poses)
         self._unmap = np.linalg.inv(self._map)
         self._legs_weight = poses.actuator_weight.mean(axis=0)
-        inputs = self.inputs_of(poses)
-        self._inputs = inputs
-        self._take_kernel(kernel, *eigh(kernel(inputs, inputs)))
+        self._inputs, self._name = self.inputs_of(poses), kernel.name
+        self.log_nodes, half = np.zeros(1), 0.0 if lengths is None else REACH * lengths.spread
+        if lengths is not None:
+            self.log_nodes = np.log(lengths.median) + np.linspace(-half, half, count_nodes(poses.n_poses))
+        self._find_eigenvectors(kernel)
+        self._take(kernel, len(self.log_nodes) // 2)
         if not self.eigenvalues.max() > 0.0:
             raise InputError("model_error.kernel: found all calibration poses at home, expected actuators that move")
         self._turn: Callable[[], Array] | None = None
         self._log_constant = float(poses.log_constant.sum() - np.linalg.slogdet(self._map)[1].sum())
         self._scratch = Scratch()
 
-    def _take_kernel(self, kernel: Kernel, values: Array, combination: Array) -> None:
-        """Take a kernel, with the eigenvalues (P,) and eigenvectors (P, P) of its matrix over the poses."""
-        self.kernel, self.combination, self.eigenvalues = kernel, combination, np.maximum(values, 0.0)
+    def _find_eigenvectors(self, kernel: Kernel) -> None:
+        """Find eigenvalues (G, P) and the rows of Uᵀ (G, P, P) of the kernel's matrix over the poses at all nodes."""
+        if not self.is_free:
+            values, vectors = eigh(kernel(self._inputs, self._inputs))
+            self.values, self._rows = np.maximum(values, 0.0)[None], np.ascontiguousarray(vectors.T)[None]
+            return
+        parts = [self.log_nodes[k : k + AT_ONCE] for k in range(0, len(self.log_nodes), AT_ONCE)]
+        found = [np.linalg.eigh(self._kernels(np.exp(part))(self._inputs, self._inputs)) for part in parts]
+        self.values = np.maximum(np.concatenate([one.eigenvalues for one in found]), 0.0)
+        vectors = np.concatenate([one.eigenvectors for one in found])
+        self._rows = np.ascontiguousarray(np.swapaxes(vectors, -1, -2))
+
+    def _take(self, kernel: Kernel, node: int) -> None:
+        """Take what has no model errors to go by from a node, with its kernel."""
+        self.kernel, self.combination, self.eigenvalues = kernel, self._rows[node].T, self.values[node]
         own = np.broadcast_to(self._legs_weight, (self.n_poses, self.n_legs))
         self.actuator_weight = np.concatenate([own, self.eigenvalues[:, None] * own], axis=1)
-
-    def with_kernel(self, kernel: Kernel, values: Array, combination: Array, turn: Callable[[], Array]) -> Self:
-        """Return the density with another kernel, whose eigenvalues (P,) and eigenvectors (P, P) are known.
-
-        ``turn`` finds the derivative Uᵀ K' U of the kernel's matrix by log L, shape (P, P): model errors end with the
-        length L then.
-        """
-        other = copy(self)
-        other._take_kernel(kernel, values, combination)
-        other._turn = turn
-        return other
 
     @property
     def of_poses(self) -> PoseLikelihood:
@@ -145,17 +170,83 @@ class StructuredLikelihood(Likelihood):
         """The poses: joints are hardly known where the error may be a function of the pose."""
         return self.base.poses
 
+    # --- lengths -------------------------------------------------------------------------------------------------
+
+    @property
+    def is_free(self) -> bool:
+        """Whether the length is free."""
+        return len(self.log_nodes) > 1
+
+    def _kernels(self, lengths: Array) -> Kernel:
+        """Return the kernel of lengths (B,), all at once."""
+        return build_kernel(self._name, lengths[:, None, None])
+
+    def place(self, length: Array) -> tuple[np.ndarray, Array]:
+        """Return the node at or below lengths (B,), and how far it is from there to the next one, 0 to 1."""
+        step = self.log_nodes[1] - self.log_nodes[0]
+        along = np.clip((np.log(length) - self.log_nodes[0]) / step, 0.0, len(self.log_nodes) - 1.0)
+        lower = np.minimum(along.astype(int), len(self.log_nodes) - 2)
+        return lower, along - lower
+
+    def find_node(self, model_error: Array) -> np.ndarray:
+        """Return the node nearest to the length of model errors (..., 2 N + 1)."""
+        lower, share = self.place(model_error[..., -1])
+        return np.asarray(lower + (share > 0.5))
+
+    def kernel_at(self, node: int) -> Kernel:
+        """Return the kernel at the length of a node."""
+        return build_kernel(self._name, float(np.exp(self.log_nodes[node])))
+
     def kernel_of(self, length: Array) -> Kernel:
-        """Return the kernel of a length (1,), or of none that is free (0,)."""
-        del length
-        return self.kernel
+        """Return the kernel of a length (1,), that of the node nearest to it; of none that is free (0,)."""
+        return self.kernel_at(int(self.find_node(length))) if self.is_free else self.kernel
+
+    def at_node(self, node: int) -> Self:
+        """Return the density at the length of a node; model errors' derivatives by the length are those there."""
+        other, kernel, only = copy(self), self.kernel_at(node), slice(node, node + 1)
+        for name in ("levels", "_levels_by_node"):
+            other.__dict__.pop(name, None)
+        other.log_nodes, other.values, other._rows = np.zeros(1), self.values[only], self._rows[only]
+        other._take(kernel, 0)
+        rows = self._rows[node]
+        other._turn = lambda: np.asarray(rows @ kernel.slope(self._inputs, self._inputs) @ rows.T)
+        return other
+
+    def views(self, model_error: Array) -> list[tuple[float, Likelihood]]:
+        """Return the densities at the nodes beside the length of model errors (2 N + 1,); one and none at the ends.
+
+        Beyond the ends the density does not depend on the length.
+        """
+        if not self.is_free:
+            return super().views(model_error)
+        lower, share = (one[0] for one in self.place(model_error[-1:]))
+        inside = self.log_nodes[0] < np.log(model_error[-1]) < self.log_nodes[-1]
+        found = [(1.0 - share, self.at_node(int(lower))), (share, self.at_node(int(lower) + 1))]
+        if not inside:
+            for _, one in found:
+                one._turn = lambda: np.zeros((self.n_poses, self.n_poses))
+        return list(found)
+
+    def nearest(self, model_error: Array) -> Likelihood:
+        """Return the density at the node nearest to the length of model errors (2 N + 1,)."""
+        return self.at_node(int(self.find_node(model_error))) if self.is_free else self
+
+    def _values_at(self, model_error: Array) -> Array:
+        """Return the eigenvalues (P,), or of each model error's nearest node, (..., P)."""
+        return self.values[self.find_node(model_error)] if self.is_free else self.values[0]
+
+    def _rows_at(self, model_error: Array) -> Array:
+        """Return Uᵀ, shape (P, P), or that of each model error's nearest node, (..., P, P)."""
+        return self._rows[self.find_node(model_error)] if self.is_free else self._rows[0]
 
     def factor(self, model_error: Array) -> Array:
         """Return F with F Fᵀ the kernel's matrix over the poses, of model errors (B, ...): (1 or B, P, R).
 
         Without the directions that hold nothing.
         """
-        return factor_kernel(self.eigenvalues[None], self.combination[None])
+        shape = (-1, self.n_poses, self.n_poses)
+        vectors = np.swapaxes(self._rows_at(model_error).reshape(shape), -1, -2)
+        return factor_kernel(self._values_at(model_error).reshape(shape[:2]), vectors)
 
     def _find_map(self, poses: PoseLikelihood) -> Array:
         """Return T of poses, shape (P, N, N)."""
@@ -180,6 +271,11 @@ class StructuredLikelihood(Likelihood):
         return self.base.n_legs
 
     @property
+    def n_model_errors(self) -> int:
+        """2 N, and one more where the length is free."""
+        return super().n_model_errors + self.is_free
+
+    @property
     def n_poses(self) -> int:
         """Number of poses P, and of their combinations."""
         return self.base.n_poses
@@ -188,7 +284,7 @@ class StructuredLikelihood(Likelihood):
 
     def errors(self, theta: Array) -> Array:
         """Return the combinations q of the legs' errors for vectors (B, D), shape (B, P, N), mm."""
-        return self._combine(self.base.leg_errors(theta)[..., None])[..., 0]
+        return self._combine(self.base.errors(theta)[..., None])[..., 0]
 
     def _combine(self, rows: Array) -> Array:
         """Return combinations of legs' errors or their derivatives, shape (..., P, N, D)."""
@@ -196,14 +292,15 @@ class StructuredLikelihood(Likelihood):
 
     def error_jacobian(self, theta: Array) -> tuple[Array, Array]:
         """Return q, shape (P, N), and its derivative (P, N, D) for one parameter vector (D,)."""
-        errors, slope = self.base.leg_error_jacobian(theta)
+        errors, slope = self.base.error_jacobian(theta)
         return self._combine(errors[..., None])[..., 0], self._combine(slope)
 
     def error_covariance(self, model_error: Array) -> Array:
-        """Return the covariance of q, shape (..., P, N, N), for model errors (..., 2 N or more) in mm."""
+        """Return the covariance of q, shape (..., P, N, N), for model errors (..., 2 N or more), at nearest nodes."""
         n = self.n_legs
-        added = self.actuator_weight * model_error[..., None, : 2 * n] ** 2
-        return self._mean_known + np.eye(n) * (added[..., :n] + added[..., n:])[..., None, :]
+        own, function = (self._legs_weight * model_error[..., None, k : k + n] ** 2 for k in (0, n))
+        added = own + self._values_at(model_error)[..., None] * function
+        return np.asarray(self._mean_known + np.eye(n) * added[..., None, :])
 
     def on_legs(self, rows: Array) -> Array:
         """Return the rows twice: τ and s act on each of them."""
@@ -233,19 +330,36 @@ class StructuredLikelihood(Likelihood):
         n, n_poses, n_batch = errors.shape
         mapped = self._scratch.take("mapped", n_poses, n, n_batch)
         np.matmul(self._unmap, errors.transpose(1, 0, 2), out=mapped)
-        rows = self._scratch.take("combined", n_poses, n, n_batch)
-        np.matmul(self.combination.T, mapped.reshape(n_poses, -1), out=rows.reshape(n_poses, -1))
-        variance = model_error.T**2
-        weight = self.actuator_weight
-
-        def add(leg: int) -> Array:
-            return np.asarray(weight[:, leg, None] * variance[leg] + weight[:, n + leg, None] * variance[n + leg])
-
-        known = np.broadcast_to(self._mean_known, (n_poses, n, n))
-        density = factor_by_columns(known, add, rows.transpose(1, 0, 2), self._scratch)[0].sum(axis=0)
+        if self.is_free:
+            by_vector = np.ascontiguousarray(mapped.transpose(2, 0, 1))
+            lower, share = self.place(model_error[:, -1])
+            density = (1.0 - share) * self._evaluate_at(lower, by_vector, model_error)
+            density += share * self._evaluate_at(lower + 1, by_vector, model_error)
+        else:
+            rows = self._scratch.take("combined", n_poses, n, n_batch)
+            np.matmul(self._rows[0], mapped.reshape(n_poses, -1), out=rows.reshape(n_poses, -1))
+            density = self._weigh_rows(rows.transpose(1, 0, 2), self.values[0][:, None], model_error)
         density += self._log_constant
         density[~np.isfinite(density)] = -np.inf
         return np.asarray(density)
+
+    def _evaluate_at(self, nodes: np.ndarray, mapped: Array, model_error: Array) -> Array:
+        """Return the log-density at nodes (B,) but for its constant, shape (B,), from T⁻¹ r (B, P, N)."""
+        n_batch, n_poses, n = mapped.shape
+        rows = self._scratch.take("combined", n, n_poses, n_batch)
+        rows[:] = (self._rows[nodes] @ mapped).transpose(2, 1, 0)
+        return self._weigh_rows(rows, self.values[nodes].T, model_error)
+
+    def _weigh_rows(self, rows: Array, values: Array, model_error: Array) -> Array:
+        """Return the log-density of combinations (N, P, B), with eigenvalues (P, 1 or B), but for its constant."""
+        n, n_poses, _ = rows.shape
+        variance, weight = model_error.T**2, self._legs_weight
+
+        def add(leg: int) -> Array:
+            return np.asarray(weight[leg] * (variance[leg] + values * variance[n + leg]))
+
+        known = np.broadcast_to(self._mean_known, (n_poses, n, n))
+        return np.asarray(factor_by_columns(known, add, rows, self._scratch)[0].sum(axis=0))
 
     def _evaluate(self, theta: Array, model_error: Array) -> tuple[Array, Array]:
         """Return log p(r_n | all other poses, θ, τ, s) of each pose and its squared deviation, shapes (B, P).
@@ -255,7 +369,7 @@ class StructuredLikelihood(Likelihood):
         """
         model_error = np.broadcast_to(model_error, (len(theta), model_error.shape[-1]))
         precision, solved = self._solve(theta, model_error)
-        u = self._combinations(model_error)
+        u = np.swapaxes(self._rows_at(model_error), -1, -2)
         alpha = np.einsum("...pk,...ki->...pi", u, solved)
         own = np.einsum("...pk,...kij->...pij", u**2, precision)
         deviation = np.linalg.solve(own, alpha[..., None])[..., 0]
@@ -264,14 +378,11 @@ class StructuredLikelihood(Likelihood):
         square = np.einsum("bpi,bpi->bp", alpha, deviation)
         return np.asarray(constant + 0.5 * log_det - 0.5 * square), square
 
-    def _combinations(self, model_error: Array) -> Array:
-        """Return U, shape (P, P), or of each model error, (B, P, P)."""
-        return self.combination
-
     def _solve(self, theta: Array, model_error: Array) -> tuple[Array, Array]:
         """Return the precisions of the combinations (B, P, N, N) and these times q, shape (B, P, N)."""
         precision = np.linalg.inv(self.error_covariance(model_error))
-        return precision, np.einsum("bkij,bkj->bki", precision, self.errors(theta))
+        mapped = np.einsum("pij,bpj->bpi", self._unmap, self.base.errors(theta))
+        return precision, np.einsum("bkij,bkj->bki", precision, self._rows_at(model_error) @ mapped)
 
     # --- derivatives and straightening ---------------------------------------------------------------------------
 
@@ -319,8 +430,17 @@ class StructuredLikelihood(Likelihood):
 
     def _level_values(self, model_error: Array) -> Array:
         """Return the mean eigenvalue of each level, (L,), or of each of model errors, (..., L)."""
-        del model_error
-        return np.bincount(self.levels, self.eigenvalues) / np.bincount(self.levels)
+        if not self.is_free:
+            return self._levels_by_node[0]
+        lower, share = self.place(model_error[..., -1])
+        share, values = share[..., None], self._levels_by_node
+        return np.asarray((1.0 - share) * values[lower] + share * values[lower + 1])
+
+    @cached_property
+    def _levels_by_node(self) -> Array:
+        """Mean eigenvalue of the combinations of each level at every node, shape (G, L)."""
+        chosen = np.eye(self.levels.max() + 1)[self.levels]
+        return np.asarray(self.values @ (chosen / chosen.sum(axis=0)))
 
     # --- prediction ----------------------------------------------------------------------------------------------
 
@@ -352,7 +472,7 @@ class StructuredLikelihood(Likelihood):
         prior = np.einsum("...qr,ij,...j->...qirj", self._correlate(poses, model_error), np.eye(n), scale)
         noise = self._mean_known + np.eye(n) * (self._legs_weight * model_error[:, :n] ** 2)[:, None, :]
         total = prior - taken + np.einsum("qr,bij->bqirj", np.eye(n_poses), noise)
-        errors = np.einsum("qij,bqj->bqi", np.linalg.inv(held), poses.leg_errors(theta)) - mean
+        errors = np.einsum("qij,bqj->bqi", np.linalg.inv(held), poses.errors(theta)) - mean
         factor = np.linalg.cholesky(total.reshape(len(theta), n_poses * n, -1))
         white = np.linalg.solve(factor, errors.reshape(len(theta), -1, 1))[..., 0]
         half_log_det = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(axis=-1)
@@ -361,8 +481,8 @@ class StructuredLikelihood(Likelihood):
 
     def _correlate(self, poses: PoseLikelihood, model_error: Array) -> Array:
         """Return the kernel at poses, shape (Q, Q), or of each model error, (B, Q, Q)."""
-        inputs = self.inputs_of(poses)
-        return self.kernel(inputs, inputs)
+        kernel, inputs = self._kernels(model_error[:, -1]) if self.is_free else self.kernel, self.inputs_of(poses)
+        return kernel(inputs, inputs)
 
     def _transfer(self, poses: PoseLikelihood, theta: Array, model_error: Array) -> tuple[Array, Array, Array, Array]:
         """Return g's mean at poses (B, Q, N), the precisions, the kernel seen by combinations (Q, P), and w s²."""
@@ -374,7 +494,10 @@ class StructuredLikelihood(Likelihood):
 
     def _see(self, poses: PoseLikelihood, model_error: Array) -> Array:
         """Return the kernel of poses and combinations, shape (Q, P), or of each model error, (B, Q, P)."""
-        return self.kernel(self.inputs_of(poses), self._inputs) @ self.combination
+        kernel = self.kernel
+        if self.is_free:
+            kernel = self._kernels(np.exp(self.log_nodes[self.find_node(model_error)]))
+        return np.asarray(kernel(self.inputs_of(poses), self._inputs) @ np.swapaxes(self._rows_at(model_error), -1, -2))
 
     @property
     def per_actuator(self) -> Array:

@@ -55,7 +55,7 @@ def predict_structured(
         root = _factor(covariance)
         drawn = np.einsum("bpij,bpj->bpi", root, rng.standard_normal(mean.shape))
         own = np.linalg.cholesky(poses.pose_covariance(model_error[part, :n]))
-        errors.append(np.einsum("pij,bpj->bpi", gain, poses.leg_errors(theta[part]) - mean))
+        errors.append(np.einsum("pij,bpj->bpi", gain, poses.errors(theta[part]) - mean))
         noise.append(np.einsum("bpij,bpj->bpi", own, rng.standard_normal(errors[-1].shape)))
         noise[-1] += np.einsum("pij,bpj->bpi", gain, drawn)
         means.append(mean)
@@ -85,7 +85,7 @@ def pointwise_given(
         tau = poses.actuator_weight * model_error[part, None, :n] ** 2
         total = covariance + poses.legs_known + np.eye(n) * tau[..., None, :]
         factor = np.linalg.cholesky(total)
-        white = np.linalg.solve(factor, (poses.leg_errors(theta[part]) - mean)[..., None])[..., 0]
+        white = np.linalg.solve(factor, (poses.errors(theta[part]) - mean)[..., None])[..., 0]
         half_log_det = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(axis=-1)
         single.append(poses.log_constant - half_log_det - 0.5 * np.sum(white**2, axis=-1))
         together.append(likelihood.joint(poses, theta[part], model_error[part]))

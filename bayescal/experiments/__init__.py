@@ -2,22 +2,27 @@
 
 KINDS = {
     "audit": "bayescal.experiments.audit.kind:Audit",
-    "calibration": "bayescal.experiments.calibration.kind:Calibration",
-    "calibration_audit": "bayescal.experiments.calibration.audit.kind:CalibrationAudit",
-    "calibration_simulation": "bayescal.experiments.calibration.simulation_kind:CalibrationSimulation",
     "check": "bayescal.experiments.check.kind:Check",
-    "lookup_table": "bayescal.experiments.calibration.table.kind:LookupTable",
-    "next_pose": "bayescal.experiments.next_pose.kind:NextPose",
-    "pose_selection": "bayescal.experiments.pose_selection.kind:PoseSelection",
+    "selection": "bayescal.experiments.selection.kind:Selection",
     "sessions": "bayescal.experiments.sessions.kind:Sessions",
     "simulation": "bayescal.experiments.simulation.kind:Simulation",
     "study": "bayescal.experiments.study.kind:Study",
     "sweep": "bayescal.experiments.sweep.kind:Sweep",
+    "table": "bayescal.experiments.table.kind:LookUpTable",
 }
 
+USES = {"next": "bayescal.experiments.next.kind:NextPose"}
+"""What is asked of a study: it has results of its own, but no kind in its file, which names the study."""
+
 GONE = {
-    "reading_simulation": "calibration_simulation",
-    "self_calibration": "calibration",
-    "sensor_placement": "calibration_audit",
+    "calibration": "study",
+    "calibration_audit": "audit",
+    "next_pose": "no kind in a file that names a study, which `bayescal next` takes",
+    "calibration_simulation": "simulation",
+    "lookup_table": "table",
+    "pose_selection": "selection",
+    "reading_simulation": "simulation",
+    "self_calibration": "study",
+    "sensor_placement": "audit",
 }
-"""Kinds that are no more, and what does the same."""
+"""Kinds that are no more, and what does the same: another kind, or what to write."""

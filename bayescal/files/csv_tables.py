@@ -9,7 +9,7 @@ import csv
 import difflib
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -66,10 +66,13 @@ class Table:
     def positive(self, columns: Sequence[str]) -> Array:
         """Return columns as `numbers` does; zero or less is an error, too."""
         result = self.numbers(columns)
-        if (result <= 0.0).any():
-            row, k = (int(one) for one in np.argwhere(result <= 0.0)[0])
-            raise InputError(f"{self.where(row)}: {columns[k]}: found {result[row, k]:g}, expected above 0")
+        self.refuse(result <= 0.0, lambda row, k: f"{columns[k]}: found {result[row, k]:g}, expected above 0")
         return result
+
+    def refuse(self, wrong: np.ndarray, say: Callable[..., str]) -> None:
+        """Raise InputError for the first entry of a mask (rows, ...), in words for its row and its other places."""
+        for row, *places in np.argwhere(wrong)[:1]:
+            raise InputError(f"{self.where(row)}: {say(row, *places)}")
 
     def has(self, columns: Sequence[str]) -> bool:
         """Whether the table has any of these columns; InputError where it has some of them, but not all."""

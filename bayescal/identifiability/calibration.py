@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -29,6 +30,30 @@ ROUNDS = 20
 LIMITS = (1.0, 1.96)  # standard deviations
 NORMAL_MEDIAN = 0.67449  # of the size of a standard normal number
 RANK = 1e-12  # of a scaled information, below which a coordinate is not measured
+
+
+class Calibrations(Protocol):
+    """Simulated calibrations of B machines, B' of which converged, in units of the tolerances."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the m parameters that were identified."""
+
+    @property
+    def errors(self) -> Array:
+        """Estimate minus truth, shape (B', m)."""
+
+    @property
+    def claimed(self) -> Array:
+        """Standard deviations that they claim, shape (B', m)."""
+
+    @property
+    def converged(self) -> np.ndarray:
+        """Which of all did, shape (B,)."""
+
+    @property
+    def n_redrawn(self) -> int:
+        """How many machines could not take every planned pose, and were drawn anew."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -256,12 +281,12 @@ class Comparison:
         return result
 
 
-def compare_with_prediction(simulated: SimulatedCalibrations, covariance: Array) -> Comparison:
+def compare_with_prediction(simulated: Calibrations, covariance: Array) -> Comparison:
     """Return how calibrations' errors compare with a predicted posterior covariance.
 
     Parameters
     ----------
-    simulated : SimulatedCalibrations
+    simulated : Calibrations
     covariance : ndarray, shape (m, m)
         Of the errors of the identified parameters in units of the tolerances: `Information.covariance`,
         `expected_covariance`, or a part of `Information.errors_of_reduced`.

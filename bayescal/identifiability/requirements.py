@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
-from bayescal.identifiability.design import Plan
 from bayescal.identifiability.information import Information
-from bayescal.identifiability.sensitivity import Sensitivity, root_of
+from bayescal.identifiability.sensitivity import root_of
 from bayescal.numerics.geometry import Array
 
 DRAWS = 2000
@@ -30,11 +30,14 @@ class Requirement:
         mm or rad.
     components : tuple of str
         Of the errors: those of a platform's pose, or what else has to be accurate, positions first.
+    of : str
+        What is limited: the error at ``every_pose`` of the workspace, or its ``rms`` over them.
     """
 
     name: str
     limit: float
     components: tuple[str, ...] = COMPONENTS
+    of: Literal["every_pose", "rms"] = "every_pose"
 
     @property
     def where(self) -> slice:
@@ -50,24 +53,42 @@ class Requirement:
         """Return the variance of the quantity from covariances (..., c, c), summed over a norm's parts."""
         return np.asarray(np.diagonal(covariance, axis1=-2, axis2=-1)[..., self.where].sum(axis=-1))
 
+    def size(self, covariance: Array) -> float:
+        """Return the standard deviation over W poses, largest or rms, of covariances (W, c, c)."""
+        variance = self.variance(covariance)
+        return float(np.sqrt(variance.max() if self.of == "every_pose" else variance.mean()))
+
+    def keeps(self, error: Array) -> np.ndarray:
+        """Return which machines keep the limit with errors (..., W, c) at W poses, shape (...)."""
+        size = self.take(error)
+        if self.of == "every_pose":
+            return np.asarray((size <= self.limit).all(axis=-1))
+        return np.asarray(np.mean(size**2, axis=-1) <= self.limit**2)
+
 
 @dataclass(frozen=True)
 class Outlook:
-    """How a requirement stands.
+    """How a requirement stands, NaN and without probability where the machine's own sensors do not determine it.
 
     Attributes
     ----------
     requirement : Requirement
     prior_sd, predicted_sd : float
-        Largest standard deviation in the workspace before and after the calibration, mm or rad; of a length the root
-        mean square.
+        Standard deviation over the workspace before and after the calibration, mm or rad, the largest or the root mean
+        square as is required; of a length the root mean square.
     prior_probability, probability : float
-        That no pose of the workspace exceeds the limit.
+        That the limit is kept.
     geometry_sd : float
-        The part of ``predicted_sd`` that the geometry causes; the rest are actuators and model error.
+        The part of ``predicted_sd`` that the geometry causes; the rest is the noise of the machine in use.
     reduced_sd, reduced_probability : float
         The same where only the recommended parameters are calibrated and the others, though off by their tolerances,
         are taken for nominal.
+    rms_sd, worst_sd : float
+        Root mean square and largest standard deviation over the workspace after the calibration.
+    worst : int
+        At which of its poses that is.
+    everywhere : float
+        Probability that no pose of the workspace exceeds the limit.
     """
 
     requirement: Requirement
@@ -78,87 +99,97 @@ class Outlook:
     geometry_sd: float
     reduced_sd: float
     reduced_probability: float
+    rms_sd: float
+    worst_sd: float
+    worst: int
+    everywhere: float
 
 
 @dataclass(frozen=True, eq=False)
 class Forecast:
-    """The workspace's poses and how they move with the parameters.
+    """What errs at the workspace's poses, and how that moves with the parameters.
 
     Attributes
     ----------
-    sensitivity : Sensitivity
-    sd : ndarray, shape (n,)
-        Tolerances.
+    slope : ndarray, shape (W, c, n)
+        Errors by parameters in units of the tolerances.
+    noise : ndarray, shape (W, c, c)
+        Their covariance by what moves a machine in use.
     """
 
-    sensitivity: Sensitivity
-    sd: Array
-
-    @property
-    def slope(self) -> Array:
-        """Pose by parameters in units of the tolerances, shape (W, 6, n)."""
-        return self.sensitivity.slope * self.sd
+    slope: Array
+    noise: Array
 
     def covariance(self, geometry: Array) -> Array:
-        """Return pose covariances (W, 6, 6) of a covariance of the parameters in units of the tolerances."""
+        """Return covariances (W, c, c) of errors of a covariance of the parameters in units of the tolerances."""
         result: Array = self.slope @ geometry @ np.swapaxes(self.slope, -1, -2)
         return result
 
     def effect(self, vector: Array) -> Array:
-        """Return what a move along a direction (n,) does to the poses, shape (W, 6)."""
+        """Return what a move along a direction (n,) does to the poses, shape (W, c)."""
         return np.asarray(self.slope @ vector)
 
     def judge(
         self,
-        requirements: list[Requirement],
+        requirements: Sequence[Requirement],
         information: Information,
-        plan: Plan,
         rng: np.random.Generator,
         free: tuple[int, ...],
-    ) -> list[Outlook]:
-        """Return how requirements stand before and after the calibration, to first order.
+    ) -> tuple[list[Outlook], float]:
+        """Return how requirements stand before and after the calibration, to first order, and how probable all are.
 
         Parameters
         ----------
         requirements : list of Requirement
         information : Information
-        plan : Plan
         rng : Generator
         free : tuple of int
             The parameters that are recommended to be freed.
         """
-        identity = np.eye(len(self.sd))
-        noise = self.sensitivity.pose_noise(plan)
+        if not (np.isfinite(self.slope).all() and np.isfinite(self.noise).all()):
+            nan = float("nan")
+            return [Outlook(one, nan, nan, 0.0, 0.0, nan, nan, 0.0, nan, nan, 0, 0.0) for one in requirements], 0.0
+        identity, noise = np.eye(self.slope.shape[-1]), self.noise
         prior, after = self.covariance(identity), self.covariance(information.covariance)
-        before = self._probabilities(requirements, identity, noise, rng)
-        later = self._probabilities(requirements, root_of(information.covariance).T, noise, rng)
+        before, _, _ = self._probabilities(requirements, identity, rng)
+        later, everywhere, together = self._probabilities(requirements, root_of(information.covariance).T, rng)
         errors = information.errors_of_reduced(free)
         reduced = self.covariance(errors)
-        chances = self._probabilities(requirements, root_of(errors).T, noise, rng)
-        return [
-            Outlook(
-                requirement,
-                _largest(requirement, prior + noise),
-                _largest(requirement, after + noise),
-                float(before[k]),
-                float(later[k]),
-                _largest(requirement, after),
-                _largest(requirement, reduced + noise),
-                float(chances[k]),
+        chances, _, _ = self._probabilities(requirements, root_of(errors).T, rng)
+        outlooks = []
+        for k, one in enumerate(requirements):
+            variance = one.variance(after + noise)
+            outlooks.append(
+                Outlook(
+                    one,
+                    one.size(prior + noise),
+                    one.size(after + noise),
+                    float(before[k]),
+                    float(later[k]),
+                    one.size(after),
+                    one.size(reduced + noise),
+                    float(chances[k]),
+                    float(np.sqrt(variance.mean())),
+                    float(np.sqrt(variance.max())),
+                    int(variance.argmax()),
+                    float(everywhere[k]),
+                )
             )
-            for k, requirement in enumerate(requirements)
-        ]
+        return outlooks, together
 
     def _probabilities(
-        self, requirements: list[Requirement], root: Array, noise: Array, rng: np.random.Generator
-    ) -> Array:
-        """Return the share of draws of which no pose exceeds the limit."""
-        good = np.zeros(len(requirements))
-        for error in draw_errors(self.slope @ root, np.swapaxes(root_of(noise), -1, -2), rng):
-            good += [np.sum((r.take(error) <= r.limit).all(axis=1)) for r in requirements]
-        return good / DRAWS
+        self, requirements: Sequence[Requirement], root: Array, rng: np.random.Generator
+    ) -> tuple[Array, Array, float]:
+        """Return the shares of draws that keep each limit, of those that keep it at every pose, and that keep all."""
+        good, everywhere, together = np.zeros(len(requirements)), np.zeros(len(requirements)), 0
+        for error in draw_errors(self.slope @ root, np.swapaxes(root_of(self.noise), -1, -2), rng):
+            kept = np.array([one.keeps(error) for one in requirements]).reshape(len(requirements), len(error))
+            good += kept.sum(axis=1)
+            everywhere += [np.sum((one.take(error) <= one.limit).all(axis=1)) for one in requirements]
+            together += int(kept.all(axis=0).sum())
+        return good / DRAWS, everywhere / DRAWS, together / DRAWS
 
-    def share_of_limit(self, vector: Array, requirements: list[Requirement]) -> tuple[float, str]:
+    def share_of_limit(self, vector: Array, requirements: Sequence[Requirement]) -> tuple[float, str]:
         """Return the largest share of a limit that a move along a direction takes anywhere, and of which limit."""
         effect = self.effect(vector)
         shares = {r.name: float(r.take(effect).max()) / r.limit for r in requirements}
@@ -181,10 +212,6 @@ def draw_errors(slope: Array, noise_root: Array, rng: np.random.Generator) -> It
         error = (flat @ rng.standard_normal((slope.shape[-1], CHUNK))).T.reshape(CHUNK, *slope.shape[:2])
         error += np.einsum("wij,bwj->bwi", noise_root, rng.standard_normal((*error.shape[:2], noise_root.shape[-1])))
         yield error
-
-
-def _largest(requirement: Requirement, covariance: Array) -> float:
-    return float(np.sqrt(requirement.variance(covariance).max()))
 
 
 def find_limits(requirements: Sequence[Requirement], slope: Array) -> Array:

@@ -306,10 +306,12 @@ def _place_actuators(machine: Machine, theta: Array, position: Array, rotation: 
 def _actuator_step(here: Linearisation) -> Array:
     """Return the Newton step (..., N), bounded; NaN for a pose with a leg that has none, as across its guide."""
     good, identity = np.isfinite(here.residual).all(axis=-1), np.eye(here.actuators.shape[-1])
-    jacobian = np.where(good[..., None, None], here.actuators, identity)
-    good &= np.linalg.det(jacobian) != 0.0
-    jacobian = np.where(good[..., None, None], jacobian, identity)
-    step = -np.linalg.solve(jacobian, here.residual[..., None])[..., 0]
+    jacobian, residual = np.where(good[..., None, None], here.actuators, identity), here.residual[..., None]
+    try:
+        step = -np.linalg.solve(jacobian, residual)[..., 0]
+    except np.linalg.LinAlgError:
+        good &= np.linalg.det(jacobian) != 0.0
+        step = -np.linalg.solve(np.where(good[..., None, None], jacobian, identity), residual)[..., 0]
     return np.where(good[..., None], np.clip(step, -20.0, 20.0), np.nan)
 
 

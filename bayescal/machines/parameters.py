@@ -32,6 +32,11 @@ class ParameterBlock:
         Whether the values belong to legs; then they are named ``a_x[1]``, legs counted from one.
     lower, upper : float
         There is a machine only strictly between them.
+
+    Examples
+    --------
+    >>> bc.ParameterBlock("l", (300.0, 300.0, 300.0)).names
+    ('l[1]', 'l[2]', 'l[3]')
     """
 
     symbol: str

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from pydantic import create_model
@@ -21,14 +21,22 @@ from bayescal.machines.kinematics import Machine, check_drive, check_home_pose
 from bayescal.machines.mechanism import BeamSection, ExternalLoad, Flexures, Mechanism, section_of_rod
 from bayescal.machines.models import KinematicModel
 from bayescal.machines.parameters import HomeStart
-from bayescal.machines.readings import FunctionModel, Legs, ReadingMachine, ReadingModel, SlidingPlatform
-from bayescal.machines.readings.schema import LegsMachineConfig, MachineFileConfig, SlidingPlatformConfig
-from bayescal.machines.readings.sliding_platform import matrix_of_angle
-from bayescal.machines.schema import BeamSectionConfig, HomeConfig, LoadConfig, MechanismConfig, PointsConfig
+from bayescal.machines.readings import FunctionModel, Legs, ReadingMachine, ReadingModel
+from bayescal.machines.readings.schema import LegsMachineConfig, MachineFileConfig
+from bayescal.machines.schema import (
+    BeamSectionConfig,
+    HomeConfig,
+    LoadConfig,
+    MechanismConfig,
+    PointsConfig,
+    TargetRingConfig,
+)
 from bayescal.numerics.geometry import Array
 
 MPA_PER_GPA = 1e3
 UPWARDS = [0.0, 0.0, 1.0]
+RING_DECIMALS = 6
+LEGS = "legs"
 SHORTEST = 1e-6  # mm; what rounding leaves of no length is less
 
 
@@ -44,7 +52,7 @@ def load_mechanism(path: Path) -> Mechanism:
     if isinstance(content.get("kind"), str):
         raise InputError(
             f"{path}: kind: found {content['kind']!r}, a machine of channels, expected one on legs whose platform an "
-            "instrument sees; kind = 'calibration' calibrates it, an instrument being channels of its class"
+            "instrument sees; tables of readings, [[data]], calibrate it, an instrument being channels of its class"
         )
     config = check_section(MechanismConfig, content, path, text)
     home, base = _home(config, path, text), points_of(config.base)
@@ -161,14 +169,22 @@ def _load(config: LoadConfig) -> ExternalLoad:
     return ExternalLoad((fx, fy, fz), (mx, my, mz), (gx, gy, gz), (cx, cy, cz))
 
 
-def points_of(config: PointsConfig) -> Array:
-    """Return points, shape (n, 3), mm."""
+def points_of(config: PointsConfig | list[TargetRingConfig]) -> Array:
+    """Return points of a body, shape (n, 3), mm, those of rings with the digits that are written of them."""
+    if isinstance(config, list):
+        return np.round(np.concatenate([_points_on(ring) for ring in config]), RING_DECIMALS)
     if config.points_mm is not None:
         return np.array(config.points_mm, dtype=np.float64)
     azimuth = np.radians(config.azimuth_deg or [])
     radius = config.radius_mm or 0.0
     height = np.full_like(azimuth, config.height_mm)
     return np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), height], axis=1)
+
+
+def _points_on(ring: TargetRingConfig) -> Array:
+    azimuth = np.radians(ring.azimuth_deg) + 2 * np.pi * np.arange(ring.count) / ring.count
+    height = np.full(ring.count, ring.height_mm)
+    return np.stack([ring.radius_mm * np.cos(azimuth), ring.radius_mm * np.sin(azimuth), height], axis=1)
 
 
 def build_named_machine(
@@ -220,7 +236,8 @@ def read_reading_model(path: Path) -> ReadingModel:
     """Return the machine of a TOML file seen by its sensors, whatever its kind.
 
     Its ``kind`` is ``legs``, ``sliding_platform`` or a machine of one function: a built-in name, an installed
-    package's, or ``file.py:Class`` beside the file. The class's own section is ``[machine]``.
+    package's, or ``file.py:Class`` beside the file. The class's own section is ``[machine]``, or all of the file where
+    its ``Config`` is that of a whole one.
 
     Raises
     ------
@@ -229,16 +246,20 @@ def read_reading_model(path: Path) -> ReadingModel:
     """
     content, text = read_toml(path)
     kind = content.get("kind")
-    if isinstance(kind, str) and kind in READERS:
-        return READERS[kind](path)
+    if kind == LEGS:
+        return read_legs(path)
     if not isinstance(kind, str):
-        names = ", ".join(sorted([*READERS, *list_references("MACHINES")]))
+        names = ", ".join(sorted([LEGS, *list_references("MACHINES")]))
         raise InputError(f"{path}: kind: found {kind!r}, expected one of {names}, or file.py:Class")
     found = _find(kind, path)
-    schema = create_model("MachineFile", __base__=MachineFileConfig, machine=(found.Config, ...))
-    config = check_section(schema, {"machine": {}, **content}, path, text)
+    whole = issubclass(found.Config, MachineFileConfig)
+    if whole:
+        config: Any = check_section(found.Config, content, path, text)
+    else:
+        schema = create_model("MachineFile", __base__=MachineFileConfig, machine=(found.Config, ...))
+        config = check_section(schema, {"machine": {}, **content}, path, text)
     with name_faults(path):
-        return FunctionModel(config.name, _make(found, config.machine))  # type: ignore[attr-defined]
+        return FunctionModel(config.name, _make(found, config if whole else config.machine))
 
 
 def _make(found: type[ReadingMachine], section: Section) -> ReadingMachine:
@@ -260,16 +281,16 @@ def find_machine_classes(path: Path) -> list[type]:
     """Return the classes that a machine's file names: that of a machine of one function, or those of legs."""
     content, text = read_toml(path)
     kind = content.get("kind")
-    if kind == "legs":
+    if kind == LEGS:
         return find_classes(check_section(LegsMachineConfig, content, path, text), path.parent)
-    return [] if kind in READERS or not isinstance(kind, str) else [_find(kind, path)]
+    return [] if not isinstance(kind, str) else [_find(kind, path)]
 
 
 def list_machine_sources(path: Path) -> list[str]:
     """Return the files that a machine's file names, those of its classes too, relative to it."""
     content, text = read_toml(path)
     kind = content.get("kind")
-    if kind == "legs":
+    if kind == LEGS:
         return find_files(check_section(LegsMachineConfig, content, path, text), path.parent)
     return list_sources("MACHINES", kind, path.parent) if isinstance(kind, str) else []
 
@@ -292,38 +313,3 @@ def read_legs(path: Path) -> Legs:
     with name_faults(file):
         check_home_pose(machine)
     return Legs(machine, np.array(config.tool_mm), config.name, inclined=True)
-
-
-def read_sliding_platform(path: Path) -> SlidingPlatform:
-    """Return the machine of a TOML file; InputError names the file."""
-    content, text = read_toml(path)
-    config = check_section(SlidingPlatformConfig, content, path, text)
-    with name_faults(path):
-        return build_sliding_platform(config)
-
-
-def build_sliding_platform(config: SlidingPlatformConfig) -> SlidingPlatform:
-    """Return the machine of a config, its platform's frame moved to B_1 with the ξ axis through B_2."""
-    points = np.array([leg.platform_point_mm for leg in config.legs])
-    if len(points) < 2 or np.allclose(points[0], points[1]):
-        raise InputError(f"machine {config.name!r}: found B_1 and B_2 in one place, expected them apart")
-    along = points[1] - points[0]
-    turned = float(np.arctan2(along[1], along[0]))
-    own = matrix_of_angle(np.array(-turned))
-    tool = own @ (np.array(config.tool.point_mm) - points[0])
-    angle = float(np.radians(config.home.angle_deg)) + turned
-    origin = np.array(config.home.tool_mm) - matrix_of_angle(np.array(angle)) @ tool
-    return SlidingPlatform(
-        name=config.name,
-        guide_points=np.array([leg.guide_point_mm for leg in config.legs]),
-        guide_angles=np.radians([leg.guide_angle_deg for leg in config.legs]),
-        leg_lengths=np.array([leg.length_mm for leg in config.legs]),
-        platform_points=(points - points[0]) @ own.T,
-        tool_point=tool,
-        home=np.array([*origin, angle]),
-        forward=np.array([leg.points == "along" for leg in config.legs]),
-    )
-
-
-READERS: Mapping[str, Callable[[Path], ReadingModel]] = {"legs": read_legs, "sliding_platform": read_sliding_platform}
-"""Readers of machine files by their kind, where that is no class."""

@@ -32,6 +32,19 @@ class PointsConfig(Section):
         return self
 
 
+class TargetRingConfig(Section):
+    """Targets evenly on a circle of a body."""
+
+    count: Annotated[int, Field(ge=1, le=1000)]
+    """Number of targets, evenly on the circle."""
+    radius_mm: Positive
+    """Radius of the circle."""
+    height_mm: Number
+    """Height of the circle above the body's origin."""
+    azimuth_deg: Number = 0.0
+    """Where the first target lies."""
+
+
 class LegsConfig(Section):
     """Lengths, actuator directions and initial actuator positions: one value for all legs or one per leg.
 

@@ -28,6 +28,12 @@ def skew_matrix(vector: Array) -> Array:
     return result
 
 
+def compute_rigid_jacobian(points: Array, rotation: Array) -> Array:
+    """Return (1, -[R s]×) of points s (..., n, 3) on a body turned by R (..., 3, 3), shape (..., n, 3, 6)."""
+    arms = points @ np.swapaxes(rotation, -1, -2)
+    return np.concatenate([np.broadcast_to(np.eye(3), (*arms.shape, 3)), -skew_matrix(arms)], axis=-1)
+
+
 def matrix_from_rotation_vector(rotation_vector: Array) -> Array:
     """Return the rotation matrices of rotation vectors in radians, shape (..., 3) to (..., 3, 3).
 

@@ -16,7 +16,6 @@ rotation itself, by 3 % at 10 deg.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Literal
 
 import numpy as np
@@ -27,45 +26,25 @@ from bayescal.numerics.geometry import Array
 type JacobianForm = Literal["pose", "angles", "closure"]
 
 
-def compute_o1(values: Array, n_poses: int) -> Array:
-    """Return O1 of singular values (..., L)."""
+INDICES = ("O1", "O2", "O3", "O4", "O5")
+
+
+def compute_index(name: str, values: Array, n_poses: int) -> Array:
+    """Return an index of singular values (..., L) at n poses, largest first, shape (...)."""
+    largest, least = values[..., 0], values[..., -1]
     with np.errstate(divide="ignore"):
-        mean = np.exp(np.log(values).mean(axis=-1))
-    return np.asarray(mean / np.sqrt(n_poses))
-
-
-def compute_o2(values: Array, n_poses: int) -> Array:
-    """Return O2 of singular values (..., L)."""
-    del n_poses
-    return np.asarray(values.min(axis=-1) / values.max(axis=-1))
-
-
-def compute_o3(values: Array, n_poses: int) -> Array:
-    """Return O3 of singular values (..., L)."""
-    del n_poses
-    return np.asarray(values.min(axis=-1))
-
-
-def compute_o4(values: Array, n_poses: int) -> Array:
-    """Return O4 of singular values (..., L)."""
-    del n_poses
-    return np.asarray(values.min(axis=-1) ** 2 / values.max(axis=-1))
-
-
-def compute_o5(values: Array, n_poses: int) -> Array:
-    """Return O5 of singular values (..., L)."""
-    del n_poses
-    with np.errstate(divide="ignore"):
-        return np.asarray(1.0 / np.sum(1.0 / values, axis=-1))
-
-
-INDICES: dict[str, Callable[[Array, int], Array]] = {
-    "O1": compute_o1,
-    "O2": compute_o2,
-    "O3": compute_o3,
-    "O4": compute_o4,
-    "O5": compute_o5,
-}
+        match name:
+            case "O1":
+                found = np.exp(np.log(values).mean(axis=-1)) / np.sqrt(n_poses)
+            case "O2":
+                found = least / largest
+            case "O3":
+                found = least
+            case "O4":
+                found = least**2 / largest
+            case _:
+                found = 1.0 / np.sum(1.0 / values, axis=-1)
+    return np.asarray(found)
 
 
 def identification_rows(sensitivity: Sensitivity, form: JacobianForm = "pose") -> Array:
@@ -130,7 +109,7 @@ def compute_observability(jacobian: Array) -> dict[str, Array]:
         Zero where there are fewer rows than parameters.
     """
     values = singular_values(jacobian.reshape(*jacobian.shape[:-3], -1, jacobian.shape[-1]))
-    return {name: index(values, jacobian.shape[-3]) for name, index in INDICES.items()}
+    return {name: compute_index(name, values, jacobian.shape[-3]) for name in INDICES}
 
 
 def singular_values(rows: Array) -> Array:

@@ -25,6 +25,7 @@ import bayescal
 from bayescal.config.load import read_toml
 from bayescal.config.registry import find_class, list_references
 from bayescal.config.sections import FileMark, Section
+from bayescal.experiments import USES
 from bayescal.experiments.frame.load import find_kind, load
 from bayescal.machines.readings import ReadingMachine
 from bayescal.machines.readings.schema import LegsMachineConfig, MachineFileConfig, SlidingPlatformConfig
@@ -152,6 +153,8 @@ def describe_default(info: FieldInfo) -> str:
 
 def write_value(value: Any) -> str:
     """Return a value as TOML has it, cut where it is long."""
+    if isinstance(value, BaseModel):
+        value = value.model_dump(exclude_unset=True)
     if isinstance(value, dict):
         text = "{ " + ", ".join(f"{key} = {write_value(one)}" for key, one in value.items()) + " }"
     elif isinstance(value, list | tuple):
@@ -265,11 +268,18 @@ def list_schemas() -> dict[str, tuple[str, str, type[BaseModel]]]:
     for what, title in (("MACHINES", "Machine"), ("INSTRUMENTS", "Instrument")):
         for name in sorted(list_references(what)):
             found = find_class(what, name, ReadingMachine, "kind", ROOT, None)
-            pages[name] = (f"{title}: options of {name}", summarise(found), getattr(found, "Config", Section))
-    for kind in sorted(list_references("KINDS")):
+            page = (f"{title}: options of {name}", summarise(found), getattr(found, "Config", Section))
+            pages.setdefault(name, page)
+    for kind in sorted({**list_references("KINDS"), **USES}):
         found = find_kind(kind, ROOT, None)
         pages[f"kind_{kind}"] = (f'kind = "{kind}"', summarise(type(found)), found.schema)
     return pages
+
+
+def describe(schema: type) -> str:
+    """Return a section's docstring without its attributes and examples, in one line."""
+    text = re.split(r"\n\n(?:Attributes|Examples)\n", inspect.getdoc(schema) or "")[0]
+    return " ".join(text.split()).replace("``", "`")
 
 
 def summarise(found: type) -> str:
@@ -284,7 +294,7 @@ def write_page(title: str, text: str, schema: type[BaseModel], examples: Example
         lines = "\n".join(write_row(place.schema, name, examples) for name in place.schema.model_fields)
         parts.append(
             f"## {write_heading(place)}\n\n"
-            f"{' '.join((inspect.getdoc(place.schema) or '').split()).replace('``', '`')}\n\n"
+            f"{describe(place.schema)}\n\n"
             f"| key | meaning, and an example | unit | takes | default |\n|---|---|---|---|---|\n{lines}\n"
         )
     return "\n".join(parts)
@@ -331,7 +341,10 @@ def write_commands() -> str:
 
 def write_names() -> str:
     """Return the page of the public names."""
-    parts = ["# Public names\n\nWhat `import bayescal` offers; everything else may change.\n"]
+    parts = [
+        "# Public names\n\nWhat `import bayescal` offers, in the order in which it is needed; everything else may "
+        "change. Examples go on from one to the next.\n"
+    ]
     for name in bayescal.__all__:
         found = getattr(bayescal, name)
         what = "class" if inspect.isclass(found) else "function"

@@ -1,6 +1,7 @@
 """Commands of tutorials, run while the pages are read: what is shown is what they print, and a failure ends the build.
 
-A page's commands share an empty folder, ``_build/work/PAGE``; ``$ROOT`` is the repository. Options of a block:
+A page's commands share an empty folder, ``_build/work/PAGE``; ``$ROOT`` is the repository. A ``{code-cell}`` holds
+Python, as in a notebook. Options of a ``{run}`` block:
 
 ``exit``
     The exit code that is expected of the last command, 0 by default.
@@ -16,6 +17,9 @@ A page's commands share an empty folder, ``_build/work/PAGE``; ``$ROOT`` is the 
 
 from __future__ import annotations
 
+import ast
+import contextlib
+import io
 import os
 import shutil
 import subprocess
@@ -33,10 +37,26 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from sphinx.application import Sphinx
+    from sphinx.environment import BuildEnvironment
 
 ROOT = Path(__file__).parents[2]
 WORK = ROOT / "docs" / "_build" / "work"
 TIME_LIMIT = 240.0  # s
+
+
+def name_of(env: BuildEnvironment) -> str:
+    """Return the name of the page that is read, without its folders."""
+    return env.docname.rpartition("/")[2]
+
+
+def enter(env: BuildEnvironment) -> Path:
+    """Return the page's folder, emptied where this is the page's first block."""
+    folder = WORK / name_of(env)
+    if not env.temp_data.get("run_begun"):
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir(parents=True)
+        env.temp_data["run_begun"] = True
+    return folder
 
 
 class Run(SphinxDirective):
@@ -52,7 +72,7 @@ class Run(SphinxDirective):
 
     def run(self) -> list[nodes.Node]:
         """Run the commands one by one; ExtensionError where one of them does not end as expected."""
-        folder = self._enter()
+        folder = enter(self.env)
         commands = _join("\n".join(self.content))
         shown = []
         for number, command in enumerate(commands, start=1):
@@ -71,22 +91,9 @@ class Run(SphinxDirective):
         """Return the link to a page that was written, where there is one."""
         if "page" not in self.options or not self.config.run_commands:
             return []
-        target = f"/{WORK.relative_to(ROOT / 'docs').as_posix()}/{self._name}/{self.options['page']}"
+        target = f"/{WORK.relative_to(ROOT / 'docs').as_posix()}/{name_of(self.env)}/{self.options['page']}"
         words = nodes.Text("The page that this run has written")
         return [nodes.paragraph("", "", addnodes.download_reference("", "", words, reftarget=target), nodes.Text("."))]
-
-    @property
-    def _name(self) -> str:
-        return self.env.docname.rpartition("/")[2]
-
-    def _enter(self) -> Path:
-        """Return the page's folder, emptied where this is the page's first block."""
-        folder = WORK / self._name
-        if not self.env.temp_data.get("run_begun"):
-            shutil.rmtree(folder, ignore_errors=True)
-            folder.mkdir(parents=True)
-            self.env.temp_data["run_begun"] = True
-        return folder
 
     def _call(self, command: str, folder: Path, expected: int) -> list[str]:
         path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
@@ -134,8 +141,41 @@ def _limit(lines: list[str], most: int | None) -> list[str]:
     return lines if most is None or len(lines) <= most else [*lines[:most], "..."]
 
 
+class Cell(SphinxDirective):
+    """A cell of a notebook: Python with what it prints and shows; a page's cells go on from one to the next."""
+
+    has_content = True
+
+    def run(self) -> list[nodes.Node]:
+        """Run the cell in the page's folder, as warnings being errors; ExtensionError where it fails."""
+        code = "\n".join(self.content)
+        found: list[nodes.Node] = [nodes.literal_block(code, code, language="python")]
+        if not self.config.run_commands:
+            return found
+        names = self.env.temp_data.setdefault("cells", {"__name__": "__notebook__"})
+        with contextlib.chdir(enter(self.env)), contextlib.redirect_stdout(io.StringIO()) as said:
+            try:
+                shown = run_cell(code, names)
+            except Exception as error:
+                raise ExtensionError(f"{self.env.docname}, line {self.lineno}: {error!r}") from error
+        if text := said.getvalue() if shown is None or hasattr(shown, "_repr_html_") else f"{said.getvalue()}{shown!r}":
+            found.append(nodes.literal_block(text, text, language="text"))
+        if hasattr(shown, "_repr_html_"):
+            found.append(nodes.raw("", shown._repr_html_(), format="html"))
+        return found
+
+
+def run_cell(code: str, names: dict[str, object]) -> object:
+    """Run a cell; return the value of its last line, None where that is none."""
+    tree = ast.parse(code)
+    last = tree.body.pop() if isinstance(tree.body[-1], ast.Expr) else None
+    exec(compile(tree, "<cell>", "exec"), names)
+    return None if last is None else eval(compile(ast.Expression(last.value), "<cell>", "eval"), names)
+
+
 def setup(app: Sphinx) -> dict[str, bool]:
     """Register the directive."""
     app.add_config_value("run_commands", True, "env", types=[bool])
     app.add_directive("run", Run)
+    app.add_directive("code-cell", Cell)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

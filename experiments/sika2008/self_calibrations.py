@@ -16,7 +16,7 @@ from sika2008.machines import list_correlations, list_machine_steps, run_machine
 from sika2008.pages import build_page
 from sika2008.published import Published, judge_documented, read_published, summarise_machines
 from sika2008.schema import SelfCalibrationsConfig
-from sika2008.setup import Setup, read_setup
+from sika2008.setup import Setup, platform_of, read_setup
 from sika2008.simulate import PAPER
 
 READINGS, AT_ONCE = 8, 16
@@ -102,7 +102,7 @@ def _describe_inputs(setup: Setup) -> dict[str, Any]:
     ]
     return {
         "machine": setup.machine.name,
-        "n_legs": setup.machine.n_legs,
+        "n_legs": platform_of(setup.machine).n_legs,
         "calibrations": config.calibrations,
         "n_poses": config.poses.n_poses,
         "verification_poses": config.verification_poses,

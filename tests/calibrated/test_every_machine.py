@@ -46,7 +46,7 @@ FILES = {
     "struts": ROOT / "experiments" / "m2_hexapod_table" / "machine.toml",
     "arm": None,
 }
-LEGS = ("telescope", "hexaglide", "eight legs")
+LEGS = ("telescope", "telescope that bends", "struts without load", "beam", "hexaglide", "eight legs")
 GIVEN = {"elevation_deg": (20.0, 80.0), "temperature_c": (0.0, 20.0)}
 N_DRAWS = 600
 
@@ -82,13 +82,16 @@ def build(name: str, folder: Path) -> CalibratedMachine:
 
 
 def _build_legs(name: str, rng: np.random.Generator) -> CalibratedMachine:
-    mechanism = {
-        "telescope": lambda: machines.build_machine("none").mechanism,
-        "hexaglide": guided_machines.build_hexaglide,
-        "eight legs": lambda: machines.build_random_mechanism(8, seed=8),
+    machine = {
+        "telescope": lambda: machines.build_machine("none"),
+        "telescope that bends": lambda: machines.build_machine("matrix"),
+        "struts without load": lambda: machines.build_machine("none", model="six_ups"),
+        "beam": lambda: machines.build_machine("none", model="beam"),
+        "hexaglide": lambda: build_machine(SixPus, guided_machines.build_hexaglide(), NoDeformation()),
+        "eight legs": lambda: machines.build_machine("none", machines.build_random_mechanism(8, seed=8)),
     }[name]()
-    machine = build_machine(SixPus, mechanism, NoDeformation())
-    theta, n_legs = machine.layout.nominal, mechanism.n_legs
+    mechanism, theta = machine.mechanism, machine.layout.nominal
+    n_legs = mechanism.n_legs
     draws = theta + 1e-3 * machines.spread_of(machine.layout) * rng.standard_normal((N_DRAWS, len(theta)))
     errors = build_leg_errors(machine, theta, 1e-3, np.full(n_legs, 4e-6))
     made = build_calibrated_legs(machine, draws.mean(axis=0), draws, errors, made_up.SOURCE)
@@ -130,6 +133,9 @@ def test_covariances_are_those_of_drawn_machines(machine):
     apart = machine.comparison.subtract(drawn, found.tool)
     np.testing.assert_allclose(apart.std(axis=0) / found.sd, 1.0, atol=0.12)
     assert np.abs(apart.mean(axis=0) / found.sd).max() < 0.18
+    white = np.linalg.solve(np.linalg.cholesky(found.covariance), apart[..., None])[..., 0]
+    correlation = np.einsum("spi,spj->pij", white, white) / N_DRAWS
+    np.testing.assert_allclose(correlation, np.broadcast_to(np.eye(white.shape[-1]), correlation.shape), atol=0.2)
     budget = compute_budget(machine, commands, given)
     np.testing.assert_allclose(budget.combined, found.covariance, rtol=1e-6, atol=1e-18)
     assert (budget.sd(GEOMETRY) < found.sd).all()

@@ -11,7 +11,7 @@ import pytest
 import telescope_machines as machines
 from scipy.stats import norm
 
-from bayescal.api import export_machine
+from bayescal.calibrated.export import export_machine
 from bayescal.calibrated.machine import CalibratedMachine, build_leg_errors
 from bayescal.calibrated.recheck.judge import judge_recheck
 from bayescal.calibrated.recheck.plan import Demand, list_candidates, plan_recheck

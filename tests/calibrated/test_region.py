@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import telescope_machines as machines
 
-from bayescal.calibrated.exported import list_mechanism_files, list_posterior_files, read_exported
 from bayescal.calibrated.region import (
     FEWEST,
     box_about_home,
@@ -65,9 +64,3 @@ def test_a_box_out_of_reach_is_refused(calibrated):
     far = box_about_home(np.array([1e4, 1e4, 1e4, 0.0, 0.0, 0.0]))
     with pytest.raises(InputError, match=f"in reach of the actuators, expected {FEWEST} at least"):
         sample_region(calibrated, far, 16, 0)
-
-
-def test_an_exported_machine_knows_where_it_was_measured(calibrated, tmp_path):
-    for name, content in {**list_mechanism_files(calibrated), **list_posterior_files(calibrated)}.items():
-        (tmp_path / name).write_bytes(content)
-    np.testing.assert_allclose(read_exported(tmp_path).measured, calibrated.measured, atol=1e-6)

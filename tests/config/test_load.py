@@ -11,19 +11,18 @@ import studies
 from papers import pose_methods
 
 from bayescal.config.registry import list_references
-from bayescal.data.schema import SimulationConfig
 from bayescal.errors import InputError
 from bayescal.experiments.audit.load import load_audit
 from bayescal.experiments.frame.load import load_experiment, load_kind
-from bayescal.experiments.simulation.load import load_simulation
-from bayescal.experiments.study.schema import StudyConfig
+from bayescal.experiments.shared.study_schema import StudyConfig
+from bayescal.experiments.simulation.schema import SimulationConfig
 from bayescal.machines.mechanism import ExternalLoad
-from bayescal.machines.read import load_mechanism, read_reading_model, read_sliding_platform
+from bayescal.machines.read import load_mechanism, read_reading_model
 
 LOADERS = {
     "legs": read_reading_model,
-    "sliding_platform": read_sliding_platform,
-    "simulation": load_simulation,
+    "sliding_platform": read_reading_model,
+    "simulation": load_experiment,
     "audit": load_audit,
     "line_machine": read_reading_model,
     "strut_machine": read_reading_model,
@@ -53,7 +52,7 @@ def fail(loader, path: Path) -> str:
 def test_every_shipped_config_loads(path):
     text = path.read_text()
     found = re.search(r'^kind = "([\w.:]+)"', text, flags=re.MULTILINE)
-    default = load_experiment if text.startswith("extends") or "\nextends" in text else load_mechanism
+    default = load_experiment if re.search(r"(?m)^(extends|study) = ", text) else load_mechanism
     config = (LOADERS.get(found[1], load_experiment) if found else default)(path)
     assert config.name
 
@@ -113,7 +112,7 @@ def test_misspelt_key_suggests_the_nearest(study, old, new, field, suggestion):
 def test_misspelt_key_of_a_simulation(study, old, new, field):
     path = study.with_name("simulate.toml")
     studies.edit(path, old, new)
-    message = fail(load_simulation, path)
+    message = fail(load_experiment, path)
     assert f"{field}: unknown key, did you mean" in message
 
 
@@ -167,7 +166,6 @@ def test_wrong_value_names_field_and_value(study, old, new, field, found):
     ("old", "field"),
     [
         ("seed = 11\n", "seed"),
-        ('deformation = "none"\n', "variants.0.deformation"),
         ('targets = "data/targets.csv"\n', "data.targets"),
         (", sd = 2.0", "parameters.l.sd"),
     ],
@@ -222,7 +220,7 @@ def test_missing_kind(study):
 
 
 def test_study_is_no_simulation_and_the_reverse(study):
-    assert "kind: found 'study', expected 'simulation'" in fail(load_simulation, study)
+    assert "kind: found 'study', expected 'simulation'" in fail(lambda path: load_kind(path, "simulation"), study)
     simulation = study.with_name("simulate.toml")
     assert "kind: found 'simulation', expected 'study'" in fail(lambda path: load_kind(path, "study"), simulation)
     assert isinstance(load_experiment(simulation), SimulationConfig)
@@ -430,7 +428,12 @@ def data_study(tmp_path) -> Path:
     ("name", "old", "new", "expected"),
     [
         ("study.toml", "b_z = {", "bz = {", "parameters: found 'bz', did you mean 'b_z'?"),
-        ("study.toml", 'free = ["l"]', 'free = ["l", "kappa"]', "'six_pus/none': found 'kappa' free, expected one of"),
+        (
+            "study.toml",
+            'free = ["l"]',
+            'free = ["l", "kappa"]',
+            "'six_pus/none': free: found 'kappa', expected some of",
+        ),
         ("study.toml", 'model = "six_pus"', 'model = "six_puss"', "model: found 'six_puss', did you mean 'six_pus'?"),
         ("study.toml", 'deformation = "none"', 'deformation = "non"', "found 'non', did you mean 'none'?"),
         ("study.toml", "sd = 2.0", "sd = [1.0, 2.0]", "parameters.l: found 2 values, expected 1 or 6"),

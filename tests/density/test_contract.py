@@ -48,7 +48,7 @@ def draw(path, name, n_draws):
     factor = np.linalg.cholesky(-posterior.gradient(mode)[1])
     z = np.random.default_rng(28).standard_normal((len(mode), n_draws))
     y = np.concatenate([mode[None], mode + np.linalg.solve(factor.T, z).T])
-    noise = inputs.config.data.actuator_noise_um * MICROMETRE
+    noise = inputs.config.measured.actuator_noise_um * MICROMETRE
     tau = posterior.errors.tau(posterior.zeta(y))
     return inputs.machine(variant), inputs.poses(verification=False), noise, posterior.theta(y), tau
 

@@ -6,15 +6,12 @@ import telescope_machines as machines
 
 from bayescal.density.errors import KernelLength, KernelScale, ModelError
 from bayescal.density.exact import ExactDensity
-from bayescal.density.free_length import REACH, FreeLengthLikelihood, count_nodes
 from bayescal.density.legs import build_leg_posterior
-from bayescal.density.model_error import LENGTH, QuadraticKernel, SmoothKernel, build_kernel
+from bayescal.density.model_error import QuadraticKernel, SmoothKernel, build_kernel
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.priors import LogNormalPrior, NormalPrior
-from bayescal.density.structured import StructuredLikelihood
+from bayescal.density.structured import REACH, StructuredLikelihood, count_nodes
 from bayescal.density.structured_prediction import pointwise_given
-from bayescal.inference.mode import Mode
-from bayescal.inference.straightening import straighten
 
 KERNELS = ("quadratic", "smooth")
 LENGTHS = LogNormalPrior(1.5, 0.6)
@@ -34,7 +31,9 @@ def poses():
 
 @pytest.fixture(scope="module", params=KERNELS)
 def free(request, poses):
-    return request.param, FreeLengthLikelihood(poses[0], request.param, LENGTHS, machines.ACTUATOR_RANGE)
+    return request.param, StructuredLikelihood(
+        poses[0], build_kernel(request.param, LENGTHS.median), machines.ACTUATOR_RANGE, LENGTHS
+    )
 
 
 def fix(poses, name, length):
@@ -111,7 +110,7 @@ def build_posterior(poses, likelihood, shared=True):
     nominal = dict(zip(layout.names, layout.nominal, strict=True))
     priors = {n: NormalPrior(nominal[n], machines.PRIOR_SD.get(n.split("[")[0], 2.0)) for n in names}
     scale, error = KernelScale(0.02, 0.3, shared), ModelError(0.01)
-    if isinstance(likelihood, FreeLengthLikelihood):
+    if likelihood.is_free:
         return build_leg_posterior(likelihood, priors, error, terms=(scale, KernelLength(LENGTHS)))
     return build_leg_posterior(likelihood, priors, error, terms=(scale,))
 
@@ -170,30 +169,6 @@ def test_lengths_out_of_reach_are_taken_for_the_outermost(poses, free, start):
     assert posterior.gradient(y[1])[0][-1] == -y[1, -1]
 
 
-def test_coordinates_and_prior(start):
-    posterior, y = start
-    assert posterior.names[-1] == LENGTH
-    assert list(posterior.all_priors()) == list(posterior.names)
-    assert posterior.natural(y[None])[0, -1] == pytest.approx(1.5 * np.exp(0.6 * y[-1]))
-    drawn = posterior.draw_prior(4000, np.random.default_rng(4))
-    length = posterior.natural(drawn)[:, -1]
-    assert np.log(length).mean() == pytest.approx(np.log(1.5), abs=0.04)
-    assert np.log(length).std() == pytest.approx(0.6, rel=0.05)
-    assert (posterior.natural(drawn)[:, -2] == 0.0).mean() == pytest.approx(0.5, abs=0.03)
-
-
-def test_straight_coordinates_lead_back_and_keep_volumes(start):
-    posterior, y = start
-    straight = straighten(posterior, Mode(y, 0.0, np.eye(len(y)), True))
-    x = straight.x_from_y(y[None])[0]
-    x[-2:] += 1.5, 0.7
-    there = straight.y_from_x(x[None])
-    np.testing.assert_allclose(straight.x_from_y(there)[0], x, atol=1e-9)
-    slope = machines.stencil_derivative(straight.y_from_x, x, np.full(len(x), 1e-3))
-    volume = straight.log_density(x[None]) - posterior.log_density(there)
-    assert volume[0] == pytest.approx(np.linalg.slogdet(slope)[1], abs=1e-4)
-
-
 def test_pose_information_is_that_of_the_nearest_length(poses, free, start):
     (_, likelihood), (posterior, y) = free, start
     known = build_posterior(poses, likelihood.nearest(posterior.errors.amplitudes(posterior.zeta(y))))
@@ -218,15 +193,6 @@ def test_many_lengths_at_once(kernel):
     lengths = np.array([0.5, 3.0])
     both = kernel(lengths[:, None, None])(first, second)
     np.testing.assert_allclose(both, [kernel(one)(first, second) for one in lengths], rtol=1e-13)
-
-
-def test_length_prior():
-    grid = np.geomspace(0.05, 50.0, 20_000)
-    assert np.trapezoid(np.exp(LENGTHS.log_density(grid)), grid) == pytest.approx(1.0, abs=1e-6)
-    drawn = LENGTHS.draw(200_000, np.random.default_rng(0))
-    assert drawn.mean() == pytest.approx(LENGTHS.mean, rel=0.01)
-    assert drawn.std() == pytest.approx(LENGTHS.sd, rel=0.03)
-    np.testing.assert_allclose(LENGTHS.at_quantile(np.array([0.5])), 1.5)
 
 
 def test_very_many_poses_have_fewer_nodes():

@@ -6,7 +6,6 @@ import telescope_machines as machines
 from scipy.special import logsumexp
 
 from bayescal.density.errors import KernelLength, KernelScale, ModelError
-from bayescal.density.free_length import FreeLengthLikelihood
 from bayescal.density.legs import build_leg_posterior
 from bayescal.density.model_error import build_kernel
 from bayescal.density.pose_likelihood import PoseLikelihood
@@ -44,7 +43,7 @@ def build(poses, kernel, length=None):
     priors = {name: NormalPrior(nominal[name], 2.0) for name in layout.names if name.startswith("l[")}
     error = ModelError(5e-3, shared=True)
     if length is None:
-        likelihood = FreeLengthLikelihood(poses, kernel, LENGTHS, machines.ACTUATOR_RANGE)
+        likelihood = StructuredLikelihood(poses, build_kernel(kernel, LENGTHS.median), machines.ACTUATOR_RANGE, LENGTHS)
         return build_leg_posterior(likelihood, priors, error, terms=(SCALE, KernelLength(LENGTHS)))
     likelihood = StructuredLikelihood(poses, build_kernel(kernel, length), machines.ACTUATOR_RANGE)
     return build_leg_posterior(likelihood, priors, error, terms=(SCALE,))

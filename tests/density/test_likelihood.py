@@ -77,7 +77,7 @@ def test_density_is_that_of_the_forward_kinematic_error(deformation, size, rng):
     covariance = likelihood.pose_covariance(TAU)
     expected = [[log_normal(e, c) for e, c in zip(row, covariance, strict=True)] for row in error]
     found = likelihood.pointwise(theta, TAU)
-    smallest = np.linalg.eigvalsh(likelihood.leg_covariance(TAU))[:, 0]
+    smallest = np.linalg.eigvalsh(likelihood.error_covariance(TAU))[:, 0]
     white_remainder = remainder_bound(likelihood, theta, error) / np.sqrt(smallest)
     white_error = np.sqrt(np.einsum("bpi,pij,bpj->bp", error, np.linalg.inv(covariance), error))
     tolerance = 1e-6 + white_error * white_remainder + 0.5 * white_remainder**2
@@ -174,15 +174,6 @@ def test_one_model_error_for_all_equals_one_each(n_legs, rng):
     assert np.all(np.abs(difference[1]) > 1e-9)
 
 
-def test_batches_do_not_mix(rng):
-    likelihood, theta = build("matrix", 5e-3, rng, batch=4)
-    tau = rng.uniform(0, 8, (4, 6)) * MICROMETRE
-    together = likelihood(theta, tau)
-    one_by_one = [likelihood(theta[k : k + 1], tau[k : k + 1])[0] for k in range(4)]
-    np.testing.assert_allclose(together, one_by_one, rtol=1e-11)
-    np.testing.assert_allclose(together, likelihood.pointwise(theta, tau).sum(axis=1), rtol=1e-13)
-
-
 def test_more_vectors_than_a_batch(rng):
     n = 2 * BATCH + 5
     likelihood, theta = build("matrix", 5e-3, rng, batch=n)
@@ -201,10 +192,10 @@ def test_later_calls_leave_earlier_results_alone(rng):
     calls = {
         "each": lambda t: likelihood.pointwise(t, tau[: len(t)]),
         "one": lambda t: likelihood.pointwise(t, tau[0]),
-        "errors": likelihood.leg_errors,
+        "errors": likelihood.errors,
         "pose": likelihood.pose_errors,
-        "slope": lambda t: likelihood.leg_error_jacobian(t[0])[1],
-        "seen": lambda t: likelihood.leg_error_jacobian(t[0])[0],
+        "slope": lambda t: likelihood.error_jacobian(t[0])[1],
+        "seen": lambda t: likelihood.error_jacobian(t[0])[0],
     }
     first = {name: call(theta) for name, call in calls.items()}
     kept = {name: value.copy() for name, value in first.items()}
@@ -230,19 +221,19 @@ def test_the_kept_whitening_follows_the_model_error(rng):
 def test_what_is_kept_of_one_machine_is_not_taken_for_anothers(rng):
     likelihood, theta = build("matrix", 5e-3, rng)
     first, second = theta[:1].copy(), theta[1:2]
-    errors = likelihood.leg_errors(theta)
-    np.testing.assert_allclose(likelihood.leg_errors(first)[0], errors[0], rtol=0, atol=1e-11)
-    kept = likelihood.leg_errors(first)
-    np.testing.assert_allclose(likelihood.leg_error_jacobian(second[0])[0], errors[1], rtol=0, atol=1e-11)
+    errors = likelihood.errors(theta)
+    np.testing.assert_allclose(likelihood.errors(first)[0], errors[0], rtol=0, atol=1e-11)
+    kept = likelihood.errors(first)
+    np.testing.assert_allclose(likelihood.error_jacobian(second[0])[0], errors[1], rtol=0, atol=1e-11)
     likelihood(first, TAU)
-    np.testing.assert_array_equal(likelihood.leg_error_jacobian(first[0])[0], kept[0])
+    np.testing.assert_array_equal(likelihood.error_jacobian(first[0])[0], kept[0])
     kept *= 2.0  # what was returned is the caller's
-    np.testing.assert_allclose(likelihood.leg_errors(first)[0], errors[0], rtol=0, atol=1e-11)
+    np.testing.assert_allclose(likelihood.errors(first)[0], errors[0], rtol=0, atol=1e-11)
     first[:] = second  # in place: what was kept must not be compared with itself
-    np.testing.assert_allclose(likelihood.leg_errors(first)[0], errors[1], rtol=0, atol=1e-11)
+    np.testing.assert_allclose(likelihood.errors(first)[0], errors[1], rtol=0, atol=1e-11)
     for other in (likelihood.refined(), likelihood.finer()):
-        assert np.any(other.leg_errors(second) != likelihood.leg_errors(second))
-        np.testing.assert_allclose(other.leg_errors(second)[0], other.leg_errors(theta)[1], rtol=0, atol=1e-11)
+        assert np.any(other.errors(second) != likelihood.errors(second))
+        np.testing.assert_allclose(other.errors(second)[0], other.errors(theta)[1], rtol=0, atol=1e-11)
 
 
 def test_no_machine_has_no_density(rng):
@@ -268,9 +259,9 @@ def test_selected_poses_are_those_poses(rng):
 @pytest.mark.parametrize("n_legs", [6, 8])
 def test_refinements_left_out_are_the_third_power_of_the_change(n_legs, rng, monkeypatch):
     likelihood, theta = build("matrix", 50e-3, rng) if n_legs == 6 else build_redundant(rng)[:2]
-    two = likelihood.leg_errors(theta)
+    two = likelihood.errors(theta)
     monkeypatch.setattr(likelihood, "_refinements", 6)
-    six = likelihood.leg_errors(theta)
+    six = likelihood.errors(theta)
     poses = likelihood.poses
     here = likelihood.machine.linearise(theta[:, None], poses.position, poses.rotation, poses.actuators)
     step = (here.pose - likelihood._pose_jacobian) @ likelihood._gain
@@ -279,7 +270,7 @@ def test_refinements_left_out_are_the_third_power_of_the_change(n_legs, rng, mon
     np.testing.assert_allclose(two - six, left_over, rtol=0, atol=0.05 * np.abs(left_over).max() + 1e-12)
     assert np.abs(two - six).max() < 1e-3 * np.abs(six).max()
     monkeypatch.setattr(likelihood, "_refinements", 1)
-    assert np.abs(likelihood.leg_errors(theta) - six).max() > 5 * np.abs(two - six).max()
+    assert np.abs(likelihood.errors(theta) - six).max() > 5 * np.abs(two - six).max()
 
 
 @pytest.mark.parametrize("n_legs", [6, 8])
@@ -289,10 +280,10 @@ def test_solved_errors_are_those_of_many_refinements(n_legs, rng, monkeypatch):
     assert solved.is_solved
     assert not likelihood.is_solved
     assert solved.finer() is None
-    found = solved.leg_errors(theta)
-    assert np.abs(found - likelihood.leg_errors(theta)).max() > 1e-9
+    found = solved.errors(theta)
+    assert np.abs(found - likelihood.errors(theta)).max() > 1e-9
     monkeypatch.setattr(likelihood, "_refinements", 30)
-    np.testing.assert_allclose(found, likelihood.leg_errors(theta), rtol=1e-9, atol=1e-13)
+    np.testing.assert_allclose(found, likelihood.errors(theta), rtol=1e-9, atol=1e-13)
 
 
 def test_errors_of_legs_far_from_nominal_have_to_be_solved_for(rng):
@@ -305,7 +296,7 @@ def test_errors_of_legs_far_from_nominal_have_to_be_solved_for(rng):
     poses = machines.place_poses(machine, theta, actuators, error)
     likelihood = PoseLikelihood(machine, poses, machines.ACTUATOR_NOISE)
     exact = newton_leg_errors(likelihood, theta)
-    refined, solved = (one.leg_errors(theta[None])[0] for one in (likelihood, likelihood.finer()))
+    refined, solved = (one.errors(theta[None])[0] for one in (likelihood, likelihood.finer()))
     assert np.abs(refined - exact).max() > 0.05 * np.abs(exact).max()
     assert np.abs(solved - exact).max() < 1e-3 * np.abs(exact).max()
 
@@ -327,7 +318,7 @@ def newton_leg_errors(likelihood, theta):
 @pytest.mark.parametrize("size", [1e-3, 20e-3])
 def test_derivative_is_that_of_the_forward_kinematic_error(deformation, size, rng):
     likelihood, theta = build(deformation, size, rng, batch=1)
-    _, found = likelihood.leg_error_jacobian(theta[0])
+    _, found = likelihood.error_jacobian(theta[0])
     layout = likelihood.machine.layout
     steps = np.where([unit == "mm" for unit in layout.units], 1e-2, 1e-4)
     expected = machines.central_difference(lambda x: newton_leg_errors(likelihood, x), theta[0], steps)
@@ -340,10 +331,10 @@ def test_derivative_is_that_of_the_forward_kinematic_error(deformation, size, rn
 @pytest.mark.parametrize("n_legs", [6, 8])
 def test_derivative_against_differences_of_the_residual(n_legs, rng):
     likelihood, theta = build("matrix", 1e-3, rng, batch=1) if n_legs == 6 else build_redundant(rng, 1e-3)[:2]
-    found_errors, found = likelihood.leg_error_jacobian(theta[0])
-    np.testing.assert_allclose(found_errors, likelihood.leg_errors(theta[:1])[0], atol=1e-15)
+    found_errors, found = likelihood.error_jacobian(theta[0])
+    np.testing.assert_allclose(found_errors, likelihood.errors(theta[:1])[0], atol=1e-15)
     steps = np.where([unit == "mm" for unit in likelihood.machine.layout.units], 1e-3, 1e-5)
-    expected = machines.central_difference(lambda x: likelihood.leg_errors(x[None])[0], theta[0], steps)
+    expected = machines.central_difference(lambda x: likelihood.errors(x[None])[0], theta[0], steps)
     difference = np.abs(found - expected).max(axis=(0, 1)) / np.abs(expected).max(axis=(0, 1))
     assert np.all(difference < 3e-5)
 
@@ -406,7 +397,7 @@ def test_derivative_of_every_model(model, rng):
     theta = layout.nominal + 0.5 * spread * rng.standard_normal(layout.size)
     poses = machines.place_poses(machine, theta, actuators, np.zeros((8, 6)))
     likelihood = PoseLikelihood(machine, poses, machines.ACTUATOR_NOISE)
-    _, found = likelihood.leg_error_jacobian(theta)
+    _, found = likelihood.error_jacobian(theta)
 
     def leg_errors(x):
         return np.einsum("pij,bpj->bpi", likelihood._pose_jacobian, newton_errors(likelihood, x))
@@ -463,7 +454,7 @@ def test_order_of_the_legs_does_not_matter(rng):
     tau = np.arange(1, 9) * MICROMETRE
     first, theta, _ = build_redundant(rng)
     second, permuted, _ = build_redundant(rng, order=order)
-    np.testing.assert_allclose(second.leg_errors(permuted), first.leg_errors(theta)[..., order], atol=1e-11)
+    np.testing.assert_allclose(second.errors(permuted), first.errors(theta)[..., order], atol=1e-11)
     np.testing.assert_allclose(
         second.pointwise(permuted, tau[order]), first.pointwise(theta, tau), rtol=1e-8, atol=1e-6
     )
@@ -475,7 +466,7 @@ def test_spare_legs_report_the_closure_that_no_pose_explains(rng):
     likelihood, theta, _ = build_redundant(rng)
     exact = solve_forward_kinematics(likelihood.machine, theta[:, None], likelihood.poses.actuators[None])
     left = likelihood.machine.linearise(theta[:, None], exact.position, exact.rotation, likelihood.poses.actuators)
-    found = likelihood.leg_errors(theta)
+    found = likelihood.errors(theta)
     pose, gain = likelihood._pose_jacobian, likelihood._gain
     rest = found - np.einsum("pij,pjk,bpk->bpi", pose, gain, found)
     # least squares leaves a closure across the pose Jacobian where it stands
@@ -487,7 +478,7 @@ def test_spare_legs_density_is_normalised(rng):
     """Eight leg errors drawn from their covariance have minus the entropy as mean log-density, in units of the legs."""
     likelihood, _, _ = build_redundant(rng)
     tau = np.arange(1, 9) * MICROMETRE
-    covariance, n_draws = likelihood.leg_covariance(tau), 4000
+    covariance, n_draws = likelihood.error_covariance(tau), 4000
     draws = rng.standard_normal((n_draws, 12, 8, 1))
     errors = (np.linalg.cholesky(covariance) @ draws)[..., 0].transpose(2, 1, 0)
     density = (likelihood._density_fixed(errors, tau)[0] + likelihood._constant[:, None]).mean(axis=1)

@@ -7,8 +7,8 @@ import pytest
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
-from bayescal.density.calibration.outliers import NORMAL, Outliers
 from bayescal.density.low_rank_columns import find_coefficients
+from bayescal.density.outliers import NORMAL, StudentT
 
 M = 4  # rows of each pose
 
@@ -17,8 +17,7 @@ def draw(rng, n_poses, outliers, size=1.0, spoilt=0):
     """Return rows (1, P, m) and columns (1, P, m, 2) with outliers as their density says, and some grosser ones."""
     columns = size * rng.standard_normal((n_poses, M, 2))
     noise = rng.standard_normal((n_poses, M))
-    if outliers.expected:
-        noise /= np.sqrt(rng.gamma(0.5 * outliers.freedom, 2.0 / outliers.freedom, (n_poses, 1)))
+    noise *= np.sqrt(outliers.draw_wide((1, n_poses, 1), rng)[0])
     error = columns @ rng.standard_normal(2) + noise
     error[:spoilt] += 30.0
     return error[None], columns[None]
@@ -55,7 +54,7 @@ def test_without_outliers_it_is_a_dense_normal(rng):
 @pytest.mark.parametrize("spoilt", [0, 3])
 def test_laplace_is_close_to_quadrature_and_the_closer_the_more_rows(n_poses, nu, share, spoilt, rng):
     """The error in nats falls with the number of poses that tell something, as the docstring says."""
-    outliers = Outliers(nu)
+    outliers = StudentT(nu)
     off = []
     for _ in range(4):
         case = draw(rng, n_poses, outliers, spoilt=spoilt)
@@ -65,7 +64,7 @@ def test_laplace_is_close_to_quadrature_and_the_closer_the_more_rows(n_poses, nu
 
 def test_the_curvature_of_weights_alone_would_be_far_off(rng):
     """What of the curvature comes from the weights' change is a tenth of a nat for each coefficient."""
-    outliers, spare = Outliers(4.0), np.full(40, M)
+    outliers, spare = StudentT(4.0), np.full(40, M)
     error, columns = draw(rng, 40, outliers)
     found = find_coefficients(error, columns, outliers, spare)
     flat = (np.sqrt(found.trust)[..., None, None] * columns).reshape(-1, 2)
@@ -74,7 +73,7 @@ def test_the_curvature_of_weights_alone_would_be_far_off(rng):
     assert abs(evaluate(error, columns, outliers)[0] - integrate(error, columns, outliers)) < 0.02
 
 
-@pytest.mark.parametrize(("outliers", "limit"), [(NORMAL, 1e-9), (Outliers(4.0), 0.03)], ids=["normal", "robust"])
+@pytest.mark.parametrize(("outliers", "limit"), [(NORMAL, 1e-9), (StudentT(4.0), 0.03)], ids=["normal", "robust"])
 def test_a_pose_given_the_others_is_the_ratio_of_densities(outliers, limit, rng):
     error, columns = draw(rng, 30, outliers, size=0.3, spoilt=1)
     spare = np.full(30, M)
@@ -91,7 +90,7 @@ def test_a_pose_given_the_others_is_the_ratio_of_densities(outliers, limit, rng)
 
 
 def test_machines_are_worked_on_by_themselves_and_those_that_cannot_stand_left_out(rng):
-    outliers, spare = Outliers(3.0), np.full(8, M)
+    outliers, spare = StudentT(3.0), np.full(8, M)
     pairs = [draw(rng, 8, outliers) for _ in range(3)]
     error, columns = (np.concatenate(one) for one in zip(*pairs, strict=True))
     error[1] = np.nan

@@ -8,9 +8,8 @@ from eliminated_legs import eliminate_legs, evaluate_legs
 
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.density import pose_likelihood as likelihood_module
-from bayescal.density.columns import factor_by_columns
 from bayescal.density.exact import ExactDensity
-from bayescal.density.low_rank import find_low_rank
+from bayescal.density.low_rank import factor_by_columns, find_low_rank
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.machines.deformations.none import NoDeformation
 from bayescal.machines.kinematics import Machine, solve_inverse_kinematics
@@ -65,7 +64,7 @@ def theta(machine):
 
 def test_low_rank_is_the_density_of_all_legs(density, theta):
     tau = np.random.default_rng(1).uniform(0.0, 0.02, (4, 12))
-    errors = density.leg_errors(theta).transpose(2, 1, 0)
+    errors = density.errors(theta).transpose(2, 1, 0)
 
     def add(leg):
         return density.actuator_weight[:, leg, None] * tau.T[leg] ** 2
@@ -88,12 +87,12 @@ def test_no_low_rank_where_digits_would_be_lost_or_legs_see_each_other(density):
 @pytest.mark.parametrize("kind", ["all legs alike", "each leg"])
 def test_parts_are_the_whole(density, theta, monkeypatch, kind):
     tau = np.full(12, 0.01) if kind == "all legs alike" else np.random.default_rng(2).uniform(0.0, 0.02, (4, 12))
-    whole = density.pointwise(theta, tau), density.leg_errors(theta), density.evaluate(theta, tau)[1]
+    whole = density.pointwise(theta, tau), density.errors(theta), density.evaluate(theta, tau)[1]
     exact = ExactDensity(density, NOISE)(theta, tau)
     monkeypatch.setattr(likelihood_module, "POSES", 16)  # eight poses of twelve legs
     parted = measure(density.machine, 21)
     assert len(parted.parts()) == 3
-    found = parted.pointwise(theta, tau), parted.leg_errors(theta), parted.evaluate(theta, tau)[1]
+    found = parted.pointwise(theta, tau), parted.errors(theta), parted.evaluate(theta, tau)[1]
     for one, other in zip(found, whole, strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-11, atol=1e-12)
     np.testing.assert_allclose(parted.leg_errors_by_leg(theta), whole[1].transpose(2, 1, 0), rtol=1e-11, atol=1e-12)

@@ -20,8 +20,6 @@ from bayescal.density.structured import StructuredLikelihood, map_covariance
 from bayescal.density.structured_prediction import pointwise_given, predict_structured
 from bayescal.errors import InputError
 from bayescal.inference.exploration import explore
-from bayescal.inference.mode import Mode
-from bayescal.inference.straightening import straighten
 
 N_POSES, N_HELD = 12, 3
 KERNELS = [LinearKernel(), QuadraticKernel(2.0), SmoothKernel(1.5)]
@@ -50,7 +48,7 @@ def stack_density(likelihood, theta, *parts):
     errors, maps, inputs, constant = [], [], [], 0.0
     mean = likelihood.base.legs_known.mean(axis=0)
     for part in parts:
-        errors.append(part.leg_errors(theta[None])[0].ravel())
+        errors.append(part.errors(theta[None])[0].ravel())
         maps += list(map_covariance(mean, part.legs_known))
         inputs.append((part.poses.actuators - machines.INITIAL_POSITION) / machines.ACTUATOR_RANGE)
         constant += part.log_constant.sum()
@@ -141,7 +139,7 @@ def test_structured_error_is_found_and_interpolated(poses):
     prediction, error = predict_structured(
         likelihood, held, np.tile(theta, (20, 1)), np.tile(model_error, (20, 1)), np.random.default_rng(0)
     )
-    before = np.abs(held.leg_errors(theta[None])[0])
+    before = np.abs(held.errors(theta[None])[0])
     assert (
         prediction.summarise().position_error.mean()
         < 0.1 * np.linalg.norm(held.pose_errors(theta[None])[0, :, :3], axis=1).mean()
@@ -161,35 +159,6 @@ def build_posterior(poses, kernel, shared):
     return build_leg_posterior(build(poses, kernel), priors, ModelError(0.01), terms=(scale,))
 
 
-@pytest.mark.parametrize("shared", [True, False], ids=["shared", "per leg"])
-@pytest.mark.parametrize("kernel", KERNELS, ids=lambda one: one.name)
-def test_gradient_against_differences(poses, kernel, shared):
-    posterior = build_posterior(poses, kernel, shared)
-    y = posterior.polish(posterior.approach())
-    y += np.random.default_rng(3).standard_normal(posterior.n_parameters) / np.sqrt(-np.diag(posterior.gradient(y)[1]))
-    gradient, hessian = posterior.gradient(y)
-    expected = machines.stencil_derivative(posterior.log_density, y, np.full(len(y), 1e-3))
-    assert np.linalg.eigvalsh(hessian).max() < 0.0
-    off = (gradient - expected) / np.sqrt(-np.diag(hessian))  # per posterior sd of each coordinate by itself
-    # the legs' errors are found by iteration, their derivative is exact; in τ and s nothing is iterated
-    assert np.abs(off).max() < 0.02
-    assert np.abs(off[posterior.n_geometry :]).max() < 1e-6
-    assert np.abs(gradient / np.sqrt(-np.diag(hessian))).max() > 0.5
-
-
-@pytest.mark.parametrize("shared", [True, False], ids=["shared", "per leg"])
-def test_curvature_by_all_model_errors_against_differences(poses, shared):
-    posterior = build_posterior(poses, LinearKernel(), shared)
-    y = posterior.polish(posterior.approach())
-    y += np.random.default_rng(3).standard_normal(posterior.n_parameters) / np.sqrt(-np.diag(posterior.gradient(y)[1]))
-    expected = machines.stencil_derivative(
-        lambda x: np.stack([posterior.gradient(one)[0] for one in x]), y, np.full(len(y), 1e-3)
-    )
-    scale = np.sqrt(-np.diag(posterior.gradient(y)[1]))
-    off = (posterior.newton(y)[1] - expected) / np.outer(scale, scale)
-    assert np.abs(off[:, posterior.n_geometry :]).max() < 1e-6
-
-
 def test_lengths_follow_the_joints(poses):
     posterior = build_posterior(poses, LinearKernel(), True)
     coordinates, n = posterior.sampling.coordinates, posterior.n_geometry
@@ -204,22 +173,14 @@ def test_lengths_follow_the_joints(poses):
     likelihood = posterior.likelihood.base
     y[:, [k for k, name in enumerate(posterior.names[:n]) if name.startswith("l[")]] = 0.0
     y = np.vstack([np.zeros(n), y])
-    moved = likelihood.leg_errors(coordinates.theta_from_y(y)).mean(axis=1)
+    moved = likelihood.errors(coordinates.theta_from_y(y)).mean(axis=1)
     plain = build_leg_posterior(likelihood, posterior.priors).sampling.theta_from_y(y)
     assert np.abs(moved - moved[0]).max() < 5e-3
-    assert np.abs(likelihood.leg_errors(plain).mean(axis=1) - moved[0]).max() > 0.1
+    assert np.abs(likelihood.errors(plain).mean(axis=1) - moved[0]).max() > 0.1
 
 
-def test_switch_has_the_probability_of_its_prior():
-    errors = LegErrors(6, (NO_MODEL_ERROR, KernelScale(0.02, 0.3)))
-    (prior,) = errors.priors
-    c = np.concatenate([np.random.default_rng(5).standard_normal(100_000) + place for place in (0.0, OFF)])
-    values = prior.value(c)
-    assert (values == 0.0).mean() == pytest.approx(0.5, abs=1e-3)
-    assert values.mean() == pytest.approx(prior.mean, rel=0.01)
-    assert values.std() == pytest.approx(prior.sd, rel=0.01)
-    grid = np.geomspace(1e-3, 0.2, 20_000)
-    assert np.trapezoid(np.exp(prior.log_density(grid)), grid) == pytest.approx(0.5, abs=1e-3)
+def test_a_switch_jumps_to_its_other_place():
+    errors = LegErrors.of_legs(6, (NO_MODEL_ERROR, KernelScale(0.02, 0.3)))
     for start, flipped in ((0.3, 0.0), (OFF, 0.02)):
         ((place, image),) = errors.jumps(np.array([start]))
         assert place == 0
@@ -311,17 +272,3 @@ def test_information_of_a_pose_is_what_is_lost_without_it(wrong):
     found = posterior.row_information(y, 5)
     assert np.abs(found - (whole - without)).max() < 1e-7 * np.abs(whole).max()
     assert np.abs(found).max() > 1e-3 * np.abs(whole).max()
-
-
-def test_straight_coordinates_lead_back_and_keep_volumes(wrong):
-    posterior, y = wrong
-    straight = straighten(posterior, Mode(y, 0.0, np.eye(len(y)), True))
-    x = straight.x_from_y(y[None])[0]
-    x[-1] += 1.5
-    x[: posterior.n_geometry] += 0.01
-    there = straight.y_from_x(x[None])
-    np.testing.assert_allclose(straight.x_from_y(there)[0], x, atol=1e-9)
-    slope = machines.stencil_derivative(straight.y_from_x, x, np.full(len(x), 1e-3))
-    volume = straight.log_density(x[None]) - posterior.log_density(there)
-    assert volume[0] == pytest.approx(np.linalg.slogdet(slope)[1], abs=1e-5)
-    assert abs(volume[0]) > 1.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import tomllib
 from collections.abc import Callable
@@ -80,8 +81,7 @@ SHORT: dict[str, dict[str, Any]] = {
 CHECK = (
     'kind = "check"\nname = "check"\ntitle = "A check"\nseed = 1\nstudy = "short.toml"\nvariants = ["six_pus/none"]\n'
 )
-NEXT = """kind = "next_pose"
-name = "next"
+NEXT = """name = "next"
 title = "The next pose"
 seed = 1
 study = "short.toml"
@@ -120,7 +120,8 @@ def write_subjects(folder: Path) -> list[Path]:
     (root / "telescope" / "next.toml").write_text(NEXT, encoding="utf-8")
     for name in ("targets.csv", "actuators.csv"):
         _keep_poses(root / "telescope" / "data" / name)
-    return [path for path in sorted(root.glob("*/*.toml")) if "kind" in path.read_text(encoding="utf-8")]
+    experiment = re.compile(r"(?m)^(kind|study) = ")
+    return [path for path in sorted(root.glob("*/*.toml")) if experiment.search(path.read_text(encoding="utf-8"))]
 
 
 def _keep_poses(path: Path) -> None:

@@ -61,7 +61,7 @@ ROWS: dict[str, tuple[str, str, Any, str]] = {
     ),
     "a seed without end": (STUDY, "seed", 10**40, f"less than or equal to {LARGEST_SEED}"),
     "iterations of nothing": (SELECTION, "published.iterations", {"nope": 5}, "found 'nope', expected some of"),
-    "a sensor twice": (AUDIT, "measured_by", ["tracker", "tracker"], "found 'tracker' twice"),
+    "a sensor twice": (AUDIT, "variants.0.sensors", ["tracker", "tracker"], "found 'tracker' twice"),
     "a sensor twice in a set": (STAR, "sets.0.sensors", ["s", "s"], "found 's' twice"),
     "a sensor twice in a variant": (OWN, "variants.0.sensors", ["s", "s"], "found 's' twice"),
     "a criterion twice": (SELECTION, "selections.0.criteria", ["O1", "O1"], "found 'O1' twice"),

@@ -13,7 +13,8 @@ import telescope_machines as machines
 from fuzz.hostile import change_file
 from fuzz.judged import judge_call
 
-from bayescal.api import export_machine, predict_poses
+from bayescal.calibrated.export import export_machine
+from bayescal.calibrated.predict import predict_poses
 from bayescal.data.actuators import name_actuators
 from bayescal.numerics.geometry import rotation_vector_from_matrix
 from bayescal.report.pictures import Picture

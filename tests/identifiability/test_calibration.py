@@ -25,7 +25,7 @@ from bayescal.identifiability.fits import Fitter, Measurements
 from bayescal.identifiability.information import Information, information_of_rows
 from bayescal.identifiability.kept import compare_kept, count_kept
 from bayescal.identifiability.reduced import judge_reduced
-from bayescal.identifiability.requirements import DRAWS, Forecast
+from bayescal.identifiability.requirements import DRAWS
 from bayescal.identifiability.sensitivity import compute_measured_poses, compute_sensitivity, root_of
 from bayescal.machines.frames import N_FRAME_PARAMETERS, frame_slopes, measured_pose_slopes, move_frames
 from bayescal.machines.kinematics import solve_forward_kinematics, solve_inverse_kinematics
@@ -338,14 +338,14 @@ def count_kept_of(name, n, shares):
     path = problems.DESIGNS / f"{name}.toml"
     inputs = read_inputs(load_audit(path), path.parent)
     information, actuators = analyse(inputs).information, inputs.workspace_actuators[:60]
-    forecast = Forecast(compute_sensitivity(inputs.knowledge, actuators), inputs.knowledge.sd)
-    arguments = (information, inputs.plan, np.random.default_rng(4), ())
+    forecast = problems.foretell(inputs.knowledge, actuators, inputs.plan)
+    arguments = (information, np.random.default_rng(4), ())
     wanted = [
         replace(one.requirement, limit=share * one.predicted_sd)
-        for one in forecast.judge(inputs.requirements, *arguments)
+        for one in forecast.judge(inputs.requirements, *arguments)[0]
         for share in shares
     ]
-    claimed = [one.probability for one in forecast.judge(wanted, *arguments)]
+    claimed = [one.probability for one in forecast.judge(wanted, *arguments)[0]]
     simulated = simulate_calibrations(inputs.knowledge, inputs.plan, n, np.random.default_rng(6))
     kept = count_kept(simulated, inputs.plan, actuators, wanted, np.random.default_rng(7))
     return claimed, [

@@ -54,8 +54,8 @@ def test_information_is_that_of_the_likelihood(model, n_legs):
     information = plan.sensors[0].information(poses.position, poses.rotation)
     poses = replace(poses, covariance=np.linalg.inv(information))
     likelihood = PoseLikelihood(machine, poses, plan.actuator_noise)
-    slope = likelihood.leg_error_jacobian(theta)[1][..., knowledge.free]
-    precision = np.linalg.inv(likelihood.leg_covariance(np.full(n_legs, plan.model_error)))
+    slope = likelihood.error_jacobian(theta)[1][..., knowledge.free]
+    precision = np.linalg.inv(likelihood.error_covariance(np.full(n_legs, plan.model_error)))
     expected = np.einsum("pik,pij,pjm->km", slope, precision, slope) * np.outer(knowledge.sd, knowledge.sd)
     found = information_of_rows(rows, knowledge.sd).matrix
     assert np.abs(found - expected).max() < 1e-7 * np.abs(expected).max()

@@ -60,42 +60,32 @@ def test_without_the_move_the_weights_are_poor():
     assert weights.sum() ** 2 / (weights**2).sum() < 0.1 * len(draws)
 
 
-def test_errors_are_those_claimed():
-    """A density that no affine map makes: light tails. Over many repetitions z scores are of unit size."""
-    rng, z = np.random.default_rng(2), []
-    explored = log_normal(np.zeros(2), np.eye(2))
+def repeat_light_tails(strength, n_times, n_draws, *effort):
+    """Return corrections of a density that no affine map makes, and their errors in standard errors."""
+    rng, found = np.random.default_rng(2), []
     line = np.linspace(-10, 10, 2001)
-    truth = 2 * np.log(np.trapezoid(norm.pdf(line) * np.exp(-0.05 * line**4), line))
+    truth = 2 * np.log(np.trapezoid(norm.pdf(line) * np.exp(-strength * line**4), line))
+    density = CostlyDensity(
+        log_normal(np.zeros(2), np.eye(2)), lambda x: -strength * (x**4).sum(axis=-1), np.zeros((2, 2))
+    )
+    for _ in range(n_times):
+        draws = rng.standard_normal((n_draws, 2))
+        found.append(correct(density, draws, np.zeros(n_draws, int), np.eye(2), *effort))
+    return found, [(one.log_ratio - truth) / one.standard_error for one in found]
 
-    def excess(x):
-        return -0.05 * (x**4).sum(axis=-1)
 
-    for _ in range(60):
-        draws = rng.standard_normal((800, 2))
-        found = correct(CostlyDensity(explored, excess, np.zeros((2, 2))), draws, np.zeros(800, int), np.eye(2), 250)
-        z.append((found.log_ratio - truth) / found.standard_error)
+def test_errors_are_those_claimed():
+    """Over many repetitions z scores are of unit size."""
+    _, z = repeat_light_tails(0.05, 60, 800, 250)
     assert abs(np.mean(z)) < 4 / np.sqrt(60)
     assert 0.7 < np.std(z) < 1.3
 
 
 def test_errors_are_those_claimed_where_the_error_ends_it():
     """Fewer draws, whose scatter says when they are enough: errors are still those claimed, about as large as asked."""
-    rng, z, n_draws = np.random.default_rng(2), [], []
-    explored = log_normal(np.zeros(2), np.eye(2))
-    line = np.linspace(-10, 10, 2001)
-    truth = 2 * np.log(np.trapezoid(norm.pdf(line) * np.exp(-0.005 * line**4), line))
-
-    def excess(x):
-        return -0.005 * (x**4).sum(axis=-1)
-
-    for _ in range(200):
-        draws = rng.standard_normal((400, 2))
-        density = CostlyDensity(explored, excess, np.zeros((2, 2)))
-        found = correct(density, draws, np.zeros(400, int), np.eye(2), 128, 2, 0.01)
-        z.append((found.log_ratio - truth) / found.standard_error)
-        n_draws.append(found.n_draws)
-        assert found.standard_error <= 0.01 or found.n_draws == 128
-    assert len(set(n_draws)) > 1
+    found, z = repeat_light_tails(0.005, 200, 400, 128, 2, 0.01)
+    assert all(one.standard_error <= 0.01 or one.n_draws == 128 for one in found)
+    assert len({one.n_draws for one in found}) > 1
     assert abs(np.mean(z)) < 4 / np.sqrt(200) + 0.3
     assert 0.7 < np.std(z) < 1.5
 

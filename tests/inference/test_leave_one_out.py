@@ -53,7 +53,7 @@ def test_a_run_without_a_pose_gives_the_difference_of_evidences(inputs, posterio
     """p(y_i | the others) = p(all) / p(the others), the latter from a likelihood that has never seen the pose."""
     others = np.arange(posterior.likelihood.n_poses) != POSE
     poses = inputs.poses(verification=False).select(others)
-    noise = 1e-3 * inputs.config.data.actuator_noise_um
+    noise = 1e-3 * inputs.config.measured.actuator_noise_um
     rest = replace(posterior, likelihood=PoseLikelihood(posterior.likelihood.machine, poses, noise))
     expected = log_evidence(posterior, found) - log_evidence(rest, explore(rest, np.random.SeedSequence(5)))
     moved = move_without(POSE, posterior, found, *draw_to_correct(found, np.random.default_rng(7), 1024))

@@ -23,7 +23,7 @@ def posteriors(tmp_path_factory):
     whole = inputs.posterior(variant, with_model_error=True)
     poses = inputs.poses(verification=False).select(np.arange(8))
     variance = inputs.matrix_variance(variant, verification=False)[:8]
-    noise = 1e-3 * inputs.config.data.actuator_noise_um
+    noise = 1e-3 * inputs.config.measured.actuator_noise_um
     likelihood = PoseLikelihood(whole.likelihood.machine, poses, noise, variance)
     return build_leg_posterior(likelihood, whole.priors, whole.errors.model_error, whole.fixed), whole
 

@@ -7,9 +7,10 @@ import pytest
 import telescope_machines as machines
 
 from bayescal.calibrated.settle import find_hindrance
-from bayescal.density.errors import KernelScale, ModelError, Outliers
+from bayescal.density.errors import KernelScale, ModelError
 from bayescal.density.legs import build_leg_posterior
 from bayescal.density.model_error import LinearKernel
+from bayescal.density.outliers import Contaminated
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.priors import NormalPrior, SharePrior
 from bayescal.density.structured import StructuredLikelihood
@@ -98,7 +99,7 @@ def test_explicit_entries_leave_of_the_geometry_what_the_linear_kernel_leaves(li
 
 def test_stands_beside_blunders(likelihood):
     plain = build_leg_posterior(likelihood, build_priors(likelihood), ModelError(0.01))
-    robust = replace(plain, errors=replace(plain.errors, outliers=Outliers(SharePrior(0.02))))
+    robust = replace(plain, errors=replace(plain.errors, outliers=Contaminated(SharePrior(0.02))))
     assert isinstance(robust.sampling.coordinates, ClosingCoordinates)
     y = robust.polish(robust.approach())
     assert np.isfinite(robust.log_density(y[None])).all()

@@ -9,7 +9,6 @@ import pytest
 
 from bayescal.errors import InputError
 from bayescal.machines.read import read_reading_model
-from bayescal.numerics.analytic import rotation_matrix
 from bayescal.numerics.geometry import matrix_from_rotation_vector
 
 MACHINE = Path(__file__).parents[2] / "experiments" / "m2_hexapod_table" / "machine.toml"
@@ -82,16 +81,6 @@ def test_the_platform_goes_where_its_base_goes(model, poses, symbol, value, plac
     shifted = poses + 0.2 * np.eye(6)[1]
     np.testing.assert_allclose(read(model, moved, shifted, *place), read(model, plain, poses, *place), atol=1e-9)
     np.testing.assert_array_equal(read(model, moved, poses), read(model, plain, poses))
-
-
-def test_rotations_by_series_are_rotations():
-    rng = np.random.default_rng(1)
-    axes = rng.standard_normal((4, 3))
-    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
-    for angle in (0.0, 1e-12, 1e-4, 0.5, np.pi):
-        np.testing.assert_allclose(
-            rotation_matrix(angle * axes), matrix_from_rotation_vector(angle * axes), rtol=0.0, atol=3e-14
-        )
 
 
 @pytest.mark.parametrize(

@@ -30,8 +30,9 @@ def test_a_project_is_fit_to_run_and_says_that_it_is_simulated(tmp_path, machine
         check_experiment(load(later)[1], folder)
     measured = [path for path in files if path.parent.name == "data"]
     assert measured
-    for path in (*measured, folder / "README.md", folder / "study.toml"):
+    for path in (*measured, folder / "README.md"):
         assert "never measured" in path.read_text()
+    assert load(folder / "study.toml")[1].origin.status == "simulated"
 
 
 def list_free(folder, machine):

@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 from typing import Any
 
-import numpy as np
-
 from bayescal.calibrated.exported import list_function_files
 from bayescal.calibrated.machine import CalibratedMachine
 from bayescal.calibrated.mechanism_file import format_value
@@ -62,9 +60,6 @@ def list_toml_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
 
 def _describe(calibrated: CalibratedMachine) -> dict[str, Any]:
     model, theta, source = calibrated.model, calibrated.theta, calibrated.source
-    sd = np.zeros(len(theta))
-    if calibrated.covariance is not None:
-        sd[calibrated.free] = np.sqrt(np.diagonal(calibrated.covariance))
     of = {block.symbol: model.layout.index[block.symbol] for block in model.layout.blocks}
     return {
         "name": calibrated.name,
@@ -82,7 +77,7 @@ def _describe(calibrated: CalibratedMachine) -> dict[str, Any]:
             block.symbol: {
                 "unit": block.unit,
                 "mean": theta[of[block.symbol]].tolist(),
-                "sd": None if calibrated.covariance is None else sd[of[block.symbol]].tolist(),
+                "sd": None if calibrated.covariance is None else calibrated.sd[of[block.symbol]].tolist(),
             }
             for block in model.layout.blocks
         },

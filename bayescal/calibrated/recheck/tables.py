@@ -10,7 +10,7 @@ from bayescal.calibrated.machine import CalibratedMachine
 from bayescal.calibrated.recheck.judge import Recheck
 from bayescal.calibrated.recheck.plan import RecheckPlan
 from bayescal.calibrated.recheck.statistics import say_shift, say_size
-from bayescal.calibrated.tables import list_commanded, name_column, read_commands
+from bayescal.calibrated.tables import name_column, read_commands
 from bayescal.data.actuators import check_range
 from bayescal.data.instruments.plausible import check_units
 from bayescal.data.instruments.poses import COORDINATES, PoseReadings
@@ -121,7 +121,7 @@ def add_commands(path: Path, plan: Path | None, readings: Measurements, calibrat
     own, values, given = calibrated.commanded, readings.values.copy(), dict(readings.given)
     there = np.isfinite(values[:, own]).any()
     if plan is None:
-        missing = [one.name for one in list_commanded(calibrated)]
+        missing = [one.name for one in calibrated.command_channels]
         if not there:
             raise InputError(
                 f"{path}: found no reading of {', '.join(missing)}, expected it there, or --actuators PLAN.csv"
@@ -158,7 +158,7 @@ def check_noise(path: Path, readings: Measurements, calibrated: CalibratedMachin
 
 def format_plan(calibrated: CalibratedMachine, plan: RecheckPlan, title: str) -> str:
     """Return a plan as CSV text: the poses of one session, the one that shows most first."""
-    channels = list_commanded(calibrated)
+    channels = calibrated.command_channels
     back = "then: bayescal recheck RESULTS --measured THAT.csv --actuators THIS.csv"
     if isinstance(calibrated.model, Legs):
         how = [

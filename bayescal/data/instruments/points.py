@@ -19,7 +19,12 @@ from bayescal.data.instruments.base import Instrument, Rows
 from bayescal.data.instruments.poses import LOG_TWO_PI
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.data.photogrammetry.rigid_fit import weighted_rigid_transform
-from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array, matrix_from_rotation_vector, skew_matrix
+from bayescal.numerics.geometry import (
+    DEGREES_OF_FREEDOM,
+    Array,
+    compute_rigid_jacobian,
+    matrix_from_rotation_vector,
+)
 
 ITERATIONS = 20
 SETTLED = 1e-10
@@ -105,7 +110,7 @@ class PointReadings(Instrument):
             return None
         position, rotation = weighted_rigid_transform(probe, values, np.ones(len(point)))
         for _ in range(ITERATIONS):
-            jacobian = (white @ _rigid_jacobian(probe, rotation)).reshape(-1, DEGREES_OF_FREEDOM)
+            jacobian = (white @ compute_rigid_jacobian(probe, rotation)).reshape(-1, DEGREES_OF_FREEDOM)
             residual = np.einsum("qij,qj->qi", white, values - position - probe @ rotation.T).ravel()
             normal = jacobian.T @ jacobian
             step = np.linalg.solve(normal, jacobian.T @ residual)
@@ -141,7 +146,7 @@ class PointReadings(Instrument):
                 own = np.diagonal(self._whitening[p, s, point], axis1=-2, axis2=-1)
                 constant[p] += float(np.log(own).sum()) - 0.5 * LOG_TWO_PI * own.size
                 if fit is not None and len(flat) > DEGREES_OF_FREEDOM:
-                    jacobian = np.einsum("rqi,qij->rj", flat, _rigid_jacobian(self.probe, fit.rotation))
+                    jacobian = np.einsum("rqi,qij->rj", flat, compute_rigid_jacobian(self.probe, fit.rotation))
                     basis = np.linalg.qr(jacobian)[0]
                     flat = np.einsum("rk,rqi->kqi", basis, flat)
                     constant[p] -= 0.5 * fit.square
@@ -169,7 +174,7 @@ class PointReadings(Instrument):
         measured = np.zeros((self.n_poses, DEGREES_OF_FREEDOM), dtype=bool)
         for p, fit in enumerate(self._together):
             if fit is not None:
-                jacobian = np.einsum("skqi,qij->kj", weights[:, p], _rigid_jacobian(self.probe, fit.rotation))
+                jacobian = np.einsum("skqi,qij->kj", weights[:, p], compute_rigid_jacobian(self.probe, fit.rotation))
                 to_pose[p], measured[p] = np.linalg.pinv(jacobian), True
             else:
                 shift = np.tile(np.eye(3), (self.n_stations, len(self.points), 1, 1)) * self.seen[p, ..., None, None]
@@ -205,7 +210,7 @@ class PointReadings(Instrument):
     def slopes(self, position: Array, rotation: Array) -> Array:
         """Return the derivative by the poses seen, shape (S, P, K, 6); see `Instrument.slopes`."""
         del position
-        jacobian = _rigid_jacobian(self.probe, rotation[..., None, :, :])
+        jacobian = compute_rigid_jacobian(self.probe, rotation)
         result: Array = -np.einsum("spkqi,spqij->spkj", self.weights, jacobian, optimize=True)
         return result
 
@@ -233,12 +238,6 @@ class PointReadings(Instrument):
             "n_missed": int((~self.seen).sum()),
             "chi2_per_dof": sum(fit.square for fit in fits) / dof if dof else None,
         }
-
-
-def _rigid_jacobian(probe: Array, rotation: Array) -> Array:
-    """Return (1, -[R s]×) of points (Q, 3), shape (..., Q, 3, 6)."""
-    arms = np.einsum("...ij,...j->...i", np.broadcast_to(rotation, (*rotation.shape[:-3], len(probe), 3, 3)), probe)
-    return np.concatenate([np.broadcast_to(np.eye(3), (*arms.shape, 3)), -skew_matrix(arms)], axis=-1)
 
 
 def _is_spread(points: Array) -> bool:

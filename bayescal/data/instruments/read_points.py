@@ -177,7 +177,12 @@ def _read_coordinates(table: Table, noise: PointNoise) -> tuple[Array, Array]:
     if "x_mm" in table.columns:
         return table.numbers(CARTESIAN), _read_covariance(table, noise)
     raw = table.numbers(POLAR)
-    _check_polar(table, raw)
+    table.positive(POLAR[:1])
+    for k, limit in ((1, 360.0), (2, 90.0)):
+        table.refuse(
+            np.abs(raw[:, k]) > limit,
+            lambda row, k=k, limit=limit: f"{POLAR[k]}: found {raw[row, k]:g}, expected at most {limit:g}",
+        )
     reading = np.concatenate([raw[:, :1], np.radians(raw[:, 1:])], axis=1)
     coordinates, slopes = convert_polar(reading)
     change = slopes * _read_polar_noise(table, noise, raw[:, 0])[:, None, :]
@@ -199,17 +204,6 @@ def convert_polar(reading: Array) -> tuple[Array, Array]:
     return distance[..., None] * along, np.stack([along, by_azimuth, by_elevation], axis=-1)
 
 
-def _check_polar(table: Table, raw: Array) -> None:
-    if (raw[:, 0] <= 0.0).any():
-        row = int(np.argmax(raw[:, 0] <= 0.0))
-        raise InputError(f"{table.where(row)}: range_mm: found {raw[row, 0]:g}, expected above 0")
-    for k, limit in ((1, 360.0), (2, 90.0)):
-        beyond = np.abs(raw[:, k]) > limit
-        if beyond.any():
-            row = int(np.argmax(beyond))
-            raise InputError(f"{table.where(row)}: {POLAR[k]}: found {raw[row, k]:g}, expected at most {limit:g}")
-
-
 def _read_covariance(table: Table, noise: PointNoise) -> Array:
     measured = np.ones((len(table.rows), 3), dtype=bool)
     covariance = read_covariances(table, "xyz", measured)
@@ -222,10 +216,7 @@ def _read_covariance(table: Table, noise: PointNoise) -> Array:
     if noise.is_polar:
         raise InputError(f"{table.path}: found coordinates and the noise of ranges and angles, expected point_um")
     if covariance is None:
-        sd = (
-            np.broadcast_to(noise.point_um, measured.shape) if not ways else table.numbers(SAME if same else DEVIATIONS)
-        )
-        _check_deviations(table, np.asarray(sd), SAME if same else DEVIATIONS)
+        sd = table.positive(SAME if same else DEVIATIONS) if ways else np.array(noise.point_um)
         covariance = np.eye(3) * np.broadcast_to(sd, measured.shape)[:, None, :] ** 2
     check_positive(table, covariance, measured)
     return np.asarray(covariance * MICROMETRE**2)
@@ -242,8 +233,7 @@ def _read_polar_noise(table: Table, noise: PointNoise, distance: Array) -> Array
     keys = "range_um, azimuth_arcsec and elevation_arcsec"
     choose_noise(table.path, stated, noise.is_polar or bool(noise.point_um), ", ".join(POLAR_DEVIATIONS), keys)
     if stated:
-        sd = table.numbers(POLAR_DEVIATIONS)
-        _check_deviations(table, sd, POLAR_DEVIATIONS)
+        sd = table.positive(POLAR_DEVIATIONS)
     elif not noise.is_polar:
         raise InputError(f"{table.path}: found ranges and angles and point_um, expected {keys}")
     else:
@@ -256,9 +246,3 @@ def spread_polar(noise: PointNoise, distance: Array) -> Array:
     along = noise.range_um * MICROMETRE + 1e-6 * noise.range_ppm * distance
     angles = (np.full_like(along, ARCSECOND * x) for x in (noise.azimuth_arcsec, noise.elevation_arcsec))
     return np.stack([along, *angles], axis=-1)
-
-
-def _check_deviations(table: Table, sd: Array, names: tuple[str, ...]) -> None:
-    if (sd <= 0.0).any():
-        row, k = np.argwhere(sd <= 0.0)[0]
-        raise InputError(f"{table.where(row)}: {names[k]}: found {sd[row, k]:g}, expected above 0")

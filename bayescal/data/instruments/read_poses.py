@@ -95,9 +95,7 @@ def _read_values(table: Table) -> Array:
     if there:
         position[:, there] = table.numbers([POSITION[k] for k in there], gaps=True)
     values = np.concatenate([position, read_rotation_vectors(table)], axis=1)
-    for row, one in enumerate(np.isfinite(values)):
-        if not one.any():
-            raise InputError(f"{table.where(row)}: found no coordinate, expected one at least")
+    table.refuse(~np.isfinite(values).any(axis=1), lambda _: "found no coordinate, expected one at least")
     return values
 
 
@@ -122,12 +120,8 @@ def read_noise(table: Table, noise: PoseNoise, measured: np.ndarray) -> Array:
             sd[:, 3:] = noise.orientation_arcsec * ARCSECOND / MICRORADIAN
         names = ("position_um",) * 3 + ("orientation_arcsec",) * 3
     missing = measured & ~np.isfinite(sd)
-    if missing.any():
-        row, k = np.argwhere(missing)[0]
-        raise InputError(f"{table.where(row)}: {VALUES[k]}: found no {names[k]}, expected its noise")
-    if (measured & ~(sd > 0.0)).any():
-        row, k = np.argwhere(measured & ~(sd > 0.0))[0]
-        raise InputError(f"{table.where(row)}: {names[k]}: found {sd[row, k]:g}, expected above 0")
+    table.refuse(missing, lambda _, k: f"{VALUES[k]}: found no {names[k]}, expected its noise")
+    table.refuse(measured & ~(sd > 0.0), lambda row, k: f"{names[k]}: found {sd[row, k]:g}, expected above 0")
     sd = np.where(measured, sd, 1.0)
     result: Array = np.eye(len(VALUES)) * sd[:, None, :] ** 2
     return result

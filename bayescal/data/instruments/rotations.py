@@ -64,15 +64,14 @@ def read_rotation_vectors(table: Table) -> Array:
     table.has(found[0])
     values = table.numbers(found[0], gaps=True)
     there = np.isfinite(values)
-    if (there.any(axis=1) & ~there.all(axis=1)).any():
-        row = int(np.argmax(there.any(axis=1) & ~there.all(axis=1)))
-        raise InputError(
-            f"{table.where(row)}: found a rotation in part, expected {', '.join(found[0])} or none of them"
-        )
     whole = there.all(axis=1)
+    text = f"found a rotation in part, expected {', '.join(found[0])} or none of them"
+    table.refuse(there.any(axis=1) & ~whole, lambda _: text)
     result = np.full((len(values), 3), np.nan)
     if found[0] == QUATERNION:
-        _check_lengths(table, values)
+        length = np.linalg.norm(values, axis=1)
+        wrong = np.abs(length - 1.0) > UNIT_LENGTH  # not of NaN
+        table.refuse(wrong, lambda row: f"found a quaternion of length {length[row]:.4g}, expected 1")
         turned = Rotation.from_quat(values[whole], scalar_first=True)
     else:
         turned = Rotation.from_euler(ANGLES[found[0]], values[whole], degrees=True)
@@ -85,19 +84,11 @@ def _read_vectors(table: Table) -> Array:
     there = [k for k, name in enumerate(VECTOR) if name in table.columns]
     values[:, there] = table.numbers([VECTOR[k] for k in there], gaps=True)
     largest = np.nanmax(np.abs(values), axis=1, initial=0.0)
-    if (largest > 180.0).any():
-        row = int(np.argmax(largest > 180.0))
-        raise InputError(
-            f"{table.where(row)}: found a rotation vector of {largest[row]:g} deg, expected at most 180 deg; angles "
-            f"about axes one after the other have other columns, such as {', '.join(ROLL_PITCH_YAW)}"
-        )
+    table.refuse(
+        largest > 180.0,
+        lambda row: (
+            f"found a rotation vector of {largest[row]:g} deg, expected at most 180 deg; angles about axes one after "
+            f"the other have other columns, such as {', '.join(ROLL_PITCH_YAW)}"
+        ),
+    )
     return np.radians(values)
-
-
-def _check_lengths(table: Table, quaternions: Array) -> None:
-    """Raise InputError where a quaternion (P, 4) is not of length one."""
-    length = np.linalg.norm(quaternions, axis=1)
-    wrong = np.abs(length - 1.0) > UNIT_LENGTH  # not of NaN
-    if wrong.any():
-        row = int(np.argmax(wrong))
-        raise InputError(f"{table.where(row)}: found a quaternion of length {length[row]:.4g}, expected 1")

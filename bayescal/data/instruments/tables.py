@@ -105,12 +105,13 @@ def read_covariances(table: Table, components: Sequence[str], measured: np.ndarr
                 result[:, i, j] = table.numbers([name], gaps=True)[:, 0]
     mirrored = np.swapaxes(result, -1, -2)
     unlike = np.abs(result - mirrored) > ASYMMETRY * np.sqrt(np.abs(_products(result)))  # never where one is missing
-    if unlike.any():
-        row, i, j = np.argwhere(unlike)[0]
-        raise InputError(
-            f"{table.where(row)}: cov_{components[i]}_{components[j]}: found {result[row, i, j]:g}, "
+    table.refuse(
+        unlike,
+        lambda row, i, j: (
+            f"cov_{components[i]}_{components[j]}: found {result[row, i, j]:g}, "
             f"expected {result[row, j, i]:g} as cov_{components[j]}_{components[i]}"
-        )
+        ),
+    )
     result = np.where(np.isfinite(result), result, mirrored)
     _check_complete(table, components, measured, result)
     return result
@@ -123,13 +124,13 @@ def _products(covariance: Array) -> Array:
 
 def _check_complete(table: Table, components: Sequence[str], measured: np.ndarray, covariance: Array) -> None:
     missing = measured[:, :, None] & measured[:, None, :] & ~np.isfinite(covariance)
-    if missing.any():
-        row, i, j = np.argwhere(missing)[0]
-        i, j = min(i, j), max(i, j)
-        raise InputError(
-            f"{table.where(row)}: cov_{components[i]}_{components[j]}: found nothing, expected a number, since both "
-            "were measured"
-        )
+    table.refuse(
+        missing,
+        lambda _, i, j: (
+            f"cov_{components[min(i, j)]}_{components[max(i, j)]}: found nothing, expected a number, since both were "
+            "measured"
+        ),
+    )
 
 
 def check_positive(table: Table, covariance: Array, measured: np.ndarray) -> None:

@@ -11,6 +11,7 @@ from itertools import combinations
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from bayescal.data.photogrammetry.rigid_fit import compute_rigid_residuals, weighted_rigid_transform
 from bayescal.data.photogrammetry.survey import BodyTargets, Survey
 from bayescal.errors import InputError
 from bayescal.numerics.geometry import Array
@@ -81,10 +82,8 @@ def find_exchanged(reference: Array, measured: Array, noise: float) -> tuple[tup
 
 def _misfit(reference: Array, measured: Array) -> Array:
     """Return the distances of targets (n, 3) from where rigid bodies (B, n, 3) have them at best, shape (B, n), mm."""
-    body, there = reference - reference.mean(axis=1, keepdims=True), measured - measured.mean(axis=0)
-    left, _, right = np.linalg.svd(np.swapaxes(body, 1, 2) @ there)
-    right[:, 2] *= np.sign(np.linalg.det(left) * np.linalg.det(right))[:, None]
-    return np.asarray(np.linalg.norm(there - body @ (left @ right), axis=-1))
+    fit = weighted_rigid_transform(reference, measured, np.ones(reference.shape[:-1]))
+    return np.asarray(np.linalg.norm(compute_rigid_residuals(reference, measured, *fit), axis=-1))
 
 
 # --- pads ------------------------------------------------------------------------------------------------------------
@@ -100,7 +99,7 @@ def _check_pads(platform: BodyTargets) -> None:
     votes = np.zeros((len(legs), len(legs)))
     for measured in platform.measured:
         seen = rigid & np.isfinite(measured[:, 0])
-        rotation, origin = _place(platform.reference[seen], measured[seen])
+        origin, rotation = weighted_rigid_transform(platform.reference[seen], measured[seen], np.ones(seen.sum()))
         for k, leg in enumerate(legs):
             own = measured[(platform.leg == leg) & np.isfinite(measured[:, 0])]
             if len(own):
@@ -113,14 +112,6 @@ def _check_pads(platform: BodyTargets) -> None:
             f"found the targets on the pad of leg {one} where those of leg {other} should be, at all poses together, "
             "expected each on its own pad: perhaps pads are exchanged"
         )
-
-
-def _place(reference: Array, measured: Array) -> tuple[Array, Array]:
-    """Return rotation (3, 3) and origin (3,) of a body by plain least squares."""
-    left, _, right = np.linalg.svd((reference - reference.mean(axis=0)).T @ (measured - measured.mean(axis=0)))
-    right[2] *= np.sign(np.linalg.det(left) * np.linalg.det(right))
-    rotation = (left @ right).T
-    return rotation, measured.mean(axis=0) - rotation @ reference.mean(axis=0)
 
 
 def check_pad_places(platform: BodyTargets, joints: Array) -> None:

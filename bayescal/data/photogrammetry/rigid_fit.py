@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import gammainc, poch
 
 from bayescal.errors import InputError, PoseInputError
-from bayescal.numerics.geometry import Array, skew_matrix
+from bayescal.numerics.geometry import Array, compute_rigid_jacobian
 
 TUNING_CONSTANT = 5.49024920842936
 """c for which ``compute_efficiency(c)`` is 0.95."""
@@ -148,18 +148,12 @@ def compute_rigid_residuals(reference: Array, measured: Array, position: Array, 
     return measured - position[..., None, :] - reference @ np.swapaxes(rotation, -1, -2)
 
 
-def _compute_jacobian(reference: Array, rotation: Array) -> Array:
-    """Return ``[I, -(R b) ×]`` of every target, shape (..., n, 3, 6)."""
-    lever = reference @ np.swapaxes(rotation, -1, -2)
-    return np.concatenate([np.broadcast_to(np.eye(3), (*lever.shape, 3)), -skew_matrix(lever)], axis=-1)
-
-
 def compute_rigid_covariance(reference: Array, rotation: Array, used: NDArray[np.bool_], noise: float) -> Array:
     """Return the covariance of the least-squares pose from the used targets, shape (..., 6, 6).
 
     ``σ² (Σ J^T J)^-1`` with ``J = [I, -(R b) ×]`` per target; order, units and frame as in `RigidFit`.
     """
-    jacobian = _compute_jacobian(reference, rotation) * used[..., None, None]
+    jacobian = compute_rigid_jacobian(reference, rotation) * used[..., None, None]
     jacobian = jacobian.reshape(*used.shape[:-1], -1, 6)
     covariance = noise**2 * np.linalg.inv(np.swapaxes(jacobian, -1, -2) @ jacobian)
     return 0.5 * (covariance + np.swapaxes(covariance, -1, -2))
@@ -259,7 +253,7 @@ def _admit_compatible(reference: Array, measured: Array, close: NDArray[np.bool_
     position, rotation = weighted_rigid_transform(reference, measured, close)
     residuals = compute_rigid_residuals(reference, measured, position, rotation)
     covariance = compute_rigid_covariance(reference, rotation, close, noise)[:, None]
-    jacobian = _compute_jacobian(reference, rotation)
+    jacobian = compute_rigid_jacobian(reference, rotation)
     spread = jacobian @ covariance @ np.swapaxes(jacobian, -1, -2) + noise**2 * np.eye(3)
     distance = np.sum(residuals * np.linalg.solve(spread, residuals[..., None])[..., 0], axis=-1)
     return (distance < TUNING_CONSTANT**2).astype(float)

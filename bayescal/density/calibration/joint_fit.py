@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,6 +13,7 @@ from bayescal.density.calibration.terms import Errors
 from bayescal.density.calibration.whitening import Whitening
 from bayescal.density.elimination import invert, left_of
 from bayescal.density.low_rank_columns import find_coefficients
+from bayescal.density.outliers import Outliers
 from bayescal.errors import NumericalError
 from bayescal.numerics.geometry import Array
 
@@ -44,6 +46,10 @@ class JointFit:
     sampling: AffineSampling
     errors: Errors
     zeta: Array
+
+    @cached_property
+    def _tails(self) -> Outliers:
+        return self.errors.tails(self.zeta[None])
 
     def run(self, y: Array, pose: Array) -> tuple[Array, Array]:
         """Return the geometry's coordinates (m,) and poses (P, q), from others.
@@ -90,11 +96,11 @@ class JointFit:
 
     def _cost(self, y: Array, error: Array, columns: Array) -> tuple[Array, float]:
         """Return white errors (P, K) without what the best coefficients explain, and what all squares sum up to."""
-        spare, outliers, square = self.likelihood.n_spare, self.errors.outliers, float(y @ y + self.zeta @ self.zeta)
+        spare, tails, square = self.likelihood.n_spare, self._tails, float(y @ y + self.zeta @ self.zeta)
         if self.errors.has_columns:
-            found = find_coefficients(error[None], columns, outliers, spare)
+            found = find_coefficients(error[None], columns, tails, spare)
             error, square = found.residual[0], square + float(found.mean[0] @ found.mean[0])
-        total = square + float(outliers.penalise(np.einsum("pk,pk->p", error, error), spare).sum())
+        total = square + float(tails.penalise(np.einsum("pk,pk->p", error, error)[None], spare).sum())
         inside = self.likelihood.layout.inside(self.sampling.theta_from_y(y[None]))[0]
         return error, total if inside else np.nan
 
@@ -109,8 +115,8 @@ class JointFit:
         damping: float,
     ) -> tuple[Array, Array]:
         """Return a damped step of the coordinates (m,) and the poses' (P, q) that follows."""
-        m, square = len(y), np.einsum("pk,pk->p", residual, residual)
-        trust = np.sqrt(self.errors.outliers.trust(square, self.likelihood.n_spare))
+        m, square = len(y), np.einsum("pk,pk->p", residual, residual)[None]
+        trust = np.sqrt(self._tails.trust(square, self.likelihood.n_spare)[0])
         # a little of the damping keeps poses that readings hardly determine from running away
         stiff = invert(slope, 1e-9 * damping / DAMPING)
         left = np.eye(slope.shape[1]) - slope @ stiff

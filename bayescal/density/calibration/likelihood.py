@@ -63,7 +63,7 @@ class CalibrationLikelihood(PoseElimination, Elimination[AffineSampling, Errors]
         for part, white, at in self._explain_in_parts(theta, errors, zeta):
             rest = self.offset(white, at)
             for some, found in self._absorb(errors, zeta[part], white, at):
-                weighed = errors.outliers.weigh(found.square, self.n_spare) + rest[some]
+                weighed = errors.tails(zeta[part][some]).weigh(found.square, self.n_spare) + rest[some]
                 total[part][some] = weighed.sum(axis=1) + found.penalty
         return total
 
@@ -73,12 +73,12 @@ class CalibrationLikelihood(PoseElimination, Elimination[AffineSampling, Errors]
 
         def weigh(part: slice) -> None:
             white, at = self.explain(theta[part], errors, zeta[part])
-            rest = self.offset(white, at)
+            rest, tails = self.offset(white, at), errors.tails(zeta[part])
             if not errors.has_columns:
-                result[part] = errors.outliers.weigh(at.square, self.n_spare) + rest
+                result[part] = tails.weigh(at.square, self.n_spare) + rest
                 return
             for some, found in self._absorb(errors, zeta[part], white, at):
-                result[part][some] = rest[some] + found.condition_each(errors.outliers, self.n_spare)
+                result[part][some] = rest[some] + found.condition_each(tails.pick(some), self.n_spare)
 
         map_in_threads(weigh, list(self.batches(len(theta))))
         return np.where(np.isfinite(result), result, -np.inf)
@@ -106,7 +106,7 @@ class CalibrationLikelihood(PoseElimination, Elimination[AffineSampling, Errors]
                 beyond = other.whiten(*other.noise(errors, own))
                 there = other.stand(theta[part][some], beyond)
                 columns = other.columns(errors, own, beyond, there.slope)
-                given = found.condition_others(there.error, columns, errors.outliers, other.n_spare)
+                given = found.condition_others(there.error, columns, errors.tails(own), other.n_spare)
                 result[part][some] = other.offset(beyond, there) + given
         return np.where(np.isfinite(result), result, -np.inf)
 
@@ -152,10 +152,7 @@ class CalibrationLikelihood(PoseElimination, Elimination[AffineSampling, Errors]
         n_machines, n_poses, n_channels = at.error.shape
         for some in split(n_machines, n_poses, n_channels, n_columns):
             columns = self.columns(errors, zeta[some], white.pick(some), at.slope[some])
-            yield some, self._find(errors, columns, at.error[some])
-
-    def _find(self, errors: Errors, columns: Array, error: Array) -> Coefficients:
-        return find_coefficients(error, columns, errors.outliers, self.n_spare)
+            yield some, find_coefficients(at.error[some], columns, errors.tails(zeta[some]), self.n_spare)
 
     # --- derivatives ---------------------------------------------------------------------------------------------
 
@@ -175,7 +172,9 @@ class CalibrationLikelihood(PoseElimination, Elimination[AffineSampling, Errors]
             white, at = self.explain(*at_one)
             error, slope, by_parameters = self.rows(theta, change, white, at.pose)
             residual = self.residuals(*at_one)
-            trust = np.sqrt(errors.outliers.trust(np.einsum("cpk,cpk->cp", residual, residual), self.n_spare)[0])
+            trust = np.sqrt(
+                errors.tails(zeta[None]).trust(np.einsum("cpk,cpk->cp", residual, residual), self.n_spare)[0]
+            )
             left, common = project_out(slope), self.white_columns(errors, zeta[None], white)[0]
         rows = left @ np.concatenate([by_parameters, common], axis=-1)
         return trust[:, None] * left_of(left, error), trust[:, None, None] * rows
@@ -203,13 +202,14 @@ class CalibrationLikelihood(PoseElimination, Elimination[AffineSampling, Errors]
         with np.errstate(all="ignore"):
             white, at = self.explain(theta[None], errors, zeta[None])
             error, slope, by_parameters = self.rows(theta, change, white, at.pose)
-            trust = errors.outliers.trust(at.square, self.n_spare)[0]
+            tails = errors.tails(zeta[None])
+            trust = tails.trust(at.square, self.n_spare)[0]
             left = project_out(slope)
             rows, error = left @ by_parameters, left_of(left, error)
             weighed, found, turn = trust[:, None, None] * rows, None, None
             if errors.has_columns:
                 acted = self.white_columns(errors, zeta[None], white)[0]
-                found = self._find(errors, (left @ acted)[None], error[None])
+                found = find_coefficients(error[None], (left @ acted)[None], tails, self.n_spare)
                 error, trust, weighed = found.residual[0], found.trust[0], found.reduce(rows[None])[0]
                 follow = left_of(invert(slope, 0.0), acted @ found.mean[0])  # what coefficients make of the poses
                 turn = (trust[:, None] * error)[..., None] * follow[:, None]
@@ -224,6 +224,10 @@ class CalibrationLikelihood(PoseElimination, Elimination[AffineSampling, Errors]
                 by_errors, curvature = self._differentiate_by_errors(errors, zeta, white, left, error, trust, found)
                 gradient[m:] += by_errors
                 hessian[m:, m:] = -curvature
+                by_own = tails.slopes(np.einsum("pk,pk->p", error, error)[None], self.n_spare)[0]
+                own = slice(n - by_own.shape[1], n)
+                gradient[own] += by_own.sum(axis=0)
+                hessian[own, own] -= by_own.T @ by_own
         return gradient, hessian
 
     def _differentiate_by_errors(
@@ -362,11 +366,12 @@ class CalibrationLikelihood(PoseElimination, Elimination[AffineSampling, Errors]
             white, at = self.explain(theta, errors, zeta)
             _, slope, by_parameters = self.rows(theta[0], sampling.jacobian(theta[0]), white, at.pose)
         left, prior = project_out(slope), np.eye(m)
-        trust = errors.outliers.trust(at.square, self.n_spare)[0]
+        tails = errors.tails(zeta)
+        trust = tails.trust(at.square, self.n_spare)[0]
         rows = left @ by_parameters
         if errors.has_columns:  # JᵀS⁻¹J = Gᵀ(W⁻¹ + AAᵀ)G with G = S⁻¹J; the part with A does not hang on the noise
             columns = (left @ self.white_columns(errors, zeta, white)[0])[None]
-            found = self._find(errors, columns, at.error)
+            found = find_coefficients(at.error, columns, tails, self.n_spare)
             reduced, trust = found.reduce(rows[None])[0], found.trust[0]
             acted = np.einsum("pku,pki->ui", found.columns[0], reduced, optimize=True)
             rows, prior = reduced / trust[:, None, None], prior + acted.T @ acted

@@ -82,14 +82,12 @@ def replicate_readings(
     Where poses are given, (P, q), they are those, alike for all draws, and common errors are drawn from their prior.
     """
     likelihood, errors, data = posterior.likelihood, posterior.errors, posterior.likelihood.data
-    given, nu = {name: value[None] for name, value in data.given.items()}, errors.outliers.freedom
+    given = {name: value[None] for name, value in data.given.items()}
     made = np.full((len(y), *data.values.shape), np.nan)
     for part in likelihood.batches(len(y)):
         theta, own, common = posterior.theta(y[part]), y[part], np.zeros((1, 1, 1))
         white = likelihood.whiten(*posterior.likelihood.noise(posterior.errors, posterior.zeta(own)))
-        wider = np.ones((len(theta), data.n_poses, 1))
-        if errors.outliers.expected:
-            wider = np.sqrt(nu / rng.chisquare(nu, wider.shape))
+        wider = np.sqrt(errors.tails(posterior.zeta(own)).draw_wide((len(theta), data.n_poses, 1), rng))
         if pose is None:
             at = likelihood.stand(theta, white)
             places = at.pose + wider * _draw_poses(at.slope, rng)
@@ -131,7 +129,7 @@ def _predict(
 ) -> tuple[Array, Array]:
     """Return predicted means and noisy values of a channel, both (T, P)."""
     rest = replace(held, data=held.data.only(others), expansion=None)
-    theta, outliers = posterior.theta(y), posterior.errors.outliers
+    theta, tails = posterior.theta(y), posterior.errors.tails(posterior.zeta(y))
     own, tau = held.noise(posterior.errors, posterior.zeta(y))
     mean, spread = (np.empty((len(y), held.data.n_poses)) for _ in range(2))
     given = {name: value[None] for name, value in held.data.given.items()}
@@ -155,7 +153,7 @@ def _predict(
         predicted = held.data.values[:, channel] - error[..., channel] + shift
         mean[part] = predicted + np.einsum("tpk,tpk->tp", told_by, error_left)
         square = np.einsum("tpk,tpk->tp", error_left, error_left)
-        spread[part] = np.sqrt(variance * outliers.draw_widening(square, rest.n_spare, rng))
+        spread[part] = np.sqrt(variance * tails.pick(part).draw_widening(square, rest.n_spare, rng))
     return mean, mean + spread * rng.standard_normal(mean.shape)
 
 
@@ -206,7 +204,5 @@ def draw_readings(posterior: CalibrationPosterior, y: Array, pose: Array, rng: n
     noise = own * (factor @ rng.standard_normal((*own.shape, 1)))[..., 0]
     beside, gain = tau * rng.standard_normal(own.shape), likelihood.error_gain
     noise += beside if gain is None else (gain @ beside[..., None])[..., 0]
-    if posterior.errors.outliers.expected:
-        nu = posterior.errors.outliers.freedom
-        noise /= np.sqrt(rng.gamma(0.5 * nu, 2.0 / nu, (len(noise), 1)))
+    noise *= np.sqrt(posterior.errors.tails(posterior.zeta(y[None])).draw_wide((1, len(noise), 1), rng)[0])
     return np.where(likelihood.data.present, likelihood.comparison.add(exact, noise), np.nan)

@@ -26,9 +26,8 @@ import numpy as np
 
 from bayescal.config.sections import Section
 from bayescal.density.calibration.measurements import Measurements
-from bayescal.density.calibration.outliers import NORMAL, Outliers
+from bayescal.density.outliers import NORMAL, Outliers
 from bayescal.density.priors import HalfNormalPrior, LogNormalPrior, Prior
-from bayescal.density.protocols import ErrorCoordinates
 from bayescal.errors import BayescalError, InputError
 from bayescal.machines.readings import ReadingModel
 from bayescal.numerics.geometry import Array
@@ -101,6 +100,19 @@ class ErrorTerm(ABC):
         Of what is unknown of it.
     priors : tuple of Prior, length n
         Of the same, in these units.
+
+    Examples
+    --------
+    Vibration, a noise beside the stated one that all channels have:
+
+    >>> from bayescal.density.priors import HalfNormalPrior
+    >>> class Vibration(bc.ErrorTerm):
+    ...     names, units, priors = ("vibration",), ("mm",), (HalfNormalPrior(0.01),)
+    ...
+    ...     def variance(self, zeta, data):
+    ...         return np.broadcast_to(self.natural(zeta)[:, :, None] ** 2, (len(zeta), *data.sd.shape))
+    >>> Vibration().natural(np.array([0.0])).round(4)
+    array([0.0067])
     """
 
     Config: ClassVar[type[Section]] = Section
@@ -156,21 +168,24 @@ def _differ(values: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class NoiseFactor(ErrorTerm):
-    """An unknown factor on the stated noise of some channels, log-normal about one.
+class GroupTerm(ErrorTerm):
+    """A term with one unknown, which changes the noise of a group of channels.
 
     Attributes
     ----------
     label : str
-        Of the group of channels.
+        Of the group.
     channels : ndarray of bool, shape (K,)
-    log_sd : float
-        Standard deviation of the factor's logarithm.
+    scale : float
+        Of its prior.
+    unit : str
     """
 
     label: str
     channels: np.ndarray
-    log_sd: float
+    scale: float
+    unit: str = "1"
+    what: ClassVar[str]
 
     @property
     def concerns(self) -> np.ndarray:
@@ -179,18 +194,24 @@ class NoiseFactor(ErrorTerm):
 
     @property
     def names(self) -> tuple[str, ...]:  # type: ignore[override]
-        """``noise_factor(motor)``."""
-        return (f"noise_factor({self.label})",)
+        """``model_error(motor)`` and the like."""
+        return (f"{self.what}({self.label})",)
 
     @property
     def units(self) -> tuple[str, ...]:  # type: ignore[override]
-        """None."""
-        return ("1",)
+        """The one unit."""
+        return (self.unit,)
+
+
+class NoiseFactor(GroupTerm):
+    """An unknown factor on the stated noise, log-normal about one; ``scale`` is the sd of its logarithm."""
+
+    what = "noise_factor"
 
     @property
     def priors(self) -> tuple[Prior, ...]:  # type: ignore[override]
         """Log-normal."""
-        return (LogNormalPrior(1.0, self.log_sd),)
+        return (LogNormalPrior(1.0, self.scale),)
 
     def factor(self, zeta: Array) -> Array:
         """Return it for its channels, one for the others."""
@@ -199,42 +220,13 @@ class NoiseFactor(ErrorTerm):
     def slopes(self, zeta: Array, data: Measurements) -> Slopes:
         """Return that of its logarithm."""
         del zeta
-        return Slopes(log_factor=np.broadcast_to(np.where(self.channels, self.log_sd, 0.0), (1, *data.sd.shape)))
+        return Slopes(log_factor=np.broadcast_to(np.where(self.channels, self.scale, 0.0), (1, *data.sd.shape)))
 
 
-@dataclass(frozen=True, eq=False)
-class ModelErrorTerm(ErrorTerm):
-    """An error τ of some channels that the stated noise lacks, drawn anew at every row; half normal.
+class ModelErrorTerm(GroupTerm):
+    """An error τ that the stated noise lacks, drawn anew at every row, half normal, in the channels' unit."""
 
-    Attributes
-    ----------
-    label : str
-        Of the group of channels.
-    channels : ndarray of bool, shape (K,)
-    scale : float
-        Of the half normal, in the channels' unit.
-    unit : str
-    """
-
-    label: str
-    channels: np.ndarray
-    scale: float
-    unit: str
-
-    @property
-    def concerns(self) -> np.ndarray:
-        """Its channels."""
-        return self.channels
-
-    @property
-    def names(self) -> tuple[str, ...]:  # type: ignore[override]
-        """``model_error(motor)``."""
-        return (f"model_error({self.label})",)
-
-    @property
-    def units(self) -> tuple[str, ...]:  # type: ignore[override]
-        """The channels'."""
-        return (self.unit,)
+    what = "model_error"
 
     @property
     def priors(self) -> tuple[Prior, ...]:  # type: ignore[override]
@@ -254,8 +246,11 @@ class ModelErrorTerm(ErrorTerm):
 
 
 @dataclass(frozen=True, eq=False)
-class Errors(ErrorCoordinates):
-    """All terms together, and what rows are like that are wrong as a whole; coordinates in the terms' order.
+class Errors:
+    """All terms together, and what rows are like that are wrong as a whole.
+
+    Coordinates ζ of what is unknown are the terms' in their order, then the outliers': as their priors say, standard
+    normal about their places.
 
     Attributes
     ----------
@@ -273,24 +268,75 @@ class Errors(ErrorCoordinates):
         ends = np.cumsum([0, *(len(term.names) for term in self.terms)])
         return [slice(int(a), int(b)) for a, b in pairwise(ends)]
 
-    @property
+    @cached_property
+    def _parts(self) -> tuple[ErrorTerm | Outliers, ...]:
+        return (*self.terms, self.outliers)
+
+    @cached_property
     def names(self) -> tuple[str, ...]:
-        """Names of all that is unknown."""
-        return tuple(name for term in self.terms for name in term.names)
+        """Names of the k unknowns."""
+        return tuple(name for part in self._parts for name in part.names)
 
-    @property
+    @cached_property
     def units(self) -> tuple[str, ...]:
-        """Units of all."""
-        return tuple(unit for term in self.terms for unit in term.units)
+        """Units of the same."""
+        return tuple(unit for part in self._parts for unit in part.units)
+
+    @cached_property
+    def priors(self) -> tuple[Prior, ...]:
+        """Priors of the same, in these units."""
+        return tuple(prior for part in self._parts for prior in part.priors)
 
     @property
-    def priors(self) -> tuple[Prior, ...]:
-        """Priors of all."""
-        return tuple(prior for term in self.terms for prior in term.priors)
+    def n_parameters(self) -> int:
+        """Number k of coordinates."""
+        return len(self.names)
+
+    @cached_property
+    def switches(self) -> dict[int, float]:
+        """Coordinates with a second place, at which there is no such error, each with that place."""
+        return {k: prior.off for k, prior in enumerate(self.priors) if prior.off is not None}
+
+    @property
+    def log_mass(self) -> float:
+        """What the log-prior has beside the normal density of the deviations: half for each place of a switch."""
+        return -len(self.switches) * float(np.log(2.0))
+
+    def natural(self, zeta: Array) -> Array:
+        """Return what is unknown in its own units, (..., k)."""
+        found = [prior.value(zeta[..., k]) for k, prior in enumerate(self.priors)]
+        return np.stack(found, axis=-1) if found else np.zeros(zeta.shape)
+
+    def deviations(self, zeta: Array) -> Array:
+        """Return coordinates less their places, standard normal under the prior, (..., k)."""
+        found = zeta.copy()
+        for k, place in self.switches.items():
+            found[..., k] -= np.where(zeta[..., k] > 0.5 * place, 0.0, place)
+        return found
+
+    def draw(self, standard: Array, rng: np.random.Generator) -> Array:
+        """Return coordinates of the prior from standard normal numbers (S, k), half of the switches off."""
+        found, places = standard.copy(), list(self.switches)
+        off = rng.random((len(found), len(places))) < 0.5 if places else np.zeros((len(found), 0), dtype=bool)
+        found[:, places] += np.where(off, list(self.switches.values()), 0.0)
+        return found
+
+    def jumps(self, zeta: Array) -> list[tuple[int, Array]]:
+        """Return each error switched on or off, seen from ζ (k,), with the number of its coordinate."""
+        found = []
+        for k, place in self.switches.items():
+            image = zeta.copy()
+            image[k] = place if zeta[k] > 0.5 * place else 0.0
+            found.append((k, image))
+        return found
 
     def of(self, zeta: Array) -> Sequence[tuple[ErrorTerm, Array]]:
         """Return each term with its coordinates (..., n_t) of all of them (..., n)."""
         return [(term, zeta[..., part]) for term, part in zip(self.terms, self._slices, strict=True)]
+
+    def tails(self, zeta: Array) -> Outliers:
+        """Return the density of white residuals at coordinates (B, k)."""
+        return self.outliers.at(zeta[:, len(self.names) - len(self.outliers.names) :])
 
     # --- what they do ------------------------------------------------------------------------------------------------
 
@@ -357,7 +403,7 @@ class Errors(ErrorCoordinates):
         for term, part in self.of(zeta):
             own = term.slopes(part, data)
             found += [Slopes(*(None if one is None else one[k] for one in own)) for k in range(len(part))]
-        return found
+        return found + [Slopes()] * len(self.outliers.names)
 
     def column_slopes(self, zeta: Array, data: Measurements) -> Array:
         """Return the derivatives of Φ by all coordinates at ζ, shape (n,), (n, P, K, N)."""

@@ -2,27 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from bayescal.experiments.audit.audit import Audit, run_audit
+from bayescal.experiments.audit.audit import Audit, complete, judge
 from bayescal.experiments.audit.inputs import AuditDesign, AuditInputs, prepare
+from bayescal.experiments.audit.planned import Planned
 from bayescal.experiments.audit.posterior import LeftOut, audit_posterior
-from bayescal.experiments.audit.results import summarise, tabulate
+from bayescal.experiments.audit.reading_compute import compute_readings, summarise_choices
+from bayescal.experiments.audit.reading_inputs import ReadingAudit
+from bayescal.experiments.audit.results import describe_variant, summarise, tabulate, tabulate_variants
 from bayescal.experiments.audit.ridge_curves import plot_ridges, tabulate_plots
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.shared.joints import tabulate_joints
-from bayescal.identifiability.calibration import (
-    Comparison,
-    compare_with_prediction,
-    expected_covariance,
-    simulate_calibrations,
-)
-from bayescal.identifiability.kept import Kept, compare_kept, count_kept
+from bayescal.identifiability.calibration import Comparison, compare_with_prediction
+from bayescal.identifiability.kept import Kept, compare_kept
 from bayescal.identifiability.profile import Profile, compute_profiles
 from bayescal.identifiability.requirements import DRAWS
 from bayescal.numerics.geometry import Array
@@ -30,17 +29,55 @@ from bayescal.numerics.geometry import Array
 PROFILES = 4  # where the design names none
 
 
-def compute_audit(design: AuditDesign, run: Run) -> Results:
-    """Return everything an audit says."""
+def compute_audit(inputs: AuditDesign | ReadingAudit, run: Run) -> Results:
+    """Return everything an audit says: of all variants how they compare, of the best one all the rest."""
     with np.errstate(all="ignore"):
-        inputs = prepare(design, run)
-        audit = run_audit(inputs, run)
-        level = audit_posterior(inputs, audit, run)
-        plots = plot_ridges(inputs, audit, level)
-        profiles = _profile(audit, run)
+        plans: Mapping[str, Planned]
+        if isinstance(inputs, ReadingAudit):
+            plans, tables = inputs.plans, compute_readings(inputs, run)
+        else:
+            prepared = prepare(inputs, run)
+            plans, tables = {prepared.config.variants[0].name: prepared}, {"joints": _tabulate_joints(prepared)}
+        judged = {name: judge(one) for name, one in plans.items()}
+        best = choose_best(judged)
+        audit = complete(judged[best], run)
         simulated = _simulate(audit, run)
         averaged = _average(audit, run)
-    summary = summarise(audit)
+        summary = summarise(audit)
+        tables |= tabulate_variants(judged) | tabulate(summary, audit)
+        if isinstance(audit.inputs, AuditInputs):
+            tables |= _draw_legs(audit.inputs, audit, summary, run)
+    summary["best"] = best
+    summary["variants"] = {name: describe_variant(one) for name, one in judged.items()}
+    if isinstance(inputs, ReadingAudit):
+        summary |= summarise_choices(inputs)
+    if averaged is not None:
+        for said, share in zip(summary["parameters"].values(), averaged, strict=True):
+            said["posterior_sd_over_draws"] = float(share) * said["prior_sd"]
+    for name, calibrations in simulated.items():
+        summary[name] = _summarise_calibrations(audit, name, calibrations)
+    return Results(summary, tables)
+
+
+def choose_best(audits: Mapping[str, Audit]) -> str:
+    """Return the variant that most probably keeps what is required, else that which leaves least error."""
+
+    def order(name: str) -> tuple[float, float]:
+        one = audits[name]
+        if one.outlooks:
+            worst = max(x.predicted_sd / x.requirement.limit for x in one.outlooks)
+            return -one.together, worst if np.isfinite(worst) else np.inf
+        left = one.measure_left()
+        return 0.0, left if np.isfinite(left) else np.inf
+
+    return min(audits, key=order)
+
+
+def _draw_legs(inputs: AuditInputs, audit: Audit, summary: dict[str, Any], run: Run) -> dict[str, pd.DataFrame]:
+    """Return profiles and what draws of the posterior show of the ridges; a summary is told of the draws."""
+    level = audit_posterior(inputs, audit, run)
+    plots = plot_ridges(inputs, audit, level)
+    profiles = _profile(inputs, audit, run)
     if isinstance(level, LeftOut):
         summary["posterior_left_out"] = level.reason
     else:
@@ -49,13 +86,7 @@ def compute_audit(design: AuditDesign, run: Run) -> Results:
         said["posterior_contraction"] = level.contraction_along(direction.vector)
     for k, plot in plots.items():
         summary["directions"][k] |= plot.summary()
-    if averaged is not None:
-        for said, share in zip(summary["parameters"].values(), averaged, strict=True):
-            said["posterior_sd_over_draws"] = float(share) * said["prior_sd"]
-    for name, calibrations in simulated.items():
-        summary[name] = _summarise_calibrations(audit, name, calibrations)
-    tables = tabulate(summary, audit) | tabulate_plots(plots) | _tabulate_profiles(audit, profiles)
-    return Results(summary, {**tables, "joints": _tabulate_joints(inputs)})
+    return tabulate_plots(plots) | _tabulate_profiles(inputs, profiles)
 
 
 def _tabulate_joints(inputs: AuditInputs) -> pd.DataFrame:
@@ -69,13 +100,13 @@ def _tabulate_joints(inputs: AuditInputs) -> pd.DataFrame:
 # --- profiles ----------------------------------------------------------------------------------------------------
 
 
-def choose_profiles(audit: Audit) -> list[str]:
-    """Return the design's profiles; where it names none, a known parameter and some that ridges are named after."""
-    if audit.inputs.plan.function is not None:
+def choose_profiles(inputs: AuditInputs, audit: Audit) -> list[str]:
+    """Return the config's profiles; where it names none, a known parameter and some that ridges are named after."""
+    if inputs.plan.function is not None:
         return []  # their deviance has independent errors
-    if audit.inputs.config.profiles:
-        return list(audit.inputs.config.profiles)
-    names, chosen = audit.inputs.knowledge.names, dict[str, str]()
+    if inputs.config.profiles:
+        return list(inputs.config.profiles)
+    names, chosen = inputs.names, dict[str, str]()
     for name, verdict in zip(names, audit.analysis.verdicts, strict=True):
         if verdict == "identifiable":
             chosen[name.partition("[")[0]] = name
@@ -87,9 +118,9 @@ def choose_profiles(audit: Audit) -> list[str]:
     return list(chosen.values())
 
 
-def _profile(audit: Audit, run: Run) -> list[Profile]:
+def _profile(inputs: AuditInputs, audit: Audit, run: Run) -> list[Profile]:
     """Return the profiles, all of them as one batch: side by side they share each iteration."""
-    return run.once("profiles", _compute_profiles, (audit.inputs, choose_profiles(audit)), (Profile,))
+    return run.once("profiles", _compute_profiles, (inputs, choose_profiles(inputs, audit)), (Profile,))
 
 
 def _compute_profiles(task: tuple[AuditInputs, list[str]]) -> list[Profile]:
@@ -97,8 +128,8 @@ def _compute_profiles(task: tuple[AuditInputs, list[str]]) -> list[Profile]:
     return compute_profiles(inputs.knowledge, inputs.plan, names)
 
 
-def _tabulate_profiles(audit: Audit, profiles: list[Profile]) -> dict[str, pd.DataFrame]:
-    units, knowledge = audit.inputs.units, audit.inputs.knowledge
+def _tabulate_profiles(inputs: AuditInputs, profiles: list[Profile]) -> dict[str, pd.DataFrame]:
+    units, knowledge = inputs.units, inputs.knowledge
     named = {name: units.name(unit) for name, unit in zip(knowledge.names, knowledge.units, strict=True)}
     factors = np.array([units.factor(unit) for unit in knowledge.units])
     rows, paths = [], []
@@ -175,7 +206,7 @@ def _list_cases(audit: Audit) -> dict[str, Case]:
     information, outlooks = audit.analysis.information, audit.outlooks
     if audit.inputs.config.simulated_calibrations == 0:
         return {}
-    every = np.arange(len(audit.inputs.knowledge.names))
+    every = np.arange(len(audit.inputs.names))
     claimed = {one.requirement.name: one.probability for one in outlooks}
     cases = {"simulated_calibrations": Case(every, information.covariance, claimed)}
     reduced = audit.analysis.reduced
@@ -192,11 +223,10 @@ def _simulate(audit: Audit, run: Run) -> dict[str, Simulated]:
     return run.map("simulated calibrations", _simulate_case, audit.inputs, _list_cases(audit), classes)
 
 
-def _simulate_case(inputs: AuditInputs, case: Case) -> Simulated:
+def _simulate_case(inputs: Planned, case: Case) -> Simulated:
     n, rng = inputs.config.simulated_calibrations, np.random.default_rng([inputs.config.seed, STREAM])
-    simulated = simulate_calibrations(inputs.knowledge, inputs.plan, n, rng, case.fitted.tolist())
+    simulated, kept = inputs.simulate(n, rng, case.fitted.tolist())
     comparison, converged = compare_with_prediction(simulated, case.covariance), int(simulated.converged.sum())
-    kept = count_kept(simulated, inputs.plan, inputs.workspace_actuators, inputs.requirements, rng)
     beside = {
         requirement.name: compare_kept(int(number), converged, case.probability[requirement.name], DRAWS)
         for requirement, number in zip(inputs.requirements, kept, strict=True)
@@ -211,14 +241,14 @@ def _average(audit: Audit, run: Run) -> Array | None:
     return run.once("expected over machines", _average_machines, audit.inputs)
 
 
-def _average_machines(inputs: AuditInputs) -> Array:
+def _average_machines(inputs: Planned) -> Array:
     n, rng = inputs.config.expected_over_draws, np.random.default_rng([inputs.config.seed, 7])
-    return np.sqrt(np.diagonal(expected_covariance(inputs.knowledge, inputs.plan, n, rng)))
+    return np.sqrt(np.diagonal(inputs.average(n, rng)))
 
 
 def _summarise_calibrations(audit: Audit, name: str, simulated: Simulated) -> dict[str, Any]:
-    knowledge, case, found = audit.inputs.knowledge, _list_cases(audit)[name], simulated.comparison
-    symbols = [knowledge.symbols[k] for k in case.fitted]
+    case, found = _list_cases(audit)[name], simulated.comparison
+    symbols = [audit.inputs.symbols[k] for k in case.fitted]
     result = {}
     for symbol in dict.fromkeys(symbols):
         part = np.flatnonzero(np.array(symbols) == symbol)
@@ -248,9 +278,9 @@ def _summarise_calibrations(audit: Audit, name: str, simulated: Simulated) -> di
 
 def _summarise_symbol(audit: Audit, places: np.ndarray, part: np.ndarray, found: Comparison) -> dict[str, Any]:
     """Return what simulated calibrations say of a symbol's parameters: places among all, part among those fitted."""
-    knowledge, units = audit.inputs.knowledge, audit.inputs.units
-    unit = knowledge.units[places[0]]
-    scale = knowledge.sd[places] / units.factor(unit)
+    inputs, units = audit.inputs, audit.inputs.units
+    unit = inputs.parameter_units[places[0]]
+    scale = inputs.sd[places] / units.factor(unit)
     claimed, predicted, simulated = (
         float(np.sqrt(np.mean((value[part] * scale) ** 2))) for value in (found.claimed, found.predicted, found.found)
     )
@@ -259,7 +289,7 @@ def _summarise_symbol(audit: Audit, places: np.ndarray, part: np.ndarray, found:
         "claimed_sd": claimed,
         "predicted_sd": predicted,
         "simulated_sd": simulated,
-        "ratio": found.by_symbol()[knowledge.symbols[places[0]]],
+        "ratio": found.by_symbol()[inputs.symbols[places[0]]],
         "ratio_se": float(np.sqrt(np.mean(found.ratio_error[part] ** 2) / len(part))),
         "coverage_90": float(found.covered[part].mean()),
         "rms_z": float(np.sqrt(np.mean(found.z[part] ** 2))),

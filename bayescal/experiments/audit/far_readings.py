@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from bayescal.experiments.audit.audit import Audit
+from bayescal.experiments.audit.inputs import AuditInputs
 from bayescal.identifiability.design import Knowledge
 from bayescal.machines.directions import AXES
 from bayescal.numerics.geometry import Array
@@ -22,9 +23,9 @@ SHARE = 0.05
 """Of a ridge, from which on a parameter takes part in it."""
 
 
-def describe_far_readings(audit: Audit) -> dict[str, Any]:
+def describe_far_readings(audit: Audit, inputs: AuditInputs) -> dict[str, Any]:
     """Return how far from zero the actuators read whose places and directions a ridge ties, mm; nothing without one."""
-    knowledge, actuators = audit.inputs.knowledge, audit.inputs.plan.actuators
+    knowledge, actuators = inputs.knowledge, inputs.plan.actuators
     chart = knowledge.machine.layout.directions
     if chart is None or knowledge.machine.mechanism.drive != "base":
         return {}

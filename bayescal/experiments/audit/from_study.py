@@ -22,7 +22,7 @@ from bayescal.errors import InputError
 from bayescal.experiments.audit.schema import NOT_STRUCTURED, AuditConfig
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.parallel import Run
-from bayescal.experiments.shared.measured import MeasuredVariant, Measuring, VariantChoice
+from bayescal.experiments.shared.measured import MeasuredVariant, VariantChoice, measure_legs
 from bayescal.identifiability.design import FunctionOfPose, Knowledge, Plan
 from bayescal.identifiability.draws import Draws, draw_posterior
 from bayescal.inference.mode import find_modes
@@ -73,24 +73,21 @@ def read_measured(config: AuditConfig, folder: Path) -> MeasuredVariant:
     assert config.data is not None
     where = folder / config.data.study
     experiment, study = load(where)
-    if not isinstance(experiment, Measuring):
-        raise InputError(f"{where}: kind: found {study.kind!r}, expected 'study', since an audit's data are a study's")
-    choice = VariantChoice(
-        label_class(config.variant.model), label_class(config.variant.deformation), config.data.variant
-    )
-    found = experiment.measure(study, where, choice, config.data.with_model_error)
+    variant = config.variants[0]
+    assert variant.model is not None
+    choice = VariantChoice(label_class(variant.model), label_class(variant.deformation), config.data.variant)
+    found = measure_legs(experiment, study, where, choice, config.data.with_model_error)
     if found.posterior.likelihood.structured is not None:
         refuse_independent(config)
-    free = config.variant.free
+    free = variant.free
     if free is not None and set(free) != set(found.free):
         raise InputError(
-            f"variant.free: found {', '.join(free)}, expected none or those of the study's {found.name}: "
+            f"variants.free: found {', '.join(free)}, expected none or those of the study's {found.name}: "
             f"{', '.join(found.free)}"
         )
-    if config.mechanism is not None and (folder / config.mechanism).resolve() != found.mechanism.resolve():
+    if config.machine is not None and (folder / config.machine).resolve() != found.mechanism.resolve():
         raise InputError(
-            f"mechanism: found {folder / config.mechanism} beside [data], expected none or the study's "
-            f"{found.mechanism}"
+            f"machine: found {folder / config.machine} beside [data], expected none or the study's {found.mechanism}"
         )
     return found
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from bayescal.errors import InputError
-from bayescal.experiments.audit.inputs import AuditInputs
 from bayescal.identifiability.design import Plan
 from bayescal.identifiability.requirements import find_limits
 from bayescal.identifiability.sensitivity import compute_sensitivity
@@ -24,28 +24,11 @@ from bayescal.pose_selection import (
 )
 from bayescal.pose_selection.criteria import IOptimality
 
+if TYPE_CHECKING:
+    from bayescal.experiments.audit.inputs import AuditInputs
+
 SEED = 21
 N_CANDIDATES = 729
-
-
-@dataclass(frozen=True, eq=False)
-class ProposedPlan:
-    """A plan that somebody else than the design proposes.
-
-    Attributes
-    ----------
-    name : str
-        As it is listed among the changes.
-    plan : Plan
-    """
-
-    name: str
-    plan: Plan
-
-
-def propose_i_optimal(inputs: AuditInputs) -> ProposedPlan:
-    """Return as many poses as planned, chosen I-optimally, for an audit to list among its changes."""
-    return ProposedPlan(f"{inputs.plan.n_poses} poses chosen I-optimally", plan_i_optimal(inputs))
 
 
 def plan_i_optimal(inputs: AuditInputs, n: int | None = None, n_candidates: int = N_CANDIDATES) -> Plan:
@@ -83,11 +66,9 @@ def select_i_optimal(inputs: AuditInputs, n: int | None = None, n_candidates: in
         domain = ActuatorBox(knowledge)
         candidates = factorial_candidates(domain, n_candidates)
     else:
-        section = inputs.config.workspace
-        if section is None:
+        if inputs.workspace is None:
             raise InputError("I-optimal poses: found redundant legs without [workspace], expected it")
-        half = np.concatenate([section.position_mm, np.radians(section.rotation_deg)])
-        candidates = random_candidates(WorkspaceBox(knowledge, half), n_candidates, rng)
+        candidates = random_candidates(WorkspaceBox(knowledge, inputs.workspace.half), n_candidates, rng)
     count = inputs.plan.n_poses if n is None else n
     problem = SelectionProblem(candidates, criterion, count)
     with threadpool_limits(1), np.errstate(all="ignore"):

@@ -2,41 +2,49 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from bayescal.config.classes import label_class
 from bayescal.data.actuators import read_moves
 from bayescal.density.model_error import build_kernel
 from bayescal.errors import InputError
 from bayescal.experiments.audit.from_study import Measured, draw_measured, read_measured, refuse_independent
-from bayescal.experiments.audit.schema import (
-    ActuatorPlanConfig,
-    AuditConfig,
-    FilePlanConfig,
-    PlanConfig,
-    StructuredErrorConfig,
-    WorkspacePlanConfig,
-)
+from bayescal.experiments.audit.i_optimal import plan_i_optimal
+from bayescal.experiments.audit.planned import Planned
+from bayescal.experiments.audit.schema import AuditConfig, PosesConfig, StructuredErrorConfig, WhatIfConfig
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.shared.design import (
+    REQUIRED,
     build_sensor,
+    choose_sensors,
     find_actuators,
     plan_sensors,
     read_machine,
-    read_requirements,
     read_tolerances,
     read_workspace,
 )
 from bayescal.experiments.shared.measured import MeasuredVariant
-from bayescal.experiments.shared.schema import FramesConfig
+from bayescal.experiments.shared.readings.schema import ChannelConfig
+from bayescal.experiments.shared.schema import FramesConfig, ModelConfig, WorkspaceConfig
+from bayescal.identifiability.calibration import SimulatedCalibrations, expected_covariance, simulate_calibrations
 from bayescal.identifiability.design import FunctionOfPose, Knowledge, Plan, predict_poses
+from bayescal.identifiability.directions import Direction
+from bayescal.identifiability.information import Information
+from bayescal.identifiability.kept import count_kept
 from bayescal.identifiability.pose_volume import PoseVolume, draw_displacements, find_workspace_actuators
 from bayescal.identifiability.profile import check_profiles
-from bayescal.identifiability.requirements import Requirement
+from bayescal.identifiability.requirements import Forecast, Requirement
+from bayescal.identifiability.ridges import Ridge, describe_ridges
+from bayescal.identifiability.sensitivity import compute_sensitivity
+from bayescal.identifiability.structure import Structure, find_structural_rank
+from bayescal.identifiability.structured_noise import inform
 from bayescal.identifiability.units import Units
-from bayescal.machines.frames import FRAMES, frame_symbols
+from bayescal.machines.frames import FRAME_BLOCKS, FRAMES, frame_symbols
 from bayescal.machines.kinematics import solve_forward_kinematics, solve_inverse_kinematics
 from bayescal.machines.mechanism import Mechanism
 from bayescal.machines.sensors import Sensor
@@ -47,25 +55,25 @@ SLACK = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class AuditInputs:
-    """A design, read and checked.
+class AuditInputs(Planned):
+    """A mechanism on legs whose platform instruments see, planned or measured.
 
     Attributes
     ----------
     config : AuditConfig
     folder : Path
-        Where the design's file names start.
+        Where the config's file names start.
     knowledge : Knowledge
     plan : Plan
     sensors : dict of name to Sensor
-        All that the design lists, those that it does not use too.
+        All that the config lists, those that it does not use too.
     workspace : PoseVolume or None
     workspace_actuators : ndarray, shape (W, N)
         Actuator positions of the workspace's poses; those of the plan where there is no workspace.
     requirements : list of Requirement
     units : Units
     measured : Measured or None
-        Where the design has data.
+        Where the config has data.
     """
 
     config: AuditConfig
@@ -79,9 +87,173 @@ class AuditInputs:
     units: Units
     measured: Measured | None = None
 
-    def actuators(self, plan: PlanConfig, factor: float = 1.0, count: int | None = None) -> Array:
+    def actuators(self, plan: PosesConfig, factor: float = 1.0, count: int | None = None) -> Array:
         """Return the actuator positions of another plan, shape (P, N), mm; its range may be widened by a factor."""
         return plan_actuators(self.config, self.folder, self.knowledge, self.workspace, plan, factor, count)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the free parameters."""
+        return self.knowledge.names
+
+    @property
+    def parameter_units(self) -> tuple[str, ...]:
+        """Their inner units."""
+        return self.knowledge.units
+
+    @property
+    def sd(self) -> Array:
+        """Standard deviations of their priors, shape (n,)."""
+        return self.knowledge.sd
+
+    @property
+    def nominal(self) -> Array:
+        """Their nominal values, shape (n,)."""
+        return np.asarray(self.knowledge.layout.nominal[self.knowledge.free])
+
+    @property
+    def frames(self) -> frozenset[str]:
+        """Symbols of the frames of instrument and tool."""
+        return frozenset(block.symbol for block in FRAME_BLOCKS)
+
+    @property
+    def n_poses(self) -> int:
+        """Number of planned poses."""
+        return self.plan.n_poses
+
+    @property
+    def is_beyond_range(self) -> bool:
+        """Whether the actuators would have to reach further than they do."""
+        mechanism = self.knowledge.machine.mechanism
+        moved = np.abs(self.plan.actuators - mechanism.initial_actuator_positions)
+        return bool(np.any(moved > mechanism.actuator_range * (1.0 + SLACK)))
+
+    def inform(self) -> Information:
+        """Return what the plan tells of the parameters."""
+        return inform(self.knowledge, self.plan)
+
+    def find_structure(self, rng: np.random.Generator) -> Structure:
+        """Return what no measurement with the plan's instruments sees."""
+        return find_structural_rank(self.knowledge, self.plan, rng)
+
+    def forecast(self) -> Forecast:
+        """Return how the pose errs over the workspace."""
+        sensitivity = compute_sensitivity(self.knowledge, self.workspace_actuators)
+        return Forecast(sensitivity.slope * self.sd, sensitivity.pose_noise(self.plan))
+
+    def describe(self, directions: Sequence[Direction]) -> list[Ridge]:
+        """Return the ridges among directions, computed with the machine itself."""
+        return describe_ridges(self.knowledge, self.plan, self.workspace_actuators, directions, self.units)
+
+    @property
+    def tool_units(self) -> tuple[str, ...]:
+        """Units of a pose."""
+        return ("mm",) * 3 + ("rad",) * 3
+
+    def name_workspace_pose(self, k: int) -> str:
+        """Return the actuators' displacements at a pose of the workspace."""
+        moved = self.workspace_actuators[k] - self.knowledge.machine.mechanism.initial_actuator_positions
+        return f"displacements {', '.join(f'{one:.3g}' for one in moved)} mm"
+
+    def describe_variant(self) -> dict[str, Any]:
+        """Return what sees the platform."""
+        names = [] if self.measured is not None else list_measuring(self.config)
+        words = ", ".join(name.replace("_", " ") for name in names)
+        n_legs = self.knowledge.machine.mechanism.n_legs
+        return {
+            "title": self.config.variants[0].label,
+            "data": f"{words or 'measured poses'}, {self.n_poses} poses",
+            "n_equations": self.n_poses * n_legs,
+        }
+
+    def summarise_plan(self) -> dict[str, Any]:
+        """Return machine and plan for ``summary.json``."""
+        config, plan, machine = self.config, self.plan, self.knowledge.machine
+        mechanism, function = machine.mechanism, self.plan.function
+        moved = np.abs(plan.actuators - mechanism.initial_actuator_positions)
+        found: dict[str, Any] = {
+            "n_poses": plan.n_poses,
+            "sensors": [] if config.data is not None else list_measuring(config),
+            "actuator_noise_um": 1e3 * plan.actuator_noise,
+            "model_error_um": 1e3 * plan.model_error,
+            "largest_displacement_mm": float(moved.max()),
+            "actuator_range_mm": mechanism.actuator_range,
+        }
+        if function is not None:
+            size = float(np.sqrt(np.mean(np.square(function.scale))))
+            found["structured_error"] = {"kernel": function.kernel.name, "scale_um": 1e3 * size}
+        if self.measured is not None:
+            found["n_held_back"] = self.measured.n_held_back
+        if isinstance(config.workspace, WorkspaceConfig):
+            found["workspace"] = config.workspace.model_dump(mode="json")
+        return {
+            "machine": mechanism.name,
+            "model": label_class(config.variants[0].model or ""),
+            "model_title": machine.model.title,
+            "deformation": label_class(config.variants[0].deformation),
+            "plan": found,
+        }
+
+    def list_changes(self) -> list[WhatIfConfig]:
+        """Return poses at the ends of the range, over all of it, and each instrument that is listed and not used."""
+        config, n, changes = self.config, self.n_poses, list[WhatIfConfig]()
+        for plan, words in (("extremes", "at the ends of the range"), ("uniform", "spread evenly over the range")):
+            if config.data is None and config.poses.plan != plan:
+                poses = PosesConfig.model_validate({"plan": plan, "count": n})
+                changes.append(WhatIfConfig(name=f"{n} poses {words}", poses=poses))
+        if self.plan.function is not None:
+            changes.append(WhatIfConfig(name="no error that is a function of the pose", structured_error=False))
+        measuring = list_measuring(config)
+        for name in config.sensors:
+            if name not in measuring:
+                words = name.replace("_", " ")
+                changes.append(WhatIfConfig(name=f"{words} instead", sensors=[name]))
+                changes.append(WhatIfConfig(name=f"{words} too", sensors=[*measuring, name]))
+        return changes
+
+    def change(self, change: WhatIfConfig) -> AuditInputs:
+        """Return the same machine with a changed plan."""
+        plan, mechanism = self.plan, self.knowledge.machine.mechanism
+        count = max(1, round(change.poses_factor * plan.n_poses))
+        config = change.poses or (None if self.measured is not None else self.config.poses)
+        information = plan.pose_information
+        if config is not None:
+            same = change.poses is not None and change.poses_factor == 1.0
+            actuators = self.actuators(config, change.workspace_factor, None if same else count)
+        else:
+            again = np.arange(count) % plan.n_poses
+            start = mechanism.initial_actuator_positions
+            actuators = start + change.workspace_factor * (plan.actuators[again] - start)
+            information = None if information is None else information[again]
+        sensors = plan.sensors
+        if change.sensors is not None:
+            sensors = choose_sensors(self.sensors, change.sensors, f"what_if {change.name!r}: sensors")
+            information = None
+        changed = replace(
+            plan,
+            actuators=actuators,
+            sensors=sensors,
+            pose_information=information,
+            noise_factor=plan.noise_factor * change.noise_factor,
+            actuator_noise=plan.actuator_noise * change.actuator_noise_factor,
+            function=plan.function if change.structured_error else None,
+        )
+        return replace(self, plan=changed)
+
+    def propose(self) -> tuple[str, AuditInputs]:
+        """Return as many poses as planned, chosen I-optimally."""
+        return f"{self.n_poses} poses chosen I-optimally", replace(self, plan=plan_i_optimal(self))
+
+    def simulate(
+        self, n: int, rng: np.random.Generator, fitted: Sequence[int]
+    ) -> tuple[SimulatedCalibrations, np.ndarray]:
+        """Return n simulated calibrations of some parameters, and how many keep each requirement."""
+        simulated = simulate_calibrations(self.knowledge, self.plan, n, rng, fitted)
+        return simulated, count_kept(simulated, self.plan, self.workspace_actuators, self.requirements, rng)
+
+    def average(self, n: int, rng: np.random.Generator) -> Array:
+        """Return the posterior covariance averaged over n machines of the priors, in units of the tolerances."""
+        return expected_covariance(self.knowledge, self.plan, n, rng)
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,32 +311,65 @@ def prepare(design: AuditDesign, run: Run) -> AuditInputs:
 def _complete(
     config: AuditConfig, folder: Path, knowledge: Knowledge, plan: Plan, measured: Measured | None
 ) -> AuditInputs:
-    units, workspace = Units(config.units.length, config.units.angle), read_workspace(config.workspace)
+    units, workspace = Units(config.units.length, config.units.angle), read_volume(config)
     check_profiles(knowledge, config.profiles)
     predict_poses(knowledge.machine, knowledge.machine_centre, plan.actuators)
     at = find_actuators(knowledge, workspace, config.seed, plan.actuators)
-    requirements = read_requirements(config.requirements, units)
+    requirements = _read_requirements(config, units)
     sensors = _read_sensors(config, folder)
     return AuditInputs(config, folder, knowledge, plan, sensors, workspace, at, requirements, units, measured)
 
 
 def _read_sensors(config: AuditConfig, folder: Path) -> dict[str, Sensor]:
-    return {name: build_sensor(name, sensor, folder) for name, sensor in config.sensors.items()}
+    return {
+        name: build_sensor(name, sensor, folder)
+        for name, sensor in config.sensors.items()
+        if not isinstance(sensor, ChannelConfig)
+    }
+
+
+def _read_requirements(config: AuditConfig, units: Units) -> list[Requirement]:
+    """Return the largest errors of a pose that are allowed, mm and rad."""
+    for name in config.requirements:
+        if name not in REQUIRED:
+            raise InputError(f"requirements: found {name!r}, expected some of {', '.join(REQUIRED)}")
+    return [
+        Requirement(
+            name,
+            config.requirements[name] * units.factor("rad" if name.startswith("rotation") else "mm"),
+            of=config.required_of,
+        )
+        for name in REQUIRED
+        if name in config.requirements
+    ]
+
+
+def list_measuring(config: AuditConfig) -> list[str]:
+    """Return the instruments that see each planned pose."""
+    chosen = config.variants[0].sensors
+    return list(config.sensors) if chosen is None else chosen
+
+
+def read_volume(config: AuditConfig) -> PoseVolume | None:
+    """Return where accuracy counts; None where nothing is said."""
+    return read_workspace(config.workspace if isinstance(config.workspace, WorkspaceConfig) else None)
 
 
 def _plan_measurements(
     config: AuditConfig, folder: Path, units: Units, sensors: dict[str, Sensor]
 ) -> tuple[Knowledge, Plan]:
     """Return what is known of a machine that has not been measured, and how it is to be."""
-    assert config.mechanism is not None
-    assert config.poses is not None
+    assert config.machine is not None
     assert config.noise is not None
-    machine = read_machine(folder / config.mechanism, config.variant, config.deformation, folder)
-    priors, fixed = read_tolerances(machine, config.parameters, config.variant.free, units, Path(config.name))
+    variant = config.variants[0]
+    assert variant.model is not None
+    model = ModelConfig(model=variant.model, deformation=variant.deformation)
+    machine = read_machine(folder / config.machine, model, config.deformation, folder)
+    priors, fixed = read_tolerances(machine, config.parameters, variant.free, units, Path(config.name))
     knowledge = Knowledge(machine, priors | _read_frames(config.frames, units), fixed)
-    actuators = plan_actuators(config, folder, knowledge, read_workspace(config.workspace), config.poses)
+    actuators = plan_actuators(config, folder, knowledge, read_volume(config), config.poses)
     _check_range(machine.mechanism, actuators)
-    plan = plan_sensors(actuators, sensors, config.measured_by, config.noise)
+    plan = plan_sensors(actuators, sensors, list_measuring(config), config.noise, "variants.sensors")
     return knowledge, replace(plan, function=_read_function(config.structured_error))
 
 
@@ -194,7 +399,7 @@ def plan_actuators(
     folder: Path,
     knowledge: Knowledge,
     workspace: PoseVolume | None,
-    plan: PlanConfig,
+    plan: PosesConfig,
     factor: float = 1.0,
     count: int | None = None,
 ) -> Array:
@@ -215,16 +420,18 @@ def plan_actuators(
     mechanism = knowledge.machine.mechanism
     start = mechanism.initial_actuator_positions
     rng = np.random.default_rng([config.seed, 1])
-    if isinstance(plan, FilePlanConfig):
+    if plan.file is not None:
+        raise InputError("poses.file: found poses of a platform that instruments see, expected configurations")
+    if plan.configurations is not None:
         moves = read_moves(folder / plan.configurations, plan.unit_mm, mechanism.n_legs)
         moves = moves if count is None else moves[np.arange(count) % len(moves)]
         return start + factor * moves
     n = plan.count if count is None else count
-    if isinstance(plan, ActuatorPlanConfig):
+    assert n is not None
+    if plan.plan != "workspace":
         half = mechanism.actuator_range if plan.range_mm is None else plan.range_mm
         drawn = start + factor * draw_displacements(plan.plan, n, mechanism.n_legs, half, rng)
         return close_legs(knowledge, drawn)
-    assert isinstance(plan, WorkspacePlanConfig)
     if workspace is None:
         raise InputError("poses: found plan 'workspace' without [workspace], expected it")
     theta = knowledge.machine_centre

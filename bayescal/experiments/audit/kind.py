@@ -1,4 +1,4 @@
-"""Audits as a kind of experiment."""
+"""Audits as a kind of experiment: of readings of any machine, or of a mechanism whose platform instruments see."""
 
 from __future__ import annotations
 
@@ -13,14 +13,16 @@ from bayescal.experiments.audit.changes import check_changes
 from bayescal.experiments.audit.compute import compute_audit
 from bayescal.experiments.audit.inputs import AuditDesign, read_design
 from bayescal.experiments.audit.page.build import build_page
+from bayescal.experiments.audit.reading_inputs import ReadingAudit, read_audit
 from bayescal.experiments.audit.schema import AuditConfig
 from bayescal.experiments.audit.terminal import show_audit
-from bayescal.experiments.frame.experiment import Experiment
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.memory import Need, estimate_arrays
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.shared.look import look_at_machine
+from bayescal.experiments.shared.readings.machine_kind import MachineExperiment
+from bayescal.experiments.shared.readings.memory import find_largest, list_variant
 from bayescal.numerics.geometry import DEGREES_OF_FREEDOM
 from bayescal.report.blocks import Page
 
@@ -28,15 +30,19 @@ DERIVATIVES = 60
 """Arrays of all rows by all parameters that an audit holds at most, as measured with 10,000 poses."""
 
 
-class Audit(Experiment[AuditConfig, AuditDesign]):
+class Audit(MachineExperiment[AuditConfig, AuditDesign | ReadingAudit]):
     """What a machine's measurements can and cannot determine."""
 
     schema = AuditConfig
     tables_in = "tables"
     digits = 0
 
+    def machines(self, config: AuditConfig) -> list[str]:
+        """Return the machine's file; none where a study names it."""
+        return [] if config.machine is None else [config.machine]
+
     def files(self, config: AuditConfig, folder: Path) -> list[str]:
-        """Return the design's files; those of a study whose data are audited, too."""
+        """Return the audit's files; those of a study whose data are audited, too."""
         names = super().files(config, folder)
         if config.data is not None:
             experiment, study = load(folder / config.data.study)
@@ -52,8 +58,10 @@ class Audit(Experiment[AuditConfig, AuditDesign]):
             found |= experiment.modules(study, (folder / config.data.study).parent)
         return found
 
-    def read(self, config: AuditConfig, folder: Path) -> AuditDesign:
-        """Return the design, read and checked."""
+    def read(self, config: AuditConfig, folder: Path) -> AuditDesign | ReadingAudit:
+        """Return machine and plan, read and checked."""
+        if not config.sees_platform:
+            return read_audit(config, folder)
         design = read_design(config, folder)
         if design.planned is not None:
             check_changes(design.planned)
@@ -63,8 +71,13 @@ class Audit(Experiment[AuditConfig, AuditDesign]):
         """Return what is wrong with the machine's file by itself."""
         return look_at_machine(content, folder)[1]
 
-    def estimate_memory(self, inputs: AuditDesign) -> Need:
+    def estimate_memory(self, inputs: AuditDesign | ReadingAudit) -> Need:
         """Return what the derivatives at all planned poses take, the what-ifs' among them."""
+        if isinstance(inputs, ReadingAudit):
+            sensors = {} if inputs.sensors is None else {"": inputs.sensors}
+            largest = find_largest(inputs.variants | sensors)
+            counts = {"planned poses": len(largest.start), "parameters": len(largest.priors)}
+            return estimate_arrays(counts, list_variant(largest), "fewer poses")
         if inputs.planned is None:
             return Need()
         n_poses, n_parameters = inputs.planned.plan.n_poses, len(inputs.planned.knowledge.names)
@@ -72,7 +85,7 @@ class Audit(Experiment[AuditConfig, AuditDesign]):
         counts = {"planned poses": n_poses, "parameters": n_parameters}
         return estimate_arrays(counts, [(DERIVATIVES, n_rows, n_parameters)], "fewer poses")
 
-    def compute(self, inputs: AuditDesign, run: Run) -> Results:
+    def compute(self, inputs: AuditDesign | ReadingAudit, run: Run) -> Results:
         """Return everything the audit says."""
         return compute_audit(inputs, run)
 

@@ -303,7 +303,7 @@ def judge_draws(inputs: AuditInputs, draws: Draws, rng: np.random.Generator) -> 
     for _ in range(NOISES):
         added = np.einsum("wij,swj->swi", root, rng.standard_normal(by_mean.shape))
         for name, error in errors.items():
-            good[name] += [np.sum((r.take(error + added) <= r.limit).all(axis=1)) for r in inputs.requirements]
+            good[name] += [r.keeps(error + added).sum() for r in inputs.requirements]
     n = NOISES * len(values)
     return {
         r.name: Chance(**{name: float(count[k]) / n for name, count in good.items()})

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from bayescal.config.classes import label_class
 from bayescal.experiments.audit.audit import Audit
 from bayescal.experiments.audit.changes import ChangeEffect, contraction_along, contraction_of_symbols
 from bayescal.experiments.audit.far_readings import describe_far_readings
 from bayescal.experiments.audit.inputs import AuditInputs
+from bayescal.experiments.audit.planned import Planned
 from bayescal.identifiability.directions import Direction
 from bayescal.identifiability.information import nats_from_contraction
 from bayescal.identifiability.reduced import ReducedSet
+from bayescal.identifiability.requirements import COMPONENTS, Requirement
 from bayescal.identifiability.ridges import Ridge
 from bayescal.limits import COVERAGE, INFORMED
 from bayescal.numerics.geometry import Array
@@ -25,22 +27,18 @@ NAMED = 4
 
 
 def summarise(audit: Audit) -> dict[str, Any]:
-    """Return what ``summary.json`` holds; lengths and angles in the design's units, which it states."""
+    """Return what ``summary.json`` says of one variant; lengths and angles in the config's units, which it states."""
     inputs, analysis = audit.inputs, audit.analysis
-    config, knowledge, structure = inputs.config, inputs.knowledge, analysis.structure
+    config, structure, names = inputs.config, analysis.structure, inputs.names
     kinds = [direction.kind for direction in analysis.directions]
-    names = knowledge.names
     return {
         "name": config.name,
         "title": config.title,
-        "machine": knowledge.machine.mechanism.name,
-        "model": label_class(config.variant.model),
-        "model_title": knowledge.machine.model.title,
-        "deformation": label_class(config.variant.deformation),
+        **inputs.summarise_plan(),
         "seed": config.seed,
         "units": {"length": inputs.units.length, "angle": inputs.units.angle},
-        "plan": _summarise_plan(audit),
-        **describe_far_readings(audit),
+        "required_of": config.required_of,
+        **(describe_far_readings(audit, inputs) if isinstance(inputs, AuditInputs) else {}),
         "n_parameters": len(names),
         "structural_rank": structure.rank,
         "structural_gap": structure.gap if np.isfinite(structure.gap) else None,
@@ -50,58 +48,33 @@ def summarise(audit: Audit) -> dict[str, Any]:
         "n_practical": kinds.count("practical"),
         "n_informed": kinds.count("informed"),
         "total_nats": analysis.information.nats,
-        "parameters": _summarise_parameters(audit),
+        "parameters": summarise_parameters(audit),
         "directions": _summarise_directions(audit),
         "recommended_free": list(names),
         "reduced_set": _summarise_reduced(audit),
         "could_also_be_freed": [names[k] for k in analysis.selection.extra],
         "selection": [vars(step) for step in analysis.selection.steps],
-        "requirements": _summarise_requirements(audit),
+        "requirements": summarise_requirements(audit),
         "what_if": [_summarise_outcome(audit, outcome) for outcome in audit.what_ifs],
     }
-
-
-def _summarise_plan(audit: Audit) -> dict[str, Any]:
-    inputs = audit.inputs
-    plan, mechanism = inputs.plan, inputs.knowledge.machine.mechanism
-    moved = np.abs(plan.actuators - mechanism.initial_actuator_positions)
-    workspace = inputs.config.workspace
-    return {
-        "n_poses": plan.n_poses,
-        "sensors": list(inputs.config.measured_by),
-        "actuator_noise_um": 1e3 * plan.actuator_noise,
-        "model_error_um": 1e3 * plan.model_error,
-        **_summarise_function(inputs),
-        **({} if inputs.measured is None else {"n_held_back": inputs.measured.n_held_back}),
-        "largest_displacement_mm": float(moved.max()),
-        "actuator_range_mm": mechanism.actuator_range,
-        "workspace": None if workspace is None else workspace.model_dump(mode="json"),
-    }
-
-
-def _summarise_function(inputs: AuditInputs) -> dict[str, Any]:
-    function = inputs.plan.function
-    if function is None:
-        return {}
-    size = float(np.sqrt(np.mean(np.square(function.scale))))
-    return {"structured_error": {"kernel": function.kernel.name, "scale_um": 1e3 * size}}
 
 
 # --- parameters --------------------------------------------------------------------------------------------------
 
 
-def _summarise_parameters(audit: Audit) -> dict[str, Any]:
+def summarise_parameters(audit: Audit) -> dict[str, Any]:
+    """Return what is known of each parameter before and after the calibration."""
     inputs, analysis = audit.inputs, audit.analysis
-    knowledge, covariance = inputs.knowledge, analysis.information.covariance
+    covariance, nominal = analysis.information.covariance, inputs.nominal
     alone = _describe_alone(analysis.reduced)
     nats = nats_from_contraction(analysis.information.contraction)
     result = {}
-    for k, name in enumerate(knowledge.names):
-        factor = inputs.units.factor(knowledge.units[k])
-        prior, contraction = knowledge.sd[k] / factor, float(analysis.information.contraction[k])
+    for k, name in enumerate(inputs.names):
+        factor = inputs.units.factor(inputs.parameter_units[k])
+        prior, contraction = inputs.sd[k] / factor, float(analysis.information.contraction[k])
         result[name] = {
-            "unit": inputs.units.name(knowledge.units[k]),
-            "nominal": float(knowledge.layout.nominal[knowledge.free[k]] / factor),
+            "unit": inputs.units.name(inputs.parameter_units[k]),
+            "nominal": float(nominal[k] / factor),
             "prior_sd": float(prior),
             "posterior_sd": float(prior * np.sqrt(covariance[k, k])),
             "contraction": contraction,
@@ -116,7 +89,7 @@ def _summarise_parameters(audit: Audit) -> dict[str, Any]:
 
 def _summarise_reduced(audit: Audit) -> dict[str, Any] | None:
     """Return the reduced set as a whole; None where it is empty."""
-    names, free, reduced = audit.inputs.knowledge.names, audit.analysis.selection.free, audit.analysis.reduced
+    names, free, reduced = audit.inputs.names, audit.analysis.selection.free, audit.analysis.reduced
     if not free:
         return None
     return {
@@ -141,7 +114,7 @@ def _scale(alone: tuple[float, float, float] | None, prior: float) -> dict[str, 
 
 def explain(audit: Audit, k: int) -> str:
     """Return in words why a parameter has its verdict."""
-    analysis, knowledge = audit.analysis, audit.inputs.knowledge
+    analysis, names = audit.analysis, audit.inputs.names
     left = float(np.sqrt(analysis.information.covariance[k, k]))
     shrunk = f"Its tolerance shrinks to {_percent(left)}"
     if analysis.verdicts[k] == "identifiable":
@@ -151,14 +124,14 @@ def explain(audit: Audit, k: int) -> str:
     if not ridges or max(weights) == 0.0:
         return f"{shrunk}: the measurements are too few or too coarse."
     direction = ridges[int(np.argmax(weights))]
-    partners = [knowledge.names[i] for i in np.argsort(-np.abs(direction.vector)) if i != k]
-    shares = {knowledge.names[i]: float(direction.vector[i] ** 2) for i in range(len(knowledge.names))}
-    named = [name for name in partners if shares[name] >= NAMED_SHARE][:NAMED]
+    partners = [names[i] for i in np.argsort(-np.abs(direction.vector)) if i != k]
+    shares = {names[i]: float(direction.vector[i] ** 2) for i in range(len(names))}
+    chosen = [name for name in partners if shares[name] >= NAMED_SHARE][:NAMED]
     seen = "No measurement of this kind" if direction.kind == "structural" else "The planned measurements hardly"
-    if not named:
+    if not chosen:
         return f"{seen} {'sees' if direction.kind == 'structural' else 'see'} it. {shrunk}."
-    verb = "tells" if direction.kind == "structural" else "tell"
-    return f"{seen} {verb} it from {_join(named)}. {shrunk}."
+    verb = "distinguishes" if direction.kind == "structural" else "distinguish"
+    return f"{seen} {verb} it from {_join(chosen)}. {shrunk}."
 
 
 # --- directions --------------------------------------------------------------------------------------------------
@@ -170,15 +143,15 @@ def _summarise_directions(audit: Audit) -> list[dict[str, Any]]:
 
 
 def _summarise_direction(audit: Audit, direction: Direction, ridge: Ridge | None) -> dict[str, Any]:
-    knowledge, units = audit.inputs.knowledge, audit.inputs.units
+    inputs, units = audit.inputs, audit.inputs.units
     used = [int(i) for i in np.argsort(-np.abs(direction.vector)) if direction.vector[i]]
-    factors = {i: units.factor(knowledge.units[i]) for i in used}
-    names = {i: knowledge.names[i] for i in used}
+    factors = {i: units.factor(inputs.parameter_units[i]) for i in used}
+    names = {i: inputs.names[i] for i in used}
     result: dict[str, Any] = {
         "kind": direction.kind,
         "contraction": direction.contraction,
         "nats": direction.nats,
-        "loadings": {names[i]: float(direction.vector[i] * knowledge.sd[i] / factors[i]) for i in used},
+        "loadings": {names[i]: float(direction.vector[i] * inputs.sd[i] / factors[i]) for i in used},
         "shares": {names[i]: float(direction.vector[i] ** 2) for i in used},
     }
     if ridge is None or direction.pivot is None:
@@ -188,8 +161,8 @@ def _summarise_direction(audit: Audit, direction: Direction, ridge: Ridge | None
     return {
         **result,
         "sentence": ridge.sentence,
-        "pivot": knowledge.names[direction.pivot],
-        "step": {name: value / factors[knowledge.names.index(name)] for name, value in ridge.loadings.items()},
+        "pivot": inputs.names[direction.pivot],
+        "step": {name: value / factors[inputs.names.index(name)] for name, value in ridge.loadings.items()},
         "changes_measured_position": ridge.position_change / length,
         "changes_measured_rotation": ridge.rotation_change / angle,
         "changes_workspace_position": ridge.workspace_position / length,
@@ -230,35 +203,40 @@ def _join(names: list[str]) -> str:
 # --- requirements and what would help ----------------------------------------------------------------------------
 
 
-def _factor(audit: Audit, requirement: str) -> float:
-    return audit.inputs.units.factor("rad" if requirement.startswith(ROTATION) else "mm")
+def unit_of(inputs: Planned, requirement: Requirement) -> str:
+    """Return the inner unit of what is required."""
+    if requirement.components == COMPONENTS:
+        return "rad" if requirement.name.startswith(ROTATION) else "mm"
+    return inputs.tool_units[requirement.components.index(requirement.name)]
 
 
-def _summarise_requirements(audit: Audit) -> dict[str, Any]:
-    units = audit.inputs.units
-    result = {}
+def summarise_requirements(audit: Audit) -> dict[str, Any]:
+    """Return how each requirement stands."""
+    units, result = audit.inputs.units, {}
     for outlook in audit.outlooks:
-        name = outlook.requirement.name
-        factor = _factor(audit, name)
-        result[name] = {
-            "unit": units.name("rad" if name.startswith(ROTATION) else "mm"),
+        unit = unit_of(audit.inputs, outlook.requirement)
+        factor = units.factor(unit)
+        lengths = ("prior_sd", "predicted_sd", "geometry_sd", "reduced_sd", "rms_sd", "worst_sd")
+        chances = ("prior_probability", "probability", "reduced_probability", "everywhere")
+        result[outlook.requirement.name] = {
+            "unit": units.name(unit),
             "limit": outlook.requirement.limit / factor,
-            "prior_sd": outlook.prior_sd / factor,
-            "predicted_sd": outlook.predicted_sd / factor,
-            "geometry_sd": outlook.geometry_sd / factor,
-            "prior_probability": outlook.prior_probability,
-            "probability": outlook.probability,
-            "reduced_sd": outlook.reduced_sd / factor,
-            "reduced_probability": outlook.reduced_probability,
+            **{name: _plain(getattr(outlook, name) / factor) for name in lengths},
+            **{name: getattr(outlook, name) for name in chances},
+            "worst_at": audit.inputs.name_workspace_pose(outlook.worst),
         }
     return result
+
+
+def _plain(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
 
 
 def _weak_vectors(audit: Audit) -> tuple[list[str], Array]:
     """Return the practical ridges' parameters and directions, shape (n, k)."""
     ridges = [ridge.direction for ridge in audit.ridges if ridge.direction.kind == "practical"]
-    names = [audit.inputs.knowledge.names[d.pivot] for d in ridges if d.pivot is not None]
-    n = len(audit.inputs.knowledge.names)
+    names = [audit.inputs.names[d.pivot] for d in ridges if d.pivot is not None]
+    n = len(audit.inputs.names)
     return names, np.stack([d.vector for d in ridges], axis=1) if ridges else np.empty((n, 0))
 
 
@@ -276,7 +254,11 @@ def _summarise_outcome(audit: Audit, outcome: ChangeEffect) -> dict[str, Any]:
         "ridges": {
             name: float(value) if np.isfinite(value) else None for name, value in zip(names, along, strict=True)
         },
-        "requirements": {name: sd / _factor(audit, name) for name, sd in outcome.required_sd.items()},
+        "requirements": {
+            one.name: _plain(outcome.required_sd[one.name] / audit.inputs.units.factor(unit_of(audit.inputs, one)))
+            for one in audit.inputs.requirements
+            if one.name in outcome.required_sd
+        },
     }
 
 
@@ -286,7 +268,6 @@ def _summarise_outcome(audit: Audit, outcome: ChangeEffect) -> dict[str, Any]:
 def tabulate(summary: dict[str, Any], audit: Audit) -> dict[str, pd.DataFrame]:
     """Return the tables of an audit by name."""
     tables = {
-        "parameters": pd.DataFrame([{"parameter": n, **values} for n, values in summary["parameters"].items()]),
         "directions": _tabulate_directions(summary),
         "selection": pd.DataFrame(summary["selection"]),
         "spectrum": _tabulate_spectrum(audit),
@@ -294,10 +275,37 @@ def tabulate(summary: dict[str, Any], audit: Audit) -> dict[str, pd.DataFrame]:
         "sweeps": _tabulate_sweeps(audit),
     }
     if summary["requirements"]:
-        rows = [{"requirement": name, **values} for name, values in summary["requirements"].items()]
-        tables["requirements"] = pd.DataFrame(rows)
         tables["sweep_requirements"] = _tabulate_sweep_requirements(audit)
     return tables
+
+
+def tabulate_variants(audits: Mapping[str, Audit]) -> dict[str, pd.DataFrame]:
+    """Return all variants, their parameters and requirements."""
+    parameters, requirements = [], []
+    for name, audit in audits.items():
+        parameters += [{"variant": name, "parameter": k, **v} for k, v in summarise_parameters(audit).items()]
+        requirements += [{"variant": name, "requirement": k, **v} for k, v in summarise_requirements(audit).items()]
+    tables = {
+        "variants": pd.DataFrame([{"variant": name, **describe_variant(audit)} for name, audit in audits.items()]),
+        "parameters": pd.DataFrame(parameters),
+        "requirements": pd.DataFrame(requirements),
+    }
+    return {name: table for name, table in tables.items() if not table.empty}
+
+
+def describe_variant(audit: Audit) -> dict[str, Any]:
+    """Return a variant in a row: what it takes in, what it determines, how likely it keeps what is required."""
+    inputs, analysis = audit.inputs, audit.analysis
+    shares = [one.predicted_sd / one.requirement.limit for one in audit.outlooks]
+    return {
+        **inputs.describe_variant(),
+        "n_parameters": len(inputs.names),
+        "n_poses": inputs.n_poses,
+        "n_identifiable": analysis.verdicts.count("identifiable"),
+        "left": _plain(audit.measure_left()),
+        "share_of_limit": _plain(max(shares)) if shares else None,
+        "probability": _plain(audit.together),
+    }
 
 
 def _tabulate_directions(summary: dict[str, Any]) -> pd.DataFrame:
@@ -344,7 +352,7 @@ def _tabulate_what_if(summary: dict[str, Any]) -> pd.DataFrame:
 
 
 def _tabulate_sweeps(audit: Audit) -> pd.DataFrame:
-    symbols = audit.inputs.knowledge.symbols
+    symbols = audit.inputs.symbols
     rows = []
     for point in audit.sweeps:
         information = point.outcome.information
@@ -358,18 +366,18 @@ def _tabulate_sweeps(audit: Audit) -> pd.DataFrame:
 
 def _tabulate_sweep_requirements(audit: Audit) -> pd.DataFrame:
     rows = []
-    limits = {r.name: r.limit for r in audit.inputs.requirements}
+    units, required = audit.inputs.units, {one.name: one for one in audit.inputs.requirements}
     for point in audit.sweeps:
         for name, sd in point.outcome.required_sd.items():
-            factor = _factor(audit, name)
+            unit = unit_of(audit.inputs, required[name])
             rows.append(
                 {
                     "sweep": point.sweep,
                     "value": point.value,
                     "requirement": name,
-                    "unit": audit.inputs.units.name("rad" if name.startswith(ROTATION) else "mm"),
-                    "predicted_sd": sd / factor,
-                    "limit": limits[name] / factor,
+                    "unit": units.name(unit),
+                    "predicted_sd": sd / units.factor(unit),
+                    "limit": required[name].limit / units.factor(unit),
                 }
             )
     return pd.DataFrame(rows)

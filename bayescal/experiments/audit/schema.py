@@ -1,113 +1,195 @@
-"""The schema of an audit's design: a machine, its tolerances, a plan of measurement and what is required of it.
+"""The schema of an audit: a machine, its tolerances, planned measurements, what is required of it, what may change.
 
 Keys that carry a unit are in it. Tolerances and requirements have no unit in their keys: they are in those of [units].
 """
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
-from bayescal.config.sections import ExperimentConfig, Factor, InputFile, Names, Positive, Section, check_once
+from bayescal.config.classes import ClassMark
+from bayescal.config.load import MEASURED, OWN
+from bayescal.config.sections import (
+    ExperimentConfig,
+    Factor,
+    InputFile,
+    Name,
+    Names,
+    NotNegative,
+    Number,
+    Positive,
+    Section,
+    check_once,
+)
 from bayescal.density.schema import FixedConfig, PriorConfig
+from bayescal.experiments.shared.readings.schema import ChannelConfig, FreeConfig, InstrumentConfig, NextConfig
 from bayescal.experiments.shared.schema import (
     ActuatorNoiseConfig,
     DeformationConfig,
     FramesConfig,
-    ModelConfig,
-    RequirementsConfig,
-    SensorConfig,
+    OwnSensorConfig,
+    PoseSensorConfig,
+    TargetSensorConfig,
     UnitsConfig,
     WorkspaceConfig,
 )
 from bayescal.inference.schema import DrawsConfig
 
-# --- plan of measurement -----------------------------------------------------------------------------------------
+type Count = Annotated[int, Field(ge=1, le=10_000)]
+type Bounds = Annotated[list[Number], Field(min_length=2, max_length=2)]
+
+# --- what measures, and where --------------------------------------------------------------------------------------
 
 
-class FilePlanConfig(Section):
-    """Actuator displacements from a CSV table, one row a pose."""
-
-    plan: Literal["file"]
-    """`"file"`."""
-    configurations: InputFile
-    """CSV file of actuator displacements, a row a pose."""
-    unit_mm: Positive = 1.0
-    """Unit of its numbers."""
+def _tag_sensor(section: Any) -> str:
+    if isinstance(section, ChannelConfig) or (isinstance(section, dict) and "kind" not in section):
+        return f"{MEASURED}channel"
+    kind = section.get("kind") if isinstance(section, dict) else getattr(section, "kind", None)
+    return kind if kind in ("pose", "targets") else OWN
 
 
-class ActuatorPlanConfig(Section):
-    """Random displacements of the actuators, even over their range or at its ends and middle."""
-
-    plan: Literal["uniform", "extremes"]
-    """`uniform`: evenly over the range; `extremes`: at its ends and its middle."""
-    count: Annotated[int, Field(ge=1, le=10_000)]
-    """Number of poses."""
-    range_mm: Positive | None = None
-    """Largest displacement to either side; the actuators' range where nothing is said."""
+type SensorConfig = Annotated[
+    Annotated[PoseSensorConfig, Tag("pose")]
+    | Annotated[TargetSensorConfig, Tag("targets")]
+    | Annotated[OwnSensorConfig, Tag(OWN)]
+    | Annotated[ChannelConfig, Tag(f"{MEASURED}channel")],
+    Discriminator(_tag_sensor),
+]
 
 
-class WorkspacePlanConfig(Section):
-    """Random poses of the workspace."""
-
-    plan: Literal["workspace"]
-    """`"workspace"`."""
-    count: Annotated[int, Field(ge=1, le=10_000)]
-    """Number of poses."""
-
-
-type PlanConfig = Annotated[FilePlanConfig | ActuatorPlanConfig | WorkspacePlanConfig, Field(discriminator="plan")]
-
-
-# --- what is required --------------------------------------------------------------------------------------------
-
-
-# --- what would help ---------------------------------------------------------------------------------------------
-
-
-class WhatIfConfig(Section):
-    """A change of the plan; what is not named stays."""
-
-    name: str
-    """What the page calls the change."""
-    poses_factor: Annotated[Positive, Field(ge=1e-4, le=1e4)] = 1.0
-    """Factor on the number of poses [1]."""
-    workspace_factor: Factor = 1.0
-    """Factor on the displacements [1]."""
-    noise_factor: Factor = 1.0
-    """Factor on the noise of the instruments [1]."""
-    actuator_noise_factor: Factor = 1.0
-    """Factor on the noise of the actuators [1]."""
-    sensors: Annotated[Names, Field(min_length=1)] | None = None
-    """Other instruments."""
-    poses: PlanConfig | None = None
-    """Another plan."""
-
-
-class SweepConfig(Section):
-    """Factors on the sensors' noise and on the actuators' range, and numbers of poses, one swept at a time."""
-
-    noise: Annotated[list[Factor], AfterValidator(check_once)] = Field(default=[0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0])
-    """Factors on the noise of the instruments [1]."""
-    poses: Annotated[list[Annotated[int, Field(ge=1, le=10_000)]], AfterValidator(check_once)] = Field(
-        default=[6, 8, 10, 15, 20, 30, 40, 60, 100, 200]
+def _tag_workspace(section: Any) -> str:
+    legs = isinstance(section, WorkspaceConfig) or (
+        isinstance(section, dict) and not WorkspaceConfig.model_fields.keys().isdisjoint(section)
     )
-    """Numbers of poses."""
-    workspace: Annotated[list[Factor], AfterValidator(check_once)] = Field(default=[0.25, 0.5, 1.0, 2.0, 4.0])
-    """Factors on the displacements [1]."""
+    return f"{MEASURED}home" if legs else f"{MEASURED}coordinates"
+
+
+type AnyWorkspaceConfig = Annotated[
+    Annotated[WorkspaceConfig, Tag(f"{MEASURED}home")] | Annotated[dict[str, Bounds], Tag(f"{MEASURED}coordinates")],
+    Discriminator(_tag_workspace),
+]
+
+
+class PosesConfig(Section):
+    """Where it is planned to measure: at random poses of the workspace, random actuator positions, or as a file says.
+
+    A file of poses has ``pose``, the coordinates with their units such as ``x_mm``, and what the machine has to know
+    of each; a file of configurations has displacements of a mechanism's actuators.
+    """
+
+    plan: Literal["workspace", "uniform", "extremes", "file"] = "workspace"
+    """Random poses of the `workspace`; random actuator positions, `uniform` over their range or at its `extremes` and
+    its middle; or those of a `file`.
+    """
+    count: Count | None = None
+    """Number of random poses."""
+    range_mm: Positive | None = Field(default=None, exclude_if=lambda value: value is None)
+    """Largest displacement of an actuator to either side; the actuators' range where nothing is said."""
+    file: InputFile | None = Field(default=None, exclude_if=lambda value: value is None)
+    """CSV file of poses."""
+    configurations: InputFile | None = Field(default=None, exclude_if=lambda value: value is None)
+    """CSV file of actuator displacements, a row a pose."""
+    unit_mm: Positive = Field(default=1.0, exclude_if=lambda value: value == 1.0)
+    """Unit of the numbers in ``configurations``."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _take_file(cls, value: Any) -> Any:
+        return (
+            {"plan": "file", **value} if isinstance(value, dict) and {"file", "configurations"} & set(value) else value
+        )
+
+    @model_validator(mode="after")
+    def _check_one(self) -> Self:
+        files = (self.file is not None) + (self.configurations is not None)
+        if self.plan == "file" and (files != 1 or self.count is not None):
+            raise ValueError("found both or none of count, file and configurations, expected one of them")
+        if self.plan != "file" and (files or self.count is None):
+            raise ValueError(f"expected count, and no file, of plan {self.plan!r}")
+        if self.range_mm is not None and self.plan not in ("uniform", "extremes"):
+            raise ValueError("range_mm: found it, expected it of plans 'uniform' and 'extremes' alone")
+        return self
+
+
+class VariantConfig(FreeConfig):
+    """A set of sensors and what is free with it; of a mechanism on legs its kinematic model, too."""
+
+    gone: ClassVar[Mapping[str, str]] = {"measured_by": "sensors"}
+
+    name: Name = "all"
+    """What tables call the variant."""
+    title: str = ""
+    """What the page calls it; its name where nothing is said."""
+    sensors: Annotated[Names, Field(min_length=1)] | None = None
+    """Sensors that measure each pose; all where nothing is said."""
+    model: Annotated[str, ClassMark("MODELS")] | None = Field(default=None, exclude_if=lambda value: value is None)
+    """Kinematic model of a mechanism on legs; `bayescal list models` shows all."""
+    deformation: Annotated[str, ClassMark("DEFORMATIONS")] = Field(
+        default="none", exclude_if=lambda value: value == "none"
+    )
+    """Deformation of a mechanism's platform; `bayescal list deformations` shows all."""
+
+    @property
+    def label(self) -> str:
+        """What the page calls it."""
+        return self.title or self.name
+
+
+class SelectionConfig(Section):
+    """How many poses to choose out of how many random ones of the workspace.
+
+    ``greedy`` ones are added one by one; ``exchange`` goes on to put others in their place for as long as that helps.
+    """
+
+    count: Annotated[int, Field(ge=1, le=1000)]
+    """Number of poses to choose."""
+    candidates: Count = 300
+    """Out of how many random ones of the workspace."""
+    method: Literal["greedy", "exchange"] = "greedy"
+    """Poses added one by one (`greedy`), and then exchanged for as long as that helps (`exchange`)."""
+
+    @model_validator(mode="after")
+    def _check_enough(self) -> Self:
+        if self.candidates < self.count:
+            raise ValueError(f"found {self.candidates} candidates for {self.count} poses, expected at least as many")
+        return self
+
+
+class SensorChoiceConfig(FreeConfig):
+    """Sensors to choose from, for the poses planned.
+
+    A name among ``candidates`` is one sensor, a kind each of its sensors by itself, a list an instrument whose readings
+    are there together. Those of ``always`` are in every set, ``largest`` is how many candidates a set has at most. All
+    sets are judged where these are no more than ``exhaustive``; else sensors are added one by one and exchanged.
+    """
+
+    candidates: Annotated[
+        list[str | Annotated[Names, Field(min_length=1)]], Field(min_length=1), AfterValidator(check_once)
+    ]
+    """Sensors to choose from; a list is one instrument of several readings."""
+    always: Names = Field(default=[])
+    """Sensors that are in every set."""
+    largest: Annotated[int, Field(ge=1, le=1000)] | None = None
+    """How many candidates a set has at most."""
+    exhaustive: Annotated[int, Field(ge=0, le=100_000)] = 4096
+    """Up to how many sets all are judged."""
+    prices: dict[str, NotNegative] = Field(default={}, exclude_if=lambda value: not value)
+    """By candidate or kind, an instrument's readings joined by ` + `: its price [any currency]."""
 
 
 class AuditDataConfig(Section):
     """A study whose measured poses are audited in place of a plan, with its priors and its posterior.
 
-    ``variant`` names one of the study's variants, needed where several have the design's model and deformation.
+    ``variant`` names one of the study's variants, needed where several have the audit's model and deformation.
     """
 
     study: InputFile
     """TOML file of a study, whose measured poses are audited."""
     variant: str | None = None
-    """One of its variants by name, where several have the design's model and deformation."""
+    """One of its variants by name, where several have the audit's model and deformation."""
     with_model_error: bool = True
     """Whether the posterior has a model error."""
 
@@ -123,48 +205,107 @@ class StructuredErrorConfig(Section):
     """Over how far quadratic and smooth errors change [ranges of the actuators]."""
 
 
-OF_PLANS = ("noise", "structured_error", "poses", "measured_by", "parameters")
+# --- what would help ------------------------------------------------------------------------------------------------
+
+
+class WhatIfConfig(Section):
+    """A change of the plan; what is not named stays."""
+
+    name: str
+    """What the page calls the change."""
+    poses_factor: Annotated[Positive, Field(ge=1e-4, le=1e4)] = 1.0
+    """Factor on the number of poses [1]."""
+    workspace_factor: Factor = 1.0
+    """Factor on the displacements [1]."""
+    noise_factor: Factor = 1.0
+    """Factor on the noise of the instruments [1]."""
+    actuator_noise_factor: Factor = 1.0
+    """Factor on the noise of the actuators, and of all sensors that the machine keeps [1]."""
+    sensors: Annotated[Names, Field(min_length=1)] | None = None
+    """Other sensors."""
+    poses: PosesConfig | None = None
+    """Another plan."""
+    structured_error: bool = Field(default=True, exclude_if=lambda value: value)
+    """Whether legs err by a function of the pose as they do in the plan."""
+
+
+class SweepConfig(Section):
+    """Factors on the sensors' noise and on the actuators' range, and numbers of poses, one swept at a time."""
+
+    noise: Annotated[list[Factor], AfterValidator(check_once)] = Field(default=[0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0])
+    """Factors on the noise of the instruments [1]."""
+    poses: Annotated[list[Count], AfterValidator(check_once)] = Field(default=[6, 8, 10, 15, 20, 30, 40, 60, 100, 200])
+    """Numbers of poses."""
+    workspace: Annotated[list[Factor], AfterValidator(check_once)] = Field(default=[0.25, 0.5, 1.0, 2.0, 4.0])
+    """Factors on the displacements [1]."""
+
+
+OF_PLANS = ("noise", "structured_error", "poses", "sensors", "parameters")
+OF_CHANNELS = ("instruments", "given", "aligned", "selection", "sensor_choice", "next")
+"""What only readings of channels have."""
+OF_PLATFORM = ("frames", "structured_error")
+"""What only a mechanism on legs has whose platform is seen by instruments."""
 NOT_STRUCTURED = ("requirements", "profiles", "simulated_calibrations", "expected_over_draws")
 """What an audit does not have of errors that are functions of the pose."""
 
 
 class AuditConfig(ExperimentConfig):
-    """An audit."""
+    """What a calibration of any machine would determine, or has determined, and how accurate the machine then is.
+
+    Readings of the machine's channels and of instruments beside it, with the noise of [sensors]; or a mechanism on legs
+    whose platform is seen by the instruments of [sensors], with the noise of its actuators in [noise].
+    """
+
+    gone: ClassVar[Mapping[str, str]] = {
+        "mechanism": "machine",
+        "measured_by": "[[variants]] with sensors",
+        "variant": "[[variants]]",
+    }
 
     kind: Literal["audit"]
     """`"audit"`."""
-    mechanism: InputFile | None = None
-    """The machine's TOML file."""
-    variant: ModelConfig
-    """Model, deformation and free parameters."""
+    machine: InputFile | None = None
+    """The machine's TOML file; a mechanism's is one."""
+    instruments: dict[Name, InstrumentConfig] = Field(default={}, exclude_if=lambda value: not value)
+    """By name: instruments beside the machine."""
+    sensors: dict[str, SensorConfig] = Field(default={})
+    """Noise of each channel, or of all of a kind; or instruments by name that see the platform of a mechanism on legs,
+    with their kind.
+    """
+    noise: ActuatorNoiseConfig | None = None
+    """Noise of the actuators and model error of a mechanism on legs."""
+    structured_error: StructuredErrorConfig | None = Field(default=None, exclude_if=lambda value: value is None)
+    """Error of the legs that is a function of the pose."""
     units: UnitsConfig = UnitsConfig()
     """Units of tolerances, requirements and results."""
-    deformation: DeformationConfig = DeformationConfig()
-    """Nominal deformation of the platform."""
     parameters: dict[str, PriorConfig] = Field(default={})
     """Tolerance of each symbol."""
     frames: FramesConfig = FramesConfig()
-    """Frames that the calibration has to find."""
-    noise: ActuatorNoiseConfig | None = None
-    """Noise of the actuators and model error."""
-    structured_error: StructuredErrorConfig | None = Field(default=None, exclude_if=lambda value: value is None)
-    """Error of the legs that is a function of the pose."""
-    sensors: dict[str, SensorConfig] = Field(default={})
-    """Instruments by name."""
-    measured_by: Names = Field(default=[])
-    """Instruments that measure each pose."""
-    poses: PlanConfig | None = None
-    """Planned poses."""
+    """Frames of instrument and tool that the calibration of a mechanism on legs has to find."""
+    deformation: DeformationConfig = DeformationConfig()
+    """Nominal deformation of a mechanism's platform."""
     data: AuditDataConfig | None = None
     """A study of measured poses in place of a plan."""
     posterior: DrawsConfig = DrawsConfig()
     """Effort of posterior draws."""
-    workspace: WorkspaceConfig | None = None
-    """Where accuracy counts."""
-    requirements: RequirementsConfig = RequirementsConfig()
-    """What is required there."""
+    workspace: AnyWorkspaceConfig = Field(default={})
+    """Where accuracy counts: by coordinate its smallest and largest value, the machine's own where nothing is said; or
+    half widths about a platform's home pose [unit of the coordinate].
+    """
+    given: dict[str, Bounds] = Field(default={}, exclude_if=lambda value: not value)
+    """By column: smallest and largest value of what the machine has to know of a row [unit of the column]."""
+    poses: PosesConfig = PosesConfig(count=40)
+    """Where it is planned to measure."""
+    requirements: dict[str, Positive] = Field(default={})
+    """By coordinate of the tool: largest error [units]."""
+    required_of: Literal["every_pose", "rms"] = "every_pose"
+    """Whether errors keep these limits at every pose of the workspace (`every_pose`), or their `rms` over it."""
+    aligned: bool = Field(default=False, exclude_if=lambda value: not value)
+    """Accuracy of variants, requirements and sets is the error that remains after base and tool were aligned anew."""
+    variants: Annotated[list[VariantConfig], Field(min_length=1)] = Field(default=[VariantConfig()])
+    """Sets of sensors to judge."""
     what_if: list[WhatIfConfig] = Field(default=[])
-    """Changes of the plan whose effect is told."""
+    """Changes of the plan whose effect is shown."""
     sweep: SweepConfig = SweepConfig()
     """Factors and numbers of poses that the page's curves go over."""
     profiles: Names = Field(default=[])
@@ -173,20 +314,69 @@ class AuditConfig(ExperimentConfig):
     """How many calibrations are simulated to see whether the predicted deviations come true."""
     expected_over_draws: Annotated[int, Field(ge=0, le=10_000)] = 0
     """Over how many machines within the tolerances predictions are averaged."""
+    next: NextConfig = NextConfig()
+    """What to measure besides."""
+    selection: SelectionConfig | None = None
+    """Poses to choose."""
+    sensor_choice: SensorChoiceConfig | None = None
+    """Sensors to choose."""
+
+    @property
+    def sees_platform(self) -> bool:
+        """Whether instruments see, or have seen, the platform of a mechanism on legs."""
+        return self.data is not None or self.noise is not None
 
     @model_validator(mode="after")
-    def _check_plan(self) -> Self:
+    def _check_names(self) -> Self:
         check_once([one.name for one in self.what_if])
+        names = [one.name for one in self.variants]
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"variants: found {name!r} twice, expected each name once")
+        for name, (low, high) in self.workspace.items() if isinstance(self.workspace, dict) else ():
+            if not low < high:
+                raise ValueError(f"workspace.{name}: found {low:g} to {high:g}, expected the smaller number first")
+        return self
+
+    @model_validator(mode="after")
+    def _check_route(self) -> Self:
+        for name in OF_CHANNELS if self.sees_platform else OF_PLATFORM:
+            if self._states(name):
+                raise ValueError(f"{name}: found it {_say_route(self.sees_platform)}, expected none")
         if self.data is not None:
             for field in (*OF_PLANS, "deformation", "frames"):
-                if field in self.model_fields_set:
+                if self._states(field):
                     raise ValueError(f"found {field} beside [data], expected none, since the study has its own")
         else:
-            for field in ("mechanism", "noise", "poses", "sensors", "measured_by", "parameters"):
+            for field in ("machine", "sensors", "parameters"):
                 if not getattr(self, field):
                     raise ValueError(f"found no {field}, expected it, or [data] with a study of measured poses")
             if all(isinstance(prior, FixedConfig) for prior in self.parameters.values()):
                 raise ValueError("found no tolerance in [parameters], expected a normal or uniform prior of some")
-        if self.requirements.model_fields_set and self.workspace is None:
-            raise ValueError("found [requirements] without [workspace], expected both")
+        for name, one in self.sensors.items():
+            if isinstance(one, ChannelConfig) == self.sees_platform:
+                expected = "an instrument with its kind" if self.sees_platform else "the noise of a channel, or [noise]"
+                raise ValueError(f"sensors.{name}: found it {_say_route(self.sees_platform)}, expected {expected}")
+        if not self.sees_platform and isinstance(self.workspace, WorkspaceConfig):
+            raise ValueError("workspace: found half widths about home, expected bounds of each coordinate")
+        if self.sees_platform:
+            self._check_legs()
         return self
+
+    def _states(self, name: str) -> bool:
+        """Whether a section says something else than nothing."""
+        return bool(getattr(self, name) != type(self).model_fields[name].get_default())
+
+    def _check_legs(self) -> None:
+        if isinstance(self.workspace, dict) and self.workspace:
+            raise ValueError("workspace: found bounds of coordinates, expected position_mm and rotation_deg about home")
+        if self.requirements and not self.workspace:
+            raise ValueError("found [requirements] without [workspace], expected both")
+        if len(self.variants) > 1:
+            raise ValueError("variants: found several, expected one of a mechanism whose platform is seen")
+        if self.variants[0].model is None:
+            raise ValueError("variants: found no model, expected the kinematic model of a mechanism on legs")
+
+
+def _say_route(sees_platform: bool) -> str:
+    return "beside instruments that see a platform" if sees_platform else "beside readings of channels"

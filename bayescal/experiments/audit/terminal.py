@@ -40,7 +40,8 @@ def show_audit(results: Results, console: Console) -> None:
     width = min(MOST_WIDTH if console.is_terminal else FILE_WIDTH, console.width)
     for one in _list_lines(audit):
         console.print(one, width=width, markup=False, highlight=False)
-    for columns, rows in (_tabulate_symbols(audit), *_tabulate_sets(audit), *_tabulate_requirements(audit)):
+    tables = [*_tabulate_variants(audit), _tabulate_symbols(audit)]
+    for columns, rows in [*tables, *_tabulate_sets(audit), *_tabulate_requirements(audit)]:
         print_table(console, columns, rows, width)
 
 
@@ -61,6 +62,27 @@ def _write_symbols(text: str, symbols: list[str]) -> str:
     """Return text with Greek letters as such."""
     written = {symbol: write_symbol(symbol) for symbol in symbols}
     return re.sub(r"(?<![\w.])[A-Za-z]\w*", lambda found: written.get(found[0], found[0]), text)
+
+
+def _tabulate_variants(audit: AuditResults) -> list[Printed]:
+    """Return how sets of sensors compare; nothing of a single one."""
+    variants = audit.summary.get("variants", {})
+    if len(variants) < 2:
+        return []
+    columns = (
+        Shown("variant", justify="left"),
+        Shown("free"),
+        Shown("equations", 2),
+        Shown("identifiable"),
+        Shown("error left", 1),
+        Shown("requirements"),
+    )
+    rows = []
+    for name, row in variants.items():
+        left, chance = (float("nan") if row[key] is None else row[key] for key in ("left", "probability"))
+        numbers = [str(row[key]) for key in ("n_parameters", "n_equations", "n_identifiable")]
+        rows.append((name, *numbers, format_share(left), format_probability(chance)))
+    return [(columns, rows)]
 
 
 def _tabulate_symbols(audit: AuditResults) -> Printed:

@@ -10,10 +10,10 @@ import numpy as np
 import pandas as pd
 from scipy.stats import chi2
 
-from bayescal.experiments.calibration.validation import Held
 from bayescal.experiments.shared.function_errors import tabulate_functions
+from bayescal.experiments.shared.headline import Candidate, choose_candidate
 from bayescal.experiments.shared.reading_fit import ReadingFit
-from bayescal.experiments.shared.readings.inputs import CalibrationInputs, Variant
+from bayescal.experiments.shared.readings.inputs import ReadingInputs, Variant
 from bayescal.experiments.shared.readings.knowledge import Knowledge
 from bayescal.experiments.shared.readings.knowledge_tables import (
     list_next,
@@ -23,6 +23,7 @@ from bayescal.experiments.shared.readings.knowledge_tables import (
     tabulate_accuracy,
 )
 from bayescal.experiments.shared.stacking import tabulate_comparison
+from bayescal.experiments.study.validation import Held
 from bayescal.numerics.geometry import Array
 
 DOUBTFUL = 0.01  # probability under the stated noise below which what a pose leaves is doubtful
@@ -65,7 +66,7 @@ class Findings:
     held: list[Held]
 
 
-def tabulate(inputs: CalibrationInputs, found: Mapping[str, Findings]) -> dict[str, pd.DataFrame]:
+def tabulate(inputs: ReadingInputs, found: Mapping[str, Findings]) -> dict[str, pd.DataFrame]:
     """Return all tables by the names of their files."""
     every = [(inputs.variants[name], one) for name, one in found.items()]
     predictions = pd.DataFrame([row for one in every for row in _list_predictions(*one)])
@@ -95,7 +96,7 @@ def _describe(variant: Variant, one: Findings, predictions: pd.DataFrame) -> dic
         "variant": variant.name,
         "title": variant.config.title,
         "data": name_data(variant),
-        "robust": variant.config.robust is not None,
+        "robust": variant.config.outliers.expected,
         "n_parameters": len(fit.names),
         "n_poses": len(left.square),
         "n_equations": int(left.freedom.sum()),
@@ -174,7 +175,7 @@ def _list_poses(variant: Variant, one: Findings) -> pd.DataFrame:
             "elpd_loo": one.fit.left_out.elpd,
             "pareto_k": one.fit.left_out.pareto_k,
             "refitted": one.fit.left_out.was_refitted,
-            "doubtful": (left.trust < DISTRUSTED) | ((variant.config.robust is None) & (chance < DOUBTFUL)),
+            "doubtful": (left.trust < DISTRUSTED) | ((not variant.config.outliers.expected) & (chance < DOUBTFUL)),
         }
     )
 
@@ -198,7 +199,7 @@ def _list_predictions(variant: Variant, one: Findings) -> Iterator[dict[str, Any
             }
 
 
-def _list_beside(inputs: CalibrationInputs, variant: Variant, one: Findings) -> Iterator[dict[str, Any]]:
+def _list_beside(inputs: ReadingInputs, variant: Variant, one: Findings) -> Iterator[dict[str, Any]]:
     for source, values in zip(inputs.beside, one.beside, strict=True):
         mean, sd = values.mean(axis=0), values.std(axis=0)
         for k, name in enumerate(source.quantities):
@@ -217,7 +218,7 @@ def _list_beside(inputs: CalibrationInputs, variant: Variant, one: Findings) -> 
             }
 
 
-def summarise(inputs: CalibrationInputs, tables: Mapping[str, pd.DataFrame]) -> dict[str, Any]:
+def summarise(inputs: ReadingInputs, tables: Mapping[str, pd.DataFrame]) -> dict[str, Any]:
     """Return the results as JSON-ready numbers."""
     config, variants = inputs.config, tables["variants"]
     return {
@@ -227,7 +228,7 @@ def summarise(inputs: CalibrationInputs, tables: Mapping[str, pd.DataFrame]) -> 
         "machine": inputs.machine,
         "origin": config.origin.model_dump(),
         "member": next(iter(inputs.variants.values())).model.member,
-        "machine_files": inputs.machine_files,
+        "machine_folder": inputs.machine_folder,
         "states_tool": all(one.model.states_tool for one in inputs.variants.values()),
         **({"unused": inputs.unused} if inputs.unused else {}),
         "converged": bool(variants["converged"].all()),
@@ -237,12 +238,27 @@ def summarise(inputs: CalibrationInputs, tables: Mapping[str, pd.DataFrame]) -> 
     }
 
 
-def choose_best(summary: Mapping[str, Any]) -> str:
-    """Return the variant to use: of those with the most readings the one that explains them best, if it converged."""
+def list_candidates(summary: Mapping[str, Any]) -> list[Candidate]:
+    """Return the variants of the most readings, of which one is to be used, the first of the experiment first."""
     rows = summary["variants"]
     ranking = max(summary["rankings"], key=lambda names: (rows[names[0]]["n_equations"], len(names)))
-    sound = [name for name in ranking if rows[name]["converged"]]
-    return str((sound or ranking)[0])
+    return [
+        Candidate(
+            name,
+            f"“{row['title']}”",
+            float(row["log_evidence"]),
+            float(row["log_evidence_se"]),
+            bool(row["converged"]),
+            (int(row["n_parameters"]),),
+        )
+        for name, row in rows.items()
+        if name in ranking
+    ]
+
+
+def choose_best(summary: Mapping[str, Any]) -> str:
+    """Return the variant to use."""
+    return choose_candidate(list_candidates(summary)).name
 
 
 def rank_variants(variants: pd.DataFrame) -> list[list[str]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from bayescal.config.load import check_section
 from bayescal.experiments.check.compute import compute_check
 from bayescal.experiments.check.inputs import CheckInputs, read_check
 from bayescal.experiments.check.page import build_page
@@ -57,13 +58,12 @@ class Check(OfAnother[CheckConfig, CheckInputs]):
 def configure_check(study: Path, variants: list[str], data_sets: int | None, seed: int | None) -> CheckConfig:
     """Return the config of a check of a study; its own seed where none is given."""
     found = load(study)[1]
-    own = {} if data_sets is None else {"data_sets": data_sets}
-    return CheckConfig(
-        kind="check",
-        name=f"{found.name}_check",
-        title=f"Check: {found.title}",
-        seed=found.seed if seed is None else seed,
-        study=study.name,
-        variants=variants,
-        **own,
-    )
+    content = {
+        "kind": "check",
+        "name": f"{found.name}_check",
+        "title": f"Check: {found.title}",
+        "seed": found.seed if seed is None else seed,
+        "study": study.name,
+        "variants": variants,
+    }
+    return check_section(CheckConfig, content if data_sets is None else content | {"data_sets": data_sets}, study, "")

@@ -6,10 +6,11 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from bayescal.config.sections import ExperimentConfig, InputFile, Names
+from bayescal.config.sections import Names
+from bayescal.experiments.shared.of_another import OfAnotherConfig
 
 
-class CheckConfig(ExperimentConfig):
+class CheckConfig(OfAnotherConfig):
     """A check of a study's config.
 
     Attributes
@@ -26,8 +27,6 @@ class CheckConfig(ExperimentConfig):
 
     kind: Literal["check"]
     """`"check"`."""
-    study: InputFile
-    """The study's TOML file."""
     variants: Names = Field(default=[])
     """Variants to check; the best by evidence where nothing is said."""
     data_sets: Annotated[int, Field(ge=4, le=10_000)] = 60

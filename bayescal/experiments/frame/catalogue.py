@@ -8,10 +8,12 @@ from typing import Any
 
 from bayescal.config.registry import REGISTRIES, is_own, list_references, load_class
 from bayescal.errors import InputError
+from bayescal.experiments import USES
 from bayescal.experiments.frame.load import find_kind
 
 TITLES = {
     "KINDS": "Kinds of experiment",
+    "BLOCKS": "Blocks of pages",
     "CLAIMS": "Claims of publications",
     "MACHINES": "Machines of one function",
     "INSTRUMENTS": "Instruments beside a machine",
@@ -57,7 +59,7 @@ def _describe(what: str, name: str) -> Entry:
 
 def describe_schema(kind: str) -> dict[str, Any]:
     """Return the JSON Schema of a kind's config, for editors; InputError for an unknown kind."""
-    if kind not in list_references("KINDS"):
+    if kind not in {**list_references("KINDS"), **USES}:
         raise InputError(f"schema: found {kind!r}, expected one of {', '.join(sorted(list_references('KINDS')))}")
     schema: dict[str, Any] = find_kind(kind, None, None).schema.model_json_schema()  # type: ignore[arg-type]
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}

@@ -9,24 +9,24 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
-import pandas as pd
 from pydantic import ValidationError
-from rich.console import Console
-from rich.table import Column, Table
 
 from bayescal.config.files import find_classes, find_files
 from bayescal.config.registry import hash_modules
 from bayescal.config.sections import ExperimentConfig
 from bayescal.errors import InputError
 from bayescal.experiments.frame.memory import Need
-from bayescal.experiments.frame.parallel import Run
-from bayescal.experiments.frame.results import Results
-from bayescal.experiments.frame.terminal import print_text
-from bayescal.report.blocks import Page
-from bayescal.report.findings import choose_first, count_folded
 from bayescal.report.numbers import format_significant
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from rich.console import Console
+
+    from bayescal.experiments.frame.parallel import Run
+    from bayescal.experiments.frame.results import Results
+    from bayescal.report.blocks import Page
 
 
 class Experiment[C: ExperimentConfig, I](ABC):
@@ -114,13 +114,10 @@ class Experiment[C: ExperimentConfig, I](ABC):
 
     def show(self, results: Results, page: Page, console: Console) -> None:
         """Print the results on the terminal: the page's verdict as it is seen there at first sight."""
+        from bayescal.experiments.frame.terminal import show_verdict
+
         del results
-        print_text(console, page.headline)
-        seen, folded = choose_first(page.verdict)
-        for one in seen:
-            print_text(console, f"{one.lead}: {one.text}" if one.lead else one.text)
-        if folded:
-            print_text(console, count_folded(folded))
+        show_verdict(page, console)
 
     def list_failures(self, results: Results) -> list[str]:
         """Return what forbids to rely on the results, in words; the command line then ends with exit code 3."""
@@ -135,11 +132,15 @@ class Experiment[C: ExperimentConfig, I](ABC):
         InputError
             Where they cannot be compared.
         """
+        import pandas as pd
+
         columns = {name: _list_plain(one.summary) for name, one in results.items()}
         return pd.DataFrame(columns).rename_axis("entry").reset_index()
 
     def show_comparison(self, table: pd.DataFrame, console: Console) -> None:
         """Print what `compare` returns."""
+        from rich.table import Column, Table
+
         shown = Table(*(Column(str(name), overflow="fold") for name in table.columns))
         for row in table.itertuples(index=False):
             shown.add_row(*map(str, row))

@@ -11,7 +11,7 @@ from bayescal.config.load import check_section, read_extended
 from bayescal.config.registry import find_class, list_references
 from bayescal.config.sections import ExperimentConfig
 from bayescal.errors import InputError
-from bayescal.experiments import GONE
+from bayescal.experiments import GONE, KINDS, USES
 from bayescal.experiments.frame.experiment import Experiment
 from bayescal.experiments.frame.memory import check_tables
 
@@ -21,13 +21,18 @@ type AnyExperiment = Experiment[Any, Any]
 def find_kind(kind: str, where: Path, folder: Path | None) -> AnyExperiment:
     """Return a kind of experiment by its name; see `registry.find_class`."""
     if kind in GONE:
-        raise InputError(f"{where}: kind: found {kind!r}, which is gone, expected {GONE[kind]!r}")
+        successor = repr(GONE[kind]) if GONE[kind] in KINDS else GONE[kind]
+        raise InputError(f"{where}: kind: found {kind!r}, which is gone, expected {successor}")
     base: type[AnyExperiment] = Experiment  # type: ignore[type-abstract]  # only subclasses of it are found
+    if kind in USES:
+        return find_class("KINDS", USES[kind], base, "kind", where, Path())()
     return find_class("KINDS", kind, base, "kind", where, folder)()
 
 
 def load(path: Path) -> tuple[AnyExperiment, ExperimentConfig]:
     """Return an experiment's kind and its checked config; its ``kind`` says which schema holds.
+
+    A file without a kind that names a ``study`` asks which pose to measure next.
 
     Raises
     ------
@@ -35,7 +40,7 @@ def load(path: Path) -> tuple[AnyExperiment, ExperimentConfig]:
         For anything at fault, with file, line, field, found and expected.
     """
     content, text = read_extended(path)
-    kind = content.get("kind")
+    kind = content.get("kind", "next" if "study" in content else None)
     if not isinstance(kind, str):
         names = ", ".join(sorted(list_references("KINDS")))
         raise InputError(f"{path}: kind: found {_describe(content)}, expected one of {names}")
@@ -65,9 +70,16 @@ def _describe(content: Mapping[str, Any]) -> str:
     return repr(content.get("kind"))
 
 
-def load_experiment(path: Path) -> Any:
-    """Return the checked config of an experiment of any kind."""
-    return load(path)[1]
+def load_experiment(path: Path | str) -> Any:
+    """Return the checked config of an experiment of any kind; InputError for anything at fault.
+
+    Examples
+    --------
+    >>> config = bc.load_experiment("examples/own_machine/audit.toml")
+    >>> config.name, config.model_copy(update={"seed": 7}).seed
+    ('own_machine_audit', 7)
+    """
+    return load(Path(path))[1]
 
 
 def load_kind(path: Path, kind: str) -> Any:

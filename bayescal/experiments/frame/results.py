@@ -12,7 +12,6 @@ from typing import Any, Literal
 import pandas as pd
 
 from bayescal.errors import InputError
-from bayescal.experiments.frame.notebook import show_in_notebook
 from bayescal.files.atomic import read_json
 from bayescal.files.plain_text import add_article
 
@@ -30,9 +29,6 @@ KINDS: dict[str, Callable[[str], Any]] = {
     "text": str,
 }
 """What a column may hold, and how a cell of it is read; an empty cell is NaN, or an empty text."""
-
-FIRST = ("ranking", "variants", "requirements")
-"""Tables that show themselves in a notebook."""
 
 type ColumnKind = Literal["number", "integer", "flag", "text"]
 type Writer = Callable[[Path], None]
@@ -73,9 +69,6 @@ class Results:
         """SHA-256 of all files that the results go back to."""
         files = self.provenance.get("files")
         return {str(one) for one in files.values()} if isinstance(files, dict) else set()
-
-    def _repr_html_(self) -> str:
-        return show_in_notebook(self.summary, self.tables, FIRST)
 
     def table(self, name: str) -> pd.DataFrame:
         """Return a table; one without rows where there is none."""

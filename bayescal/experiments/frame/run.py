@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib.metadata import version
@@ -14,10 +14,10 @@ from rich.console import Console
 from threadpoolctl import threadpool_limits
 
 from bayescal.config.load import read_extended
-from bayescal.config.registry import hash_modules, is_file, list_sources
+from bayescal.config.registry import hash_modules, list_sources
 from bayescal.config.sections import ExperimentConfig
-from bayescal.config.trust import check_same, check_trust
 from bayescal.errors import BayescalError, InputError, NumericalError, SeveralFaultsError, name_faults
+from bayescal.experiments.frame.blocks import CODE, PageBlock, add_blocks, find_blocks, find_kept, keep_code
 from bayescal.experiments.frame.engine import Processes, call_side_by_side, import_all, open_engine, start_ahead
 from bayescal.experiments.frame.identity import describe_provenance, identify
 from bayescal.experiments.frame.load import AnyExperiment, find_kind, load, read_inputs
@@ -39,8 +39,6 @@ from bayescal.report.blocks import Page, Statement
 from bayescal.report.page import PAGE, write_page
 from bayescal.report.provenance import show_provenance
 
-CODE = "code"
-"""Folder of a results directory that keeps the files of a kind that is not built in."""
 MANY_PICTURES = 10  # fewer are drawn before other processes have started
 
 
@@ -77,9 +75,6 @@ class Finished:
     def converged(self) -> bool:
         """Whether nothing forbids to rely on the results."""
         return not self.failures
-
-    def _repr_html_(self) -> str:
-        return self.results._repr_html_()
 
     def show(self, console: Console) -> None:
         """Print the results on a terminal, and where the page is."""
@@ -127,7 +122,8 @@ def run_experiment(
     with threadpool_limits(1):
         inputs = read_inputs(experiment, config, folder)
         check_memory(experiment.estimate_memory(inputs), workers if scheduler is None else 0)
-        modules = hash_modules([type(experiment)]) | experiment.modules(config, folder)
+        blocks = find_blocks(config.blocks, folder, folder)
+        modules = hash_modules([type(one) for one in (experiment, *blocks)]) | experiment.modules(config, folder)
         identity = identify(config, folder, _list_files(experiment, config, folder), modules)
         store.check(identity, resume)
         with open_engine(workers, scheduler, quiet) as engine, hold_lock(store.lock, out):
@@ -140,8 +136,9 @@ def run_experiment(
                 store.discard()
                 raise
             provenance = describe_provenance(config, identity)
-            files = {**results.files, **_keep_code(config.kind, folder)}
-            page = _write(experiment, replace(results, files=files, provenance=provenance), store.stage(), workers)
+            files = {**results.files, **keep_code(folder, config.kind, config.blocks)}
+            results = replace(results, files=files, provenance=provenance)
+            page = _write(experiment, blocks, results, store.stage(), workers)
             store.publish()
     return Finished(out, experiment, read_results(out), page)
 
@@ -196,6 +193,7 @@ def check_experiment(config: ExperimentConfig, folder: Path) -> tuple[list[str],
     with threadpool_limits(1):
         inputs = read_inputs(experiment, config, folder)
         outlook, doubts = experiment.outlook(inputs), experiment.doubt(inputs)
+    find_blocks(config.blocks, folder, folder)
     files = sorted(set(_list_files(experiment, config, folder)))
     identify(config, folder, files)
     return files, outlook, doubts
@@ -205,12 +203,8 @@ def _list_files(experiment: AnyExperiment, config: ExperimentConfig, folder: Pat
     """Return all files that belong to an experiment's identity, the source of its kind among them."""
     yield from experiment.files(config, folder)
     yield from list_sources("KINDS", config.kind, folder)
-
-
-def _keep_code(kind: str, folder: Path) -> dict[str, str]:
-    """Return the files of a kind in a file of its own, as they stand beside each other, by their names in results."""
-    files = [(folder / name).resolve() for name in list_sources("KINDS", kind, folder)]
-    return {f"{CODE}/{one.relative_to(files[0].parent).as_posix()}": one.read_text("utf-8") for one in files}
+    for block in config.blocks:
+        yield from list_sources("BLOCKS", block, folder)
 
 
 def compute_experiment(config: ExperimentConfig, folder: Path, workers: int = 1) -> Results:
@@ -230,12 +224,14 @@ def _find_doubts(experiment: AnyExperiment, inputs: Any) -> list[str]:
         return []
 
 
-def _write(experiment: AnyExperiment, results: Results, folder: Path, workers: int) -> Page:
+def _write(
+    experiment: AnyExperiment, blocks: Sequence[PageBlock], results: Results, folder: Path, workers: int
+) -> Page:
     """Write results and page into an empty directory; the page is made from what was written."""
     summary = {**results.summary, "config_sha256": results.provenance["config_sha256"]}
     with start_ahead(workers, experiment.page_imports) as await_workers:
         write_results(replace(results, summary=summary), folder, experiment.tables_in, experiment.digits)
-        page = _write_page(experiment, folder, workers, await_workers)
+        page = _write_page(experiment, blocks, folder, workers, await_workers)
     said = {"headline": page.headline, "verdict": [_say(one) for one in page.verdict]}
     write_json(folder / SUMMARY_FILE, {**summary, **said})
     list_written(folder)
@@ -247,10 +243,14 @@ def _say(statement: Statement) -> dict[str, str]:
 
 
 def _write_page(
-    experiment: AnyExperiment, folder: Path, workers: int, await_workers: Callable[[], None] = lambda: None
+    experiment: AnyExperiment,
+    blocks: Sequence[PageBlock],
+    folder: Path,
+    workers: int,
+    await_workers: Callable[[], None] = lambda: None,
 ) -> Page:
     results = read_results(folder)
-    page = experiment.page(results)
+    page = add_blocks(experiment.page(results), results, blocks)
     earlier = results.provenance.get(WRITTEN)
     if not isinstance(earlier, list):  # new ones, or of an earlier version: all figures are its own
         earlier = [path.relative_to(folder).as_posix() for path in folder.glob("figures/*.png")]
@@ -281,7 +281,7 @@ def write_report(folder: Path, trust: bool = False, workers: int = 1) -> Path:
     """
     experiment = find_results_kind(folder, trust)
     try:
-        _write_page(experiment, folder, workers)
+        _write_page(experiment, _find_results_blocks(folder, trust), folder, workers)
     except (KeyError, IndexError, TypeError, ValueError, AttributeError, ArithmeticError, AssertionError) as error:
         what = f"{type(error).__name__}: {' '.join(str(error).split())}"
         written, here = _find_version(folder), version("bayescal")
@@ -307,8 +307,11 @@ def find_results_kind(folder: Path, trust: bool = False) -> AnyExperiment:
         raise InputError(f"{folder}: found no kind of experiment in its provenance, expected one")
     if ":" not in found:
         return find_kind(found, folder, None)
-    check_trust(folder, f"kind of experiment {found!r}", trust)
-    if is_file(found):  # as the results keep it
-        found = found[found.rfind("/", 0, found.index(":")) + 1 :]
-        check_same(folder / CODE, list_sources("KINDS", found, folder / CODE), results.hashes)
-    return find_kind(found, folder, folder / CODE)
+    return find_kind(find_kept(folder, results, "KINDS", found, trust), folder, folder / CODE)
+
+
+def _find_results_blocks(folder: Path, trust: bool) -> list[PageBlock]:
+    """Return the blocks of one's own of a results directory's page; see `write_report`."""
+    results = read_results(folder)
+    names = [find_kept(folder, results, "BLOCKS", str(name), trust) for name in results.config.get("blocks", [])]
+    return find_blocks(names, folder, folder / CODE)

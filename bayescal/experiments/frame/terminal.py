@@ -9,6 +9,8 @@ from typing import Literal
 from rich.console import Console
 from rich.table import Table
 
+from bayescal.report.blocks import Page
+from bayescal.report.findings import choose_first, count_folded
 from bayescal.report.numbers import join_words
 
 UNBOUNDED = 10_000  # letters
@@ -67,3 +69,13 @@ def _build(columns: Sequence[Shown], rows: Sequence[Sequence[str]], kept: Sequen
 def print_text(console: Console, text: str) -> None:
     """Print a sentence, broken between words on a terminal and on one line in a file."""
     console.print(text, soft_wrap=not console.is_terminal)
+
+
+def show_verdict(page: Page, console: Console) -> None:
+    """Print a page's headline and what of its verdict is seen at first sight."""
+    print_text(console, page.headline)
+    seen, folded = choose_first(page.verdict)
+    for one in seen:
+        print_text(console, f"{one.lead}: {one.text}" if one.lead else one.text)
+    if folded:
+        print_text(console, count_folded(folded))

@@ -14,6 +14,7 @@ from bayescal.experiments.frame.results import Results
 from bayescal.experiments.sessions.fit import SessionFit, fit_sessions
 from bayescal.experiments.sessions.inputs import SessionsInputs
 from bayescal.experiments.sessions.tables import SHIFT_ARCSEC, Found, tabulate
+from bayescal.experiments.shared.origin import name_origin
 
 ALL, NONE = "drift", "no drift"
 STILL = "still: "
@@ -37,7 +38,7 @@ def compute_sessions(inputs: SessionsInputs, run: Run) -> Results:
         "title": config.title,
         "study": config.study,
         "variant": config.variant,
-        "data_origin": config.origin,
+        "data_origin": name_origin(config.origin.model_dump()),
         "hierarchy": config.drift.hierarchy,
         "symbols": config.drift.symbols,
         "per_leg": config.drift.per_leg,

@@ -15,7 +15,7 @@ from bayescal.density.priors import NormalPrior
 from bayescal.density.sessions.rows import ReadingRows
 from bayescal.errors import InputError, name_faults
 from bayescal.experiments.sessions.schema import SessionConfig, SessionsConfig
-from bayescal.experiments.shared.measured import MeasuredReadings, MeasuringReadings, measure_variants
+from bayescal.experiments.shared.measured import MeasuredReadings, measure_variants
 from bayescal.experiments.shared.reading_slips import find_measured_slip
 from bayescal.experiments.shared.slips import FoundSlip
 from bayescal.machines.kinematics import Machine, solve_forward_kinematics
@@ -142,7 +142,7 @@ def measure_sessions(experiment: object, study: Any, path: Path, config: Session
         Names the session.
     """
     found: list[Session] = []
-    place = _place_tables if isinstance(experiment, MeasuringReadings) else _place_files
+    place = _place_tables if getattr(study, "by_tables", False) else _place_files
     for session in config.sessions:
         with name_faults(f"session {session.label!r}"):
             placed = place(study, session, folder, path) if hasattr(study, "data") else study
@@ -164,7 +164,7 @@ def _place_tables(study: Any, session: SessionConfig, folder: Path, path: Path) 
     """Return a calibration with a session's tables in place of its own, in their order."""
     given = [key for key in FILES if getattr(session, key) is not None]
     if given:
-        raise InputError(f"found {given[0]}, expected readings, as {path} is a calibration")
+        raise InputError(f"found {given[0]}, expected readings, as {path} has tables of them")
     if len(session.readings) != len(study.data):
         raise InputError(
             f"found {len(session.readings)} files of readings, expected {len(study.data)}: one a [[data]] of {path}"

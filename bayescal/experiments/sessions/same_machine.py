@@ -47,4 +47,4 @@ def check_same_machine(model: SessionModel, sessions: Sequence[MeasuredVariant],
 def _find_offsets(measured: MeasuredVariant, theta: Array) -> Array:
     """Return the mean error of each leg in a session for one machine θ (D,), shape (N,), mm."""
     likelihood = PoseLikelihood(measured.machine, measured.poses, measured.actuator_noise)
-    return np.asarray(likelihood.leg_error_jacobian(theta)[0].mean(axis=0))
+    return np.asarray(likelihood.error_jacobian(theta)[0].mean(axis=0))

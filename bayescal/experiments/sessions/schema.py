@@ -6,7 +6,9 @@ from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, FiniteFloat, model_validator
 
-from bayescal.config.sections import ExperimentConfig, InputFile, Number, Positive, Section, check_once
+from bayescal.config.sections import InputFile, Number, Positive, Section, check_once
+from bayescal.experiments.shared.of_another import OfAnotherConfig
+from bayescal.experiments.shared.readings.schema import OriginConfig
 from bayescal.experiments.shared.slips import DeniedSlips
 
 type Temperature = Annotated[FiniteFloat, Field(ge=-273.15, le=2000.0)]
@@ -123,7 +125,7 @@ class ThermalConfig(Section):
     """Bodies of any machine by their names, each with the symbols of its lengths."""
 
 
-class SessionsConfig(ExperimentConfig):
+class SessionsConfig(OfAnotherConfig):
     """Sessions of one machine, or of machines of one design.
 
     Attributes
@@ -131,7 +133,7 @@ class SessionsConfig(ExperimentConfig):
     study : str
         Its file.
     variant : str
-    origin : str
+    origin : OriginConfig
     sessions : list of SessionConfig
     drift : DriftConfig
     thermal : ThermalConfig or None
@@ -141,11 +143,9 @@ class SessionsConfig(ExperimentConfig):
 
     kind: Literal["sessions"]
     """`"sessions"`."""
-    study: InputFile
-    """The study's TOML file: machine, priors, noise and model error are those of one of its variants."""
     variant: str
     """The variant, by its name."""
-    origin: str
+    origin: OriginConfig
     """Where the data come from, in words: measured or simulated."""
     sessions: Annotated[list[SessionConfig], Field(min_length=2, max_length=60)]
     """The sessions, in the order of their days."""

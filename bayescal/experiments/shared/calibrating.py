@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from pathlib import Path
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from bayescal.calibrated.exported import CALIBRATED, read_exported
 from bayescal.calibrated.machine import CalibratedMachine
@@ -12,10 +12,12 @@ from bayescal.config.sections import ExperimentConfig
 from bayescal.errors import InputError
 from bayescal.experiments.frame.identity import identify
 from bayescal.experiments.frame.load import find_kind, load
-from bayescal.experiments.frame.results import PROVENANCE_FILE, Results, Writer, read_results
 from bayescal.experiments.shared.trees import read_draws
 from bayescal.files.atomic import read_json
 from bayescal.numerics.geometry import Array
+
+if TYPE_CHECKING:
+    from bayescal.experiments.frame.results import Results, Writer
 
 KEPT = "machine"
 """Folder of the results that holds what the machine is read from."""
@@ -80,6 +82,12 @@ def load_calibrated(
     InputError
         For results without a machine or such a variant, for a posterior that did not converge, and for code that nobody
         has allowed to run.
+
+    Examples
+    --------
+    >>> calibrated = bc.load_calibrated(study.folder, trust=True)
+    >>> calibrated.theta.shape, calibrated.covariance.shape
+    ((14,), (9, 9))
     """
     path = Path(path)
     if (path / CALIBRATED).is_file():
@@ -95,12 +103,13 @@ def load_calibrated(
 
 
 def _calibrate(path: Path, variant: str | None, experiment: Path | None, trust: bool) -> CalibratedMachine:
+    from bayescal.experiments.frame.results import PROVENANCE_FILE, read_results
+
     name = read_json(path / PROVENANCE_FILE).get("kind")
     kind: object = None if not isinstance(name, str) or ":" in name else find_kind(name, path, None)
     if not isinstance(kind, Calibrating):
         raise InputError(
-            f"{path}: found results of kind {name!r}, which hold no calibrated machine, expected those of a study or a "
-            "calibration"
+            f"{path}: found results of kind {name!r}, which hold no calibrated machine, expected those of a study"
         )
     return kind.calibrate(read_results(path, kind.tables_of_machine), variant, experiment, trust)
 

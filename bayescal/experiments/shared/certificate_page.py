@@ -12,6 +12,7 @@ from bayescal.calibrated.machine import MATRIX, MODEL, NOISE
 from bayescal.calibrated.standards import PoseFigures
 from bayescal.calibrated.uncertainty import GEOMETRY
 from bayescal.experiments.shared.certify import AGREED, BOUND, Certificate
+from bayescal.experiments.shared.headline import say_accuracy, write_headline
 from bayescal.machines.readings import Legs
 from bayescal.numerics.geometry import Array
 from bayescal.report.blocks import (
@@ -71,15 +72,13 @@ def state_headline(found: Certificate) -> str:
     """Return the expanded uncertainty of the tool's position, of all its numbers where it has none, in one sentence."""
     typical, largest = _summarise(found, found.expanded)
     chosen = _choose_main(found)
-    each = ", ".join(f"{found.axis_names[k]} {_micro(typical[k])}" for k in chosen)
-    coverage, unit = format_percent(found.wishes.coverage), found.units[chosen[0]]
+    unit = found.units[chosen[0]]
+    each = say_accuracy({found.axis_names[k]: f"±{_micro(typical[k])} {unit}" for k in chosen}, found.wishes.coverage)
     what = "Position" if len(found.calibrated.lengths) else "Tool"
     if not found.calibrated.model.states_tool:
         what = "Coordinates"
-    return (
-        f"{what} within ±({each}) {unit} with {coverage}, root mean square {found.where}; at its worst pose within "
-        f"±{_micro(largest[chosen].max())} {unit}."
-    )
+    worst = f"at the worst pose ±{_micro(largest[chosen].max())} {unit}"
+    return write_headline([f"{what}: {each}, root mean square {found.where}; {worst}"])
 
 
 def _choose_main(found: Certificate) -> list[int]:
@@ -168,7 +167,7 @@ def _state_held_back(found: Certificate) -> list[Statement]:
         Statement(
             f"{format_percent(inside)} of the pose components of {n} held-back poses lie within their 90 % intervals.",
             "good" if abs(inside - 0.9) <= 3 * np.sqrt(0.09 / (6 * n)) else "warning",
-            "Borne out",
+            "Confirmed by held-back data",
         )
     ]
 

@@ -9,8 +9,6 @@ import numpy as np
 
 from bayescal.config.classes import choose, name_failures
 from bayescal.config.load import look_up
-from bayescal.data.schema import TargetRingConfig
-from bayescal.data.simulation import make_rings
 from bayescal.density.schema import FixedConfig, NormalConfig, PriorConfig
 from bayescal.errors import InputError
 from bayescal.experiments.shared.per_leg import spread_over_legs, spread_widths
@@ -34,7 +32,6 @@ from bayescal.machines.kinematics import Machine, check_home_pose
 from bayescal.machines.mechanism import Mechanism
 from bayescal.machines.models import MODELS
 from bayescal.machines.read import build_named_machine, load_mechanism, points_of
-from bayescal.machines.schema import PointsConfig
 from bayescal.machines.sensors import PointSensor, PoseSensor, Sensor
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import ARCSECOND, MICROMETRE
@@ -150,12 +147,16 @@ def known_symbols(mechanism: Mechanism) -> set[str]:
 
 
 def plan_sensors(
-    actuators: Array, sensors: dict[str, Sensor], measured_by: list[str], noise: ActuatorNoiseConfig
+    actuators: Array,
+    sensors: dict[str, Sensor],
+    measured_by: list[str],
+    noise: ActuatorNoiseConfig,
+    field: str,
 ) -> Plan:
     """Return a plan of poses at actuator positions (P, N), mm, seen by some of the sensors."""
     return Plan(
         actuators,
-        choose_sensors(sensors, measured_by, "measured_by"),
+        choose_sensors(sensors, measured_by, field),
         MICROMETRE * noise.actuator_um,
         MICROMETRE * noise.model_error_um,
     )
@@ -180,8 +181,8 @@ def build_sensor(name: str, config: SensorConfig, folder: Path) -> Sensor:
             None if angle is None else ARCSECOND * angle,
             config.axes,
         )
-    platform = _targets(config.platform)
-    base = None if config.base is None else _targets(config.base)
+    platform = points_of(config.platform)
+    base = None if config.base is None else points_of(config.base)
     if base is not None and (len(base) < LEAST_TARGETS or np.linalg.matrix_rank(base - base.mean(axis=0)) < 2):
         raise InputError(f"sensors.{name}.base: found {len(base)} targets on a line, expected three or more off it")
     return PointSensor(platform, MICROMETRE * config.noise_um, base)
@@ -200,10 +201,6 @@ def _build_own_sensor(name: str, config: OwnSensorConfig, folder: Path) -> Senso
             "symmetric finite matrices of shape (2, 6, 6) for two poses"
         )
     return sensor
-
-
-def _targets(config: list[TargetRingConfig] | PointsConfig) -> Array:
-    return points_of(config) if isinstance(config, PointsConfig) else make_rings(config)
 
 
 # --- workspace ---------------------------------------------------------------------------------------------------

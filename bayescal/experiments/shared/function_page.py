@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import math
 from functools import partial
-from typing import Any
 
 import pandas as pd
 from matplotlib.figure import Figure as Drawing
 
+from bayescal.experiments.shared.study_schema import stem_of
 from bayescal.report.blocks import Block, Cell, Column, Figure, Level, Section, Statement, make_table
 from bayescal.report.numbers import NOTHING, format_fixed, format_significant, join_words
+from bayescal.report.reading import Row, list_rows
 from bayescal.report.style import GREY, LEG_COLOURS
 from bayescal.report.symbols import quote, set_parameter, split_name
-
-type Row = dict[str, Any]
 
 COLUMNS = 2
 SHARE, CERTAIN = 0.5, 0.9995
@@ -41,7 +40,7 @@ def show_functions(tables: dict[str, pd.DataFrame]) -> list[Section]:
     for name, title in _list_titles(tables).items():
         own = curves[curves["variant"] == name]
         caption = f"{title}: errors over what they depend on, mean and 90 % interval."
-        blocks += [] if own.empty else [Figure(f"functions_{name}", caption, partial(draw_functions, own))]
+        blocks += [] if own.empty else [Figure(f"functions_{stem_of(name)}", caption, partial(draw_functions, own))]
     return [Section("Errors that are functions", tuple(blocks))]
 
 
@@ -74,11 +73,6 @@ def _judge(title: str, rows: list[Row]) -> Statement:
 
 def _unit(name: str) -> str:
     return SHOWN.get(name, name)
-
-
-def list_rows(table: pd.DataFrame) -> list[Row]:
-    """Return the rows of a table by the names of its columns."""
-    return [{str(key): value for key, value in row.items()} for row in table.to_dict("records")]
 
 
 def _format_chance(present: float) -> str:
@@ -115,7 +109,7 @@ def _or_nothing(value: float, digits: int) -> str:
     return NOTHING if math.isnan(value) else format_significant(value, digits)
 
 
-def _format_size(row: dict[str, Any]) -> str:
+def _format_size(row: Row) -> str:
     mean, low, high = (format_significant(row[key], 2) for key in ("rms", "rms_low", "rms_high"))
     return f"{mean} [{low}, {high}]"
 

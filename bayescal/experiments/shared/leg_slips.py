@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import combinations, permutations
-from typing import Protocol
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -45,8 +45,8 @@ SUSPECT = 10.0
 """Legs' errors in units of what was stated, below which no slip of the actuators is tried."""
 
 
-class Tolerances(Protocol):
-    """What is free about which machine, and how far: as of `bayescal.machines.coordinates.Coordinates`.
+class Tolerances(NamedTuple):
+    """What is free about which machine, and how far, as `bayescal.machines.coordinates.Coordinates` have it.
 
     Attributes
     ----------
@@ -55,14 +55,9 @@ class Tolerances(Protocol):
     scale : ndarray, shape (n,)
     """
 
-    @property
-    def start(self) -> Array: ...  # noqa: D102
-
-    @property
-    def free(self) -> np.ndarray: ...  # noqa: D102
-
-    @property
-    def scale(self) -> Array: ...  # noqa: D102
+    start: Array
+    free: np.ndarray
+    scale: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +66,10 @@ class LegData:
 
     actuators: Array
     poses: MeasuredPoses | None = None
+
+    def pick(self, chosen: np.ndarray) -> LegData:
+        """Return some of them."""
+        return LegData(self.actuators[chosen], None if self.poses is None else self.poses.select(chosen))
 
 
 type LikelihoodOf = Callable[[LegData, np.ndarray], Likelihood]
@@ -101,16 +100,12 @@ class Suspect:
         The covariance is C + S Sᵀ, S the slope by the parameters in tolerances, by the determinant lemma.
         """
         some = np.arange(len(data.actuators)) if chosen is None else chosen
-        picked = data if len(data.actuators) == len(some) else _pick(data, some)
+        picked = data if len(data.actuators) == len(some) else data.pick(some)
         try:
             with np.errstate(all="ignore"):
                 return _weigh(self.likelihood_of(picked, some), self.tolerances, self.stated)
         except (BayescalError, np.linalg.LinAlgError):
             return NOTHING
-
-
-def _pick(data: LegData, chosen: np.ndarray) -> LegData:
-    return LegData(data.actuators[chosen], None if data.poses is None else data.poses.select(chosen))
 
 
 def find_leg_slip(suspects: Iterable[Suspect], start: Array, denied: Collection[str] = ()) -> FoundSlip | None:
@@ -137,7 +132,7 @@ def find_leg_slip(suspects: Iterable[Suspect], start: Array, denied: Collection[
 def list_leg_slips(data: LegData, start: Array) -> Iterator[Slip[LegData]]:
     """Yield what may have happened to actuator positions, whose initial ones are ``start``, and to poses."""
     for fault, text, actuators, chosen in _list_actuators(data.actuators, start):
-        poses = data.poses if chosen is None or data.poses is None else data.poses.select(chosen)
+        poses = (data if chosen is None else data.pick(chosen)).poses
         yield Slip(fault, text, LegData(actuators, poses), chosen, tried_from=SUSPECT)
     if data.poses is not None:
         for text, poses in list_rereads(data.poses):
@@ -207,7 +202,8 @@ def list_rereads(poses: MeasuredPoses) -> Iterator[tuple[str, MeasuredPoses]]:
         replace(poses, position=-np.einsum("pij,pj->pi", back, position), rotation=back),
     )
     for k, axis in enumerate(FIXED):
-        yield f"{axis}_mm seems to be of the other sign", replace(poses, position=position * _flip(k))
+        flipped = position * np.where(np.arange(3) == k, -1.0, 1.0)
+        yield f"{axis}_mm seems to be of the other sign", replace(poses, position=flipped)
     for one, other in combinations(range(3), 2):
         exchanged = position.copy()
         exchanged[:, [one, other]] = position[:, [other, one]]
@@ -222,12 +218,6 @@ def _describe_angles(axes: str) -> str:
         f"{', '.join(axes)} one after the other: call them {', '.join(columns)}"
         + ("" if axes == FIXED else ", in that order of axes")
     )
-
-
-def _flip(k: int) -> Array:
-    signs = np.ones(3)
-    signs[k] = -1.0
-    return signs
 
 
 # --- machines that were measured ---------------------------------------------------------------------------------
@@ -263,7 +253,8 @@ def suspect_poses(measured: MeasuredVariant, stated: float, whole: bool = False)
     """Return measured poses in which slips are looked for; of the poses' own form, too, where these are ``whole``."""
     likelihood_of = weigh_poses(measured.machine, measured.poses, measured.actuator_noise)
     data = LegData(measured.poses.actuators, measured.poses if whole else None)
-    return Suspect(likelihood_of, measured.posterior.sampling.coordinates, data, stated)
+    known = measured.posterior.sampling.coordinates
+    return Suspect(likelihood_of, Tolerances(known.start, known.free, known.scale), data, stated)
 
 
 def weigh_poses(machine: Machine, poses: MeasuredPoses, noise: float) -> LikelihoodOf:
@@ -276,15 +267,6 @@ def weigh_poses(machine: Machine, poses: MeasuredPoses, noise: float) -> Likelih
     return likelihood_of
 
 
-@dataclass(frozen=True, eq=False)
-class _Known:
-    """What a calibration leaves open, as `Tolerances`."""
-
-    start: Array
-    free: np.ndarray
-    scale: Array
-
-
 def find_recheck_slip(calibrated: CalibratedMachine, poses: MeasuredPoses) -> FoundSlip | None:
     """Return what explains poses measured after a calibration many times better than they are; None without any.
 
@@ -295,11 +277,10 @@ def find_recheck_slip(calibrated: CalibratedMachine, poses: MeasuredPoses) -> Fo
     poses : MeasuredPoses
         Whole, in the base frame.
     """
-    assert calibrated.covariance is not None
-    sd, start = np.sqrt(np.diagonal(calibrated.covariance)), calibrated.legs.mechanism.initial_actuator_positions
+    sd, start = calibrated.sd, calibrated.legs.mechanism.initial_actuator_positions
     free = np.flatnonzero(sd > 0.0)
     of_legs = (np.diagonal(calibrated.errors.noise) + calibrated.errors.model_variance).mean()
-    known, stated = _Known(calibrated.theta, free, sd[free]), float(np.sqrt(of_legs + _position_variance(poses)))
+    known, stated = Tolerances(calibrated.theta, free, sd[free]), float(np.sqrt(of_legs + _position_variance(poses)))
     weigh = weigh_poses(calibrated.legs, poses, 0.0)
     return find_leg_slip([Suspect(weigh, known, LegData(poses.actuators), stated)], start)
 

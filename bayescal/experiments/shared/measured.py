@@ -20,7 +20,8 @@ from bayescal.density.legs import LegPosterior
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import Prior
-from bayescal.errors import InputError, name_faults
+from bayescal.errors import InputError
+from bayescal.experiments.shared.study_schema import StudyConfig, name_variant
 from bayescal.inference.target import Target
 from bayescal.machines.kinematics import Machine
 from bayescal.machines.readings import Legs
@@ -112,15 +113,13 @@ class VariantChoice:
 
 
 class Measuring(ABC):
-    """A kind of experiment whose measurements an audit may take in place of a plan."""
+    """A kind of experiment that measures a machine."""
 
     @abstractmethod
-    def measure(self, config: Any, path: Path, choice: VariantChoice, with_model_error: bool) -> MeasuredVariant:
-        """Return a variant of the experiment in a file; InputError where there is none such, or more than one."""
-
-    @abstractmethod
-    def list_variants(self, config: Any) -> dict[str, VariantChoice]:
-        """Return the experiment's variants by their names."""
+    def measure(
+        self, config: StudyConfig, path: Path, names: Sequence[str], with_model_error: bool
+    ) -> dict[str, MeasuredReadings]:
+        """Return variants of the config of a file by their names, which are all there."""
 
 
 class Found(Target, Protocol):
@@ -211,14 +210,6 @@ class MeasuredReadings:
         )
 
 
-class MeasuringReadings(ABC):
-    """A kind of experiment that calibrates a machine of any channels."""
-
-    @abstractmethod
-    def measure_readings(self, config: Any, folder: Path, names: Sequence[str]) -> dict[str, MeasuredReadings]:
-        """Return variants of the experiment by their names, all where none is named; InputError for an unknown one."""
-
-
 def measure_variants(
     experiment: object, config: Any, path: Path, names: Sequence[str], with_model_error: bool = True
 ) -> dict[str, MeasuredReadings]:
@@ -227,18 +218,45 @@ def measure_variants(
     Raises
     ------
     InputError
-        Where it calibrates no machine, or has no such variant.
+        Where it measures no machine, or has no such variant.
     """
-    if isinstance(experiment, MeasuringReadings):
-        with name_faults(path):
-            return experiment.measure_readings(config, path.parent, names)
     if not isinstance(experiment, Measuring):
-        raise InputError(f"{path}: kind: found {config.kind!r}, expected 'study' or 'calibration', with measured data")
-    known = experiment.list_variants(config)
+        raise InputError(f"{path}: kind: found {config.kind!r}, expected 'study', with measured data")
+    known = [one.name for one in config.variants]
     for name in names:
         if name not in known:
             raise InputError(f"{path}: variant {name!r}: unknown here, expected one of {', '.join(known)}")
-    return {name: see_legs(experiment.measure(config, path, known[name], with_model_error)) for name in names or known}
+    return experiment.measure(config, path, names or known, with_model_error)
+
+
+def measure_legs(
+    experiment: object, config: Any, path: Path, choice: VariantChoice, with_model_error: bool
+) -> MeasuredVariant:
+    """Return a variant of a study of whole poses of a machine on legs.
+
+    Raises
+    ------
+    InputError
+        Where it is another experiment, has no such variant, or several share model and deformation and none is named.
+    """
+    if not isinstance(experiment, Measuring):
+        raise InputError(f"{path}: kind: found {config.kind!r}, expected 'study', since an audit's data are a study's")
+    if config.by_tables:
+        raise InputError(f"{path}: data: found tables of readings, expected an instrument's poses: [data]")
+    wanted = name_variant(choice.model, choice.deformation)
+    alike = [one.name for one in config.variants if name_variant(*one.seen) == wanted]
+    if not alike:
+        known = ", ".join(dict.fromkeys(name_variant(*one.seen) for one in config.variants))
+        raise InputError(f"{path}: variants: found no {wanted}, expected one of {known}")
+    named = [one for one in alike if choice.name in (None, one)]
+    names = ", ".join(map(repr, alike))
+    if not named:
+        raise InputError(f"{path}: variants: found no {choice.name!r} of {wanted}, expected {names}")
+    if len(named) > 1:
+        raise InputError(f"{path}: variants: found {wanted} as {names}, expected data.variant with one of these names")
+    (found,) = experiment.measure(config, path, named, with_model_error).values()
+    assert found.legs is not None
+    return found.legs
 
 
 def see_legs(measured: MeasuredVariant) -> MeasuredReadings:

@@ -4,27 +4,25 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import ClassVar
 
-from bayescal.config.sections import ExperimentConfig
+from bayescal.config.sections import ExperimentConfig, InputFile
 from bayescal.experiments.frame.experiment import Experiment
 from bayescal.experiments.frame.load import load
 
 
-class OfAnother[C: ExperimentConfig, I](Experiment[C, I]):
-    """A kind about another experiment.
+class OfAnotherConfig(ExperimentConfig):
+    """What the config of every such kind has."""
 
-    Attributes
-    ----------
-    another : str
-        The key that names its file.
-    """
+    study: InputFile
+    """The study's TOML file."""
 
-    another: ClassVar[str] = "study"
+
+class OfAnother[C: OfAnotherConfig, I](Experiment[C, I]):
+    """A kind about another experiment."""
 
     def files(self, config: C, folder: Path) -> list[str]:
         """Return its own files, that of the other experiment among them, and that one's."""
-        file = getattr(config, self.another)
+        file = config.study
         experiment, other = load(folder / file)
         beside = Path(file).parent
         own = [os.path.normpath(beside / name) for name in experiment.files(other, folder / beside)]
@@ -32,6 +30,6 @@ class OfAnother[C: ExperimentConfig, I](Experiment[C, I]):
 
     def modules(self, config: C, folder: Path) -> dict[str, str]:
         """Return the hashes of others' modules that the other experiment's classes stand in."""
-        path = folder / getattr(config, self.another)
+        path = folder / config.study
         experiment, other = load(path)
         return experiment.modules(other, path.parent)

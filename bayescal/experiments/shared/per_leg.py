@@ -6,12 +6,12 @@ from bayescal.errors import InputError
 from bayescal.limits import WIDTH_BOUNDS
 
 
-def spread_over_legs(value: float | list[float], n: int, symbol: str) -> list[float]:
+def spread_over_legs(value: float | list[float], n: int, symbol: str, field: str = "parameters") -> list[float]:
     """Return one value per leg; InputError for a list of another length."""
     values = value if isinstance(value, list) else [value] * n
     if len(values) != n:
         expected = "1" if n == 1 else f"1 or {n}, one per leg"
-        raise InputError(f"parameters.{symbol}: found {len(values)} values, expected {expected}")
+        raise InputError(f"{field}.{symbol}: found {len(values)} values, expected {expected}")
     return values
 
 

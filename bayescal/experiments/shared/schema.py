@@ -9,9 +9,8 @@ from pydantic import Discriminator, Field, Tag, model_validator
 from bayescal.config.classes import ClassMark, OwnSection
 from bayescal.config.load import OWN
 from bayescal.config.sections import FileMark, Names, NotNegative, Number, Positive, Section
-from bayescal.data.schema import TargetRingConfig
 from bayescal.limits import LARGEST_KAPPA
-from bayescal.machines.schema import PointsConfig
+from bayescal.machines.schema import PointsConfig, TargetRingConfig
 from bayescal.numerics.units import choose_arcseconds
 
 type Axes = Literal["x", "y", "z", "xy", "xz", "yz", "xyz"]

@@ -2,28 +2,42 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import product
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from bayescal.config.load import read_toml
 from bayescal.errors import InputError
 from bayescal.experiments.shared.joints import tabulate_joints
 from bayescal.experiments.shared.machine_scene import build_line_scene, build_scene
-from bayescal.experiments.shared.show_struts import describe_struts
 from bayescal.machines.mechanism import Mechanism
 from bayescal.machines.read import load_mechanism, read_reading_model
-from bayescal.machines.readings import FunctionModel, Legs, SlidingPlatform
+from bayescal.machines.readings import FunctionModel, Legs
 from bayescal.machines.readings.line_machine import AXES, LineMachine
-from bayescal.machines.readings.strut_machine import StrutMachine
+from bayescal.machines.readings.sliding_platform import SlidingPlatform
+from bayescal.machines.readings.strut_machine import N_STRUTS, StrutMachine
 from bayescal.numerics.geometry import Array
-from bayescal.report.blocks import Block, Column, Page, Section, Table, make_table
+from bayescal.report.blocks import Block, Column, Definitions, Page, Section, Table, make_table
 from bayescal.report.numbers import format_plain
 from bayescal.report.scene import Group, Scene, SceneLine, ScenePoint, Triple
 
 KIND = "Machine"
 NOWHERE: Triple = (0.0, 0.0, 0.0)
+REACH = 0.35  # of the drawn arrow of gravity, in units of the largest distance of a joint
+SYMBOLS = (
+    ("a_x, a_y, a_z", "Joint of a strut at the base, base frame."),
+    ("b_x, b_y, b_z", "Joint of a strut on the platform, platform frame."),
+    ("l", "Length of a strut where its actuator q reads zero, without load, at the reference temperature."),
+    ("c", "Compliance of a strut with its joints: how much longer it becomes under a pull of 1 N."),
+    ("g_x, g_y, g_z", "Centre of gravity of what the struts carry, platform frame; the weight W acts there."),
+    ("e_s, e_b, e_p", "Expansion of struts, base and platform by temperature."),
+    ("sag", "Where the base goes between zenith and horizon, with the cosine of the elevation: shift and turn."),
+    ("lift", "The same with one less the sine of the elevation."),
+    ("drift", "Where the base goes by temperature: shift and turn for a kelvin."),
+)
 
 
 def describe_machine(path: Path) -> Page:
@@ -39,22 +53,34 @@ def describe_machine(path: Path) -> Page:
     model = read_reading_model(path)
     if isinstance(model, Legs):
         return _describe_mechanism(model.machine.mechanism)
-    if isinstance(model, SlidingPlatform):
-        return _describe_sliding(model)
+    if isinstance(model, FunctionModel) and isinstance(model.machine, SlidingPlatform):
+        return _describe_sliding(model.machine)
     if isinstance(model, FunctionModel) and isinstance(model.machine, LineMachine):
         return _describe_lines(model.name, model.machine)
     if isinstance(model, FunctionModel) and isinstance(model.machine, StrutMachine):
-        return describe_struts(model.name, model.machine)
+        return _describe_struts(model.name, model.machine)
     raise InputError(
         f"{path}: kind: found a machine of one function, which does not tell where its joints are, expected a "
         "mechanism on legs, struts, a sliding platform or a machine of lines"
     )
 
 
-def _make_page(name: str, headline: str, scene: Scene, tables: tuple[Table, ...]) -> Page:
-    blocks: tuple[Block, ...] = (scene,)
-    sections = (Section("The machine", blocks, "machine"), Section("Joints and legs", tables, "joints", "Joints"))
-    return Page(KIND, name, name, "", headline, (), sections)
+def _make_page(
+    name: str, headline: str, shown: tuple[Block, ...], table: Table, parts: str = "legs", symbols: tuple[str, ...] = ()
+) -> Page:
+    sections = (Section("The machine", shown, "machine"), Section(f"Joints and {parts}", (table,), "joints", "Joints"))
+    return Page(KIND, name, name, "", headline, (), sections, symbols=symbols)
+
+
+def _tabulate(caption: str, columns: Sequence[Column], numbers: Array) -> Table:
+    """Return a table of legs or what else a machine has several of, counted in its first column."""
+    rows = [[str(k), *(format_plain(x) for x in row)] for k, row in enumerate(numbers.tolist(), start=1)]
+    return make_table(caption, columns, rows)
+
+
+def _list_joint_columns(first: str) -> list[Column]:
+    group = ("a, joint at the base, mm", "b, joint on the platform, mm")
+    return [Column(first), *(Column(axis, group=one) for one in group for axis in AXES)]
 
 
 # --- machines on legs --------------------------------------------------------------------------------------------
@@ -68,7 +94,7 @@ def _describe_mechanism(mechanism: Mechanism) -> Page:
     scene = build_scene(tabulate_joints(mechanism, actuators, names))
     if scene is None:
         raise InputError(f"mechanism {mechanism.name!r}: found no home pose, expected legs that reach the platform")
-    return _make_page(mechanism.name, headline, scene, (_tabulate_legs(mechanism),))
+    return _make_page(mechanism.name, headline, (scene,), _tabulate_legs(mechanism))
 
 
 def _choose_poses(mechanism: Mechanism) -> tuple[Array, list[str]]:
@@ -81,16 +107,13 @@ def _choose_poses(mechanism: Mechanism) -> tuple[Array, list[str]]:
 
 
 def _tabulate_legs(mechanism: Mechanism) -> Table:
-    group = {"a": "a, joint at the base, mm", "b": "b, joint on the platform, mm", "u": "u, direction"}
-    columns = [Column("Leg"), *(Column(axis, group=group[s]) for s in ("a", "b") for axis in AXES)]
-    parts = [mechanism.base_points, mechanism.platform_points]
+    columns, parts = _list_joint_columns("Leg"), [mechanism.base_points, mechanism.platform_points]
     if mechanism.drive == "base":
-        columns += [Column(axis, group=group["u"]) for axis in AXES]
+        columns += [Column(axis, group="u, direction") for axis in AXES]
         parts.append(mechanism.directions)
     columns += [Column("l", "mm", symbolic=True), Column("rho0", "mm", symbolic=True)]
     numbers = np.column_stack([*parts, mechanism.leg_lengths, mechanism.initial_actuator_positions])
-    rows = [[str(leg), *(format_plain(x) for x in row)] for leg, row in enumerate(numbers.tolist(), start=1)]
-    return make_table("Joints and legs as designed; b in the platform's frame.", columns, rows)
+    return _tabulate("Joints and legs as designed; b in the platform's frame.", columns, numbers)
 
 
 # --- other machines ----------------------------------------------------------------------------------------------
@@ -104,10 +127,10 @@ def _describe_lines(name: str, machine: LineMachine) -> Page:
     for signs in product((-1.0, 1.0), repeat=3):
         x, y, z = (c.home + sign * c.reach for c, sign in zip(machine.coordinates, signs, strict=True))
         places[f"corner {len(places)}"] = (x, y, z)
-    rows = [[str(k), *(format_plain(x) for x in anchor)] for k, anchor in enumerate(anchors, start=1)]
     columns = [Column("Line"), *(Column(axis, "mm", "A, anchor") for axis in AXES)]
     scene = build_line_scene(anchors, nothing, nothing, places)
-    return _make_page(name, f"A point on {len(anchors)} lines.", scene, (make_table("Anchors.", columns, rows),))
+    table = _tabulate("Anchors.", columns, np.array(anchors))
+    return _make_page(name, f"A point on {len(anchors)} lines.", (scene,), table)
 
 
 def _place(name: str, group: Group, places: Array) -> list[ScenePoint]:
@@ -142,6 +165,53 @@ def _describe_sliding(machine: SlidingPlatform) -> Page:
     columns = [Column("Leg"), Column("x_P", "mm", symbolic=True), Column("y_P", "mm", symbolic=True)]
     columns += [Column("beta", "deg", symbolic=True), Column("l", "mm", symbolic=True)]
     numbers = np.column_stack([machine.guide_points, np.degrees(machine.guide_angles), machine.leg_lengths])
-    rows = [[str(leg), *(format_plain(one) for one in row)] for leg, row in enumerate(numbers.tolist(), start=1)]
-    table = make_table("Guides and legs as designed.", columns, rows)
-    return _make_page(machine.name, f"A planar platform on {n} sliding legs.", scene, (table,))
+    table = _tabulate("Guides and legs as designed.", columns, numbers)
+    return _make_page(machine.name, f"A planar platform on {n} sliding legs.", (scene,), table)
+
+
+# --- struts that gravity bends and temperature stretches ---------------------------------------------------------
+
+
+def _describe_struts(name: str, machine: StrutMachine) -> Page:
+    nominal = {block.symbol: np.array(block.nominal) for block in machine.parameters}
+    base, platform = (np.stack([nominal[f"{s}_{axis}"] for axis in AXES], axis=1) for s in "ab")
+    home = np.array([coordinate.home for coordinate in machine.coordinates[:3]])
+    centre = home + np.array([nominal[f"g_{axis}"][0] for axis in AXES])
+    scene = _draw_struts(machine, base, home + platform, centre)
+    columns = [*_list_joint_columns("Strut"), Column("l", "mm", symbolic=True), Column("c", "nm/N", symbolic=True)]
+    numbers = np.column_stack([base, platform, nominal["l"], nominal["c"]])
+    table = _tabulate("Joints and struts as designed; b in the platform's frame.", columns, numbers)
+    headline = f"{N_STRUTS} struts that change their lengths, bent by their load and stretched by temperature."
+    symbols = ("a_x", "a_y", "a_z", "b_x", "b_y", "b_z", "g_x", "g_y", "g_z", "e_s", "e_b", "e_p")
+    return _make_page(name, headline, (scene, Definitions(SYMBOLS)), table, "struts", symbols)
+
+
+def _draw_struts(machine: StrutMachine, base: Array, upper: Array, centre: Array) -> Scene:
+    """Return joints and struts at home, the centre of gravity, and where gravity points at zenith and horizon."""
+    rows = [
+        {"pose": "home", "joint": joint, "leg": leg, "x_mm": x, "y_mm": y, "z_mm": z}
+        for joint, points in (("base", base), ("platform", upper))
+        for leg, (x, y, z) in enumerate(points.tolist(), start=1)
+    ]
+    scene = build_scene(pd.DataFrame(rows))
+    assert scene is not None  # it has joints
+    length = REACH * float(np.linalg.norm(np.concatenate([base, upper]) - centre, axis=1).max())
+    zenith, horizon = (_triple(centre + length * one / np.linalg.norm(one)) for one in machine.down)
+    n = len(scene.points)
+    points = (
+        *scene.points,
+        ScenePoint("g, centre of gravity", "moved", (_triple(centre),)),
+        ScenePoint("gravity at the zenith", "moved", (zenith,)),
+        ScenePoint("gravity at the horizon", "moved", (horizon,)),
+    )
+    lines = (*scene.lines, SceneLine((n, n + 1), "moved"), SceneLine((n, n + 2), "moved"))
+    labels = (*scene.labels, ("g", (n,)), ("W, zenith", (n + 1,)), ("W, horizon", (n + 2,)))
+    caption = scene.caption.replace("which ρ changes", "which the actuator q changes")
+    caption += " Orange: g, centre of gravity, and where the weight W points at the zenith and at the horizon."
+    alt = f"{scene.alt.rstrip('.')}, the centre of gravity and the weight at zenith and horizon."
+    return Scene(scene.name, caption, alt, points, lines, scene.poses, labels, scene.magnified)
+
+
+def _triple(point: Array) -> Triple:
+    x, y, z = point.tolist()
+    return x, y, z

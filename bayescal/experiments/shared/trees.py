@@ -8,23 +8,19 @@ wants a log-likelihood of every number, takes one channel at a time: ``tree.sel(
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from bayescal.errors import InputError
-from bayescal.experiments.shared.packing import pack_tree
 from bayescal.files.netcdf import read_netcdf
 from bayescal.numerics.geometry import Array
 
 if TYPE_CHECKING:
     import xarray as xr
-
-    from bayescal.experiments.frame.results import Writer
 
 NAME = "readings"
 SAVED_DRAWS = 2000
@@ -161,15 +157,6 @@ def build_tree(
     tree = xr.DataTree.from_dict(found)
     tree.attrs = attributes
     return tree
-
-
-def write_tree(build: Callable[[], xr.DataTree]) -> Writer:
-    """Return what builds a tree and writes it as netCDF: it is in memory no longer than that."""
-    return partial(_write, build)
-
-
-def _write(build: Callable[[], xr.DataTree], path: Path) -> None:
-    write_packed(pack_tree(build()), path)
 
 
 def write_packed(packed: np.ndarray, path: Path) -> None:

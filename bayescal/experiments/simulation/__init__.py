@@ -1,1 +1,1 @@
-"""Simulated photogrammetry of a machine whose truth is known."""
+"""Simulated measurements of a machine whose truth is known."""

@@ -1,71 +1,94 @@
-"""Simulated measurements as a kind of experiment."""
+"""Simulated measurements as a kind of experiment: data files of a machine whose truth is known, and a page of it."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
-from bayescal.data.instruments.simulate import count_stations, simulate_readings, true_frames
-from bayescal.data.schema import SimulationConfig
-from bayescal.data.simulation import Twin, build_twin, format_survey, format_truth, name_poses, survey_twin
+from bayescal.data.truth import round_as_written
+from bayescal.experiments.frame.memory import Need, estimate_arrays
+from bayescal.experiments.frame.parallel import Run
+from bayescal.experiments.frame.results import Results
 from bayescal.experiments.shared.look import look_at_machine
-from bayescal.experiments.shared.simulated_data import Simulated, SimulatedData, tabulate_truth
-from bayescal.machines.frames import frame_blocks
-from bayescal.numerics.geometry import DEGREES_OF_FREEDOM
+from bayescal.experiments.shared.readings.machine_kind import MachineExperiment
+from bayescal.experiments.simulation.instruments import InstrumentPlan, plan_instrument
+from bayescal.experiments.simulation.readings import ReadingPlan, plan_readings
+from bayescal.experiments.simulation.schema import SimulationConfig
+from bayescal.machines.parameters import ParameterLayout
+from bayescal.numerics.geometry import Array
+from bayescal.report.blocks import Column, Page, Section, Statement, make_table
+from bayescal.report.numbers import format_count, format_fixed
+
+KIND = "Simulation"
+TEXT = 30
+"""Doubles that a simulated number takes, with the text of its line."""
+
+type Plan = InstrumentPlan | ReadingPlan
 
 
-@dataclass(frozen=True, eq=False)
-class PlacedTwin:
-    """A twin, and the folder where its config's file names start."""
-
-    twin: Twin
-    folder: Path
-
-
-class Simulation(SimulatedData[SimulationConfig, PlacedTwin]):
-    """Targets, or an instrument's readings, and the actuator positions of a twin."""
+class Simulation(MachineExperiment[SimulationConfig, Plan]):
+    """Readings of any machine, or what an instrument sees of a platform on legs, with the truth beside them."""
 
     schema = SimulationConfig
+    digits = 12
 
-    def read(self, config: SimulationConfig, folder: Path) -> PlacedTwin:
-        """Return the twin."""
-        if config.instrument is not None:
-            true_frames(config.instrument, count_stations(config.instrument, folder))
-        return PlacedTwin(build_twin(config, folder), folder)
+    def machines(self, config: SimulationConfig) -> list[str]:
+        """Return the machine's file."""
+        return [config.machine]
 
-    def count(self, inputs: PlacedTwin) -> tuple[int, int]:
-        """Return the number of poses, and how many coordinates of targets or of the platform are seen at each."""
-        twin, targets = inputs.twin, inputs.twin.config.targets
-        n_poses, n_legs = len(twin.calibration) + len(twin.verification), twin.machine.mechanism.n_legs
-        if targets is None:
-            return n_poses, n_legs * DEGREES_OF_FREEDOM
-        n_targets = sum(ring.count for ring in (*targets.base, *targets.platform)) + n_legs * targets.per_pad
-        return n_poses, n_legs + 3 * n_targets
+    def read(self, config: SimulationConfig, folder: Path) -> Plan:
+        """Return the machine, its truth, its noise and where it is measured."""
+        return plan_instrument(config, folder) if config.sees_platform else plan_readings(config, folder)
 
     def list_file_faults(self, content: Mapping[str, Any], folder: Path) -> list[str]:
         """Return what is wrong with the machine's file by itself."""
         return look_at_machine(content, folder)[1]
 
-    def seed(self, inputs: PlacedTwin) -> int:
-        """Return the config's seed."""
-        return inputs.twin.config.seed
+    def estimate_memory(self, inputs: Plan) -> Need:
+        """Return what the data and their texts take."""
+        n_poses, each = inputs.n_poses, inputs.width
+        counts = {"poses": n_poses, "readings of each": each}
+        return estimate_arrays(counts, [(TEXT, n_poses, each)], "fewer poses or targets")
 
-    def simulate(self, inputs: PlacedTwin, rng: np.random.Generator) -> Simulated:
-        """Return the files of the survey or of the instrument, true parameters and true poses."""
-        twin, layout = inputs.twin, inputs.twin.machine.layout
-        config, theta = twin.config, twin.theta
-        if config.instrument is None:
-            survey, poses = survey_twin(twin, rng)
-            files = format_survey(survey, config.origin)
-        else:
-            files, poses = simulate_readings(twin, config.instrument, inputs.folder, rng)
-            n_stations = count_stations(config.instrument, inputs.folder)
-            layout = layout.extend(frame_blocks(n_stations))
-            theta = np.concatenate([theta, true_frames(config.instrument, n_stations)])
-        truth = tabulate_truth(layout.names, layout.units, layout.nominal, theta)
-        files |= format_truth(twin, name_poses(twin)[0], poses)
-        return Simulated(files, truth, config.origin, len(twin.calibration), len(twin.verification))
+    def compute(self, inputs: Plan, run: Run) -> Results:
+        """Return the data files and the truth."""
+        del run
+        config, rng = inputs.config, np.random.default_rng(inputs.config.seed)
+        files, theta = inputs.simulate(rng)
+        count = {"calibration": inputs.n_poses - inputs.n_held_back, "verification": inputs.n_held_back}
+        summary = {"data_origin": config.origin.text, "n_poses": count, "files": list(files)}
+        return Results(summary, {"truth": _tabulate(inputs.layout, theta)}, files)
+
+    def page(self, results: Results) -> Page:
+        """Return the page: what was simulated, and the truth."""
+        count, provenance = results.summary["n_poses"], results.provenance
+        poses = f"{count['calibration']} poses for calibration and {count['verification']} for verification"
+        columns = [Column("Parameter", kind="name"), Column("Unit", kind="text"), Column("Nominal"), Column("True")]
+        rows = [
+            [str(row["parameter"]), str(row["unit"]), format_fixed(row["nominal"], 6), format_fixed(row["true"], 6)]
+            for row in results.table("truth").to_dict("records")
+        ]
+        files = ", ".join(results.summary["files"])
+        return Page(
+            KIND,
+            str(provenance.get("name", "")),
+            str(provenance.get("title", "")),
+            results.summary["data_origin"],
+            f"{poses} were simulated; nothing was measured.",
+            (Statement(f"{format_count(len(rows))} parameters are off their nominal values.", lead="Truth"),),
+            (
+                Section("Files", (f"The data are in {files}.",)),
+                Section("Truth", (make_table("Parameters that are off their nominal values.", columns, rows),)),
+            ),
+        )
+
+
+def _tabulate(layout: ParameterLayout, true: Array) -> pd.DataFrame:
+    """Return the parameters that are off their nominal values, as far as files of the truth have digits."""
+    columns = {"parameter": layout.names, "unit": layout.units, "nominal": layout.nominal, "true": true}
+    table = pd.DataFrame(columns)
+    return table[round_as_written(layout.nominal) != true].reset_index(drop=True)

@@ -27,10 +27,11 @@ from bayescal.density.schema import FixedConfig
 from bayescal.errors import InputError
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.shared.calibrating import KEPT, read_draws_of
+from bayescal.experiments.shared.origin import name_origin
 from bayescal.experiments.shared.per_leg import spread_over_legs
+from bayescal.experiments.shared.study_schema import StudyConfig, VariantConfig, stem_of
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.load import load_inputs
-from bayescal.experiments.study.schema import StudyConfig, VariantConfig, stem_of
 from bayescal.files.csv_tables import read_matrix
 from bayescal.machines.deformations import NominalDeformation
 from bayescal.machines.kinematics import Machine
@@ -62,7 +63,8 @@ def describe_nominal(inputs: StudyInputs) -> dict[str, str]:
 
 def _list_own(variant: VariantConfig, folder: Path) -> list[str]:
     """Return the files of a variant's own classes, as far as they lie in the study's folder."""
-    found = [*list_sources("MODELS", variant.model, folder), *list_sources("DEFORMATIONS", variant.deformation, folder)]
+    named = zip(("MODELS", "DEFORMATIONS"), variant.seen, strict=True)
+    found = [one for what, name in named for one in list_sources(what, name, folder)]
     return [one for one in found if (folder / one).resolve().is_relative_to(folder.resolve())]
 
 
@@ -92,8 +94,8 @@ def calibrate_study(
     theta = _fix(config, machine.layout)
     _set_named(theta, machine.layout, {name: one["mean"] for name, one in fit["parameters"].items()})
     variance = _find_model_variance(fit["parameters"], machine)
-    errors = build_leg_errors(machine, theta, config.data.actuator_noise_um * MICROMETRE, variance, covariance)
-    source = Source(config.name, name, config.data.origin, tuple(fit["problems"]))
+    errors = build_leg_errors(machine, theta, config.measured.actuator_noise_um * MICROMETRE, variance, covariance)
+    source = Source(config.name, name, name_origin(config.origin.model_dump()), tuple(fit["problems"]))
     draws = _read_draws(results, name, machine.layout, theta)
     return build_calibrated_legs(machine, theta, draws, errors, source, _read_measured(results, machine))
 
@@ -122,7 +124,7 @@ def _read_nominal(
             f"{folder / MECHANISM}: no such file, expected the nominal machine, which earlier versions did not write; "
             "name the study's config: --experiment STUDY.toml"
         )
-    for what, name in (("MODELS", variant.model), ("DEFORMATIONS", variant.deformation)):
+    for what, name in zip(("MODELS", "DEFORMATIONS"), variant.seen, strict=True):
         if name not in list_references(what):
             file = name.partition(":")[0]
             if not (folder / file).is_file():
@@ -136,8 +138,7 @@ def _read_nominal(
     nominal = NominalDeformation(
         config.deformation.kappa, lambda: PER_MILLE * read_matrix(folder / MATRIX, mechanism.n_legs)
     )
-    names = (variant.model, variant.deformation)
-    machine = build_named_machine(mechanism, folder / MECHANISM, *names, nominal, "variants", folder)
+    machine = build_named_machine(mechanism, folder / MECHANISM, *variant.seen, nominal, "variants", folder)
     if not (machine.deformation.uses_matrix and (folder / MATRIX_COVARIANCE).is_file()):
         return machine, None
     return machine, read_matrix_covariance(folder / MATRIX_COVARIANCE, mechanism.n_legs)

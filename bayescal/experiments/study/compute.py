@@ -14,8 +14,10 @@ from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results, Writer
 from bayescal.experiments.shared.estimate import TREE, Fit
 from bayescal.experiments.shared.joints import tabulate_joints
+from bayescal.experiments.shared.origin import name_origin
 from bayescal.experiments.shared.prior_widths import WidthTask, begin_widths, tabulate_widths, weigh_widths
 from bayescal.experiments.shared.stacking import compare_variants
+from bayescal.experiments.shared.study_schema import StudyConfig
 from bayescal.experiments.shared.trees import write_packed
 from bayescal.experiments.study.calibrated import describe_nominal
 from bayescal.experiments.study.claims import Claims
@@ -24,7 +26,6 @@ from bayescal.experiments.study.fit import Legs, Task, list_tasks, run_task
 from bayescal.experiments.study.held_out import describe_stacking, tabulate_left_out
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.kernels import has_kernels
-from bayescal.experiments.study.schema import StudyConfig
 from bayescal.experiments.study.structured_table import tabulate_structured
 from bayescal.experiments.study.summary import rank_variants, summarise_fit
 from bayescal.experiments.study.tables import (
@@ -129,11 +130,11 @@ def _summarise(inputs: StudyInputs, posteriors: dict[Task, Fit]) -> tuple[dict[s
         else:
             variants[task.variant]["without_model_error"] = found
     config, held = inputs.config, inputs.verification
-    models = {label_class(variant.model): inputs.machine(variant).model.title for variant in config.variants}
+    models = {label_class(variant.seen[0]): inputs.machine(variant).model.title for variant in config.variants}
     summary = {
         "experiment": config.name,
         "title": config.title,
-        "data_origin": config.data.origin,
+        "data_origin": name_origin(config.origin.model_dump()),
         "seed": config.seed,
         "models": models,
         "drive": inputs.mechanism.drive,
@@ -151,7 +152,7 @@ def _summarise(inputs: StudyInputs, posteriors: dict[Task, Fit]) -> tuple[dict[s
 
 def _describe_held(inputs: StudyInputs) -> dict[str, dict[str, list[str]]]:
     """Return which dimensions of each variant's model no variant frees; nothing where all are free somewhere."""
-    free = {symbol for variant in inputs.config.variants for symbol in variant.free}
+    free = {symbol for variant in inputs.config.variants for symbol in inputs.free(variant)}
     held = {
         variant.name: [one for one in list_dimensions(inputs.machine(variant).layout) if one not in free]
         for variant in inputs.config.variants
@@ -187,7 +188,7 @@ def _stack(inputs: StudyInputs, posteriors: dict[Task, Fit]) -> dict[str, Any]:
 def _describe_names(config: StudyConfig) -> dict[str, dict[str, dict[str, str]]]:
     """Return model and deformation of the variants with names of their own, which do not say them."""
     named = {
-        variant.name: {"model": label_class(variant.model), "deformation": label_class(variant.deformation)}
+        variant.name: dict(zip(("model", "deformation"), map(label_class, variant.seen), strict=True))
         for variant in config.variants
         if variant.has_own_name
     }

@@ -8,12 +8,12 @@ import numpy as np
 
 from bayescal.density.instruments import InstrumentLikelihood
 from bayescal.density.likelihood import Likelihood
-from bayescal.experiments.shared.leg_slips import LegData, Suspect, find_leg_slip, weigh_poses
+from bayescal.experiments.shared.leg_slips import LegData, Suspect, Tolerances, find_leg_slip, weigh_poses
 from bayescal.experiments.shared.outlook import join_outlooks, tell_outlook
 from bayescal.experiments.shared.slips import FoundSlip
+from bayescal.experiments.shared.study_schema import VariantConfig
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.measurement import InstrumentMeasurement
-from bayescal.experiments.study.schema import VariantConfig
 from bayescal.machines.kinematics import Machine, solve_forward_kinematics
 from bayescal.machines.mechanism import Mechanism
 from bayescal.numerics.geometry import Array
@@ -35,7 +35,7 @@ def list_outlooks(inputs: StudyInputs) -> list[str]:
         posterior = inputs.posterior(variant, with_model_error=False)
         likelihood, known = posterior.likelihood, posterior.sampling.coordinates
         errors, slope = likelihood.error_jacobian(known.start)
-        tau = np.full(likelihood.n_model_errors, inputs.config.model_error.scale_um * MICROMETRE)
+        tau = np.full(likelihood.n_model_errors, inputs.config.leg_error.scale_um * MICROMETRE)
         white = np.linalg.inv(np.linalg.cholesky(likelihood.error_covariance(tau)))
         rows = white @ slope[..., known.free] * known.scale
         names, counted = posterior.names[: posterior.n_geometry], np.count_nonzero(errors)
@@ -54,7 +54,7 @@ def find_study_slip(inputs: StudyInputs) -> FoundSlip | None:
 def _suspect(inputs: StudyInputs, variant: VariantConfig, stated: float) -> Suspect:
     """Return a variant's density of all poses, calibration and verification in the order of the table."""
     machine, measured = inputs.machine(variant), inputs.measured
-    noise = inputs.config.data.actuator_noise_um * MICROMETRE
+    noise = inputs.config.measured.actuator_noise_um * MICROMETRE
     likelihood_of = weigh_poses(machine, measured.poses, noise)
     if isinstance(measured, InstrumentMeasurement) and not measured.has_poses:
         instrument = measured.instrument
@@ -64,8 +64,9 @@ def _suspect(inputs: StudyInputs, variant: VariantConfig, stated: float) -> Susp
 
     # those of targets have no form of their own
     stated_poses = measured.poses if isinstance(measured, InstrumentMeasurement) and measured.has_poses else None
-    coordinates = inputs.posterior(variant, with_model_error=False).sampling.coordinates
-    return Suspect(likelihood_of, coordinates, LegData(measured.actuators, stated_poses), stated)
+    known = inputs.posterior(variant, with_model_error=False).sampling.coordinates
+    tolerances = Tolerances(known.start, known.free, known.scale)
+    return Suspect(likelihood_of, tolerances, LegData(measured.actuators, stated_poses), stated)
 
 
 def _without_measured_matrix(inputs: StudyInputs, variant: VariantConfig) -> VariantConfig:
@@ -74,7 +75,7 @@ def _without_measured_matrix(inputs: StudyInputs, variant: VariantConfig) -> Var
         return variant
     rigid = variant.model_copy(update={"deformation": "none"})
     known = {block.symbol for block in inputs.machine(rigid).layout.blocks}
-    return rigid.model_copy(update={"free": [symbol for symbol in variant.free if symbol in known]})
+    return rigid.model_copy(update={"free": [symbol for symbol in inputs.free(variant) if symbol in known]})
 
 
 def _state_error(inputs: StudyInputs) -> float:
@@ -82,7 +83,7 @@ def _state_error(inputs: StudyInputs) -> float:
     config = inputs.config
     variance = np.diagonal(inputs.measured.poses.covariance, axis1=1, axis2=2)[:, :3]
     position = float(np.nanmean(variance)) if np.isfinite(variance).any() else 0.0
-    others = MICROMETRE * np.array([config.model_error.scale_um, config.data.actuator_noise_um])
+    others = MICROMETRE * np.array([config.leg_error.scale_um, config.measured.actuator_noise_um])
     return float(np.sqrt(position + np.sum(others**2)))
 
 

@@ -14,11 +14,11 @@ from bayescal.density.prediction import Prediction
 from bayescal.experiments.shared.chi_square import ChiSquare
 from bayescal.experiments.shared.estimate import Arrays, Fit, Subject, fit_posterior
 from bayescal.experiments.shared.soundness import find_misfit
+from bayescal.experiments.shared.study_schema import stem_of
 from bayescal.experiments.shared.trees import SAVED_DRAWS, limit_draws, spread
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.pointwise import SomeDraws, evaluate_poses
 from bayescal.experiments.study.replicates import replicate_prior
-from bayescal.experiments.study.schema import stem_of
 from bayescal.experiments.study.structured import evaluate_structured
 from bayescal.inference.correction import CostlyDensity, pull_back
 from bayescal.inference.exploration import Exploration
@@ -108,7 +108,7 @@ class Legs(Subject):
         legs, clean = cast("LegPosterior", posterior), None
         if legs.likelihood.structured is not None:
             return find_misfit(legs, mode, legs.likelihood).chi_square
-        if legs.errors.outliers is not None:
+        if legs.errors.outliers.expected:
             at = legs.theta(mode[None]), legs.errors, legs.zeta(mode[None])
             clean = legs.likelihood.outlier_probabilities(*at)[0] < BLUNDER
         return find_misfit(legs, mode, *self.inputs.without_shared_errors(self.task.variant), clean).chi_square

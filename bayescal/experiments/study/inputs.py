@@ -10,19 +10,19 @@ import numpy as np
 
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.data.photogrammetry.joint_deflection import JointDeflection, KappaEstimate, MatrixEstimate
-from bayescal.density.errors import LegTerm, ModelError, Outliers
+from bayescal.density.errors import LegTerm, ModelError
 from bayescal.density.exact import CommonErrors, ExactDensity
 from bayescal.density.legs import LegPosterior, build_leg_posterior
 from bayescal.density.likelihood import Likelihood
 from bayescal.density.model_error import INDEPENDENT
-from bayescal.density.priors import NormalPrior, Prior, SharePrior, UniformPrior
-from bayescal.density.schema import FixedConfig, NormalConfig
+from bayescal.density.outliers import NORMAL, Contaminated
+from bayescal.density.priors import Prior, SharePrior
 from bayescal.errors import InputError
-from bayescal.experiments.shared.per_leg import spread_over_legs, spread_widths
+from bayescal.experiments.shared.readings.priors import choose_priors, widen
+from bayescal.experiments.shared.study_schema import StudyConfig, TargetDataConfig, VariantConfig
 from bayescal.experiments.study.kernels import give_kernel, name_kernel
 from bayescal.experiments.study.measurement import Measurement, TargetMeasurement
 from bayescal.experiments.study.pads import Pads, measure_pads
-from bayescal.experiments.study.schema import StudyConfig, TargetDataConfig, VariantConfig
 from bayescal.files.csv_tables import read_matrix
 from bayescal.machines.deformations import NominalDeformation
 from bayescal.machines.kinematics import Machine
@@ -70,8 +70,8 @@ class StudyInputs:
     @property
     def target_noise(self) -> float:
         """Standard deviation of a target coordinate, mm."""
-        assert isinstance(self.config.data, TargetDataConfig)
-        return self.config.data.target_noise_um * MICROMETRE
+        assert isinstance(self.config.measured, TargetDataConfig)
+        return self.config.measured.target_noise_um * MICROMETRE
 
     @property
     def displacement(self) -> Array:
@@ -119,7 +119,7 @@ class StudyInputs:
     def machine(self, variant: VariantConfig) -> Machine:
         """Return the mechanism seen through a variant."""
         nominal = NominalDeformation(self.config.deformation.kappa, lambda: self.matrix)
-        file, names = self.folder / self.config.mechanism, (variant.model, variant.deformation)
+        file, names = self.folder / self.config.machine, variant.seen
         return build_named_machine(self.mechanism, file, *names, nominal, "variants", self.folder)
 
     @property
@@ -133,7 +133,7 @@ class StudyInputs:
         if not self.matrix_from_targets:
             return 1e-3 * read_matrix(self.folder / self.config.deformation.matrix, self.mechanism.n_legs)
         if self.measured_matrix is None:
-            data = self.config.data
+            data = self.config.measured
             where = self.folder / data.reference if isinstance(data, TargetDataConfig) else "deformation.matrix"
             raise InputError(
                 f"{where}: found no target on a leg's pad, expected some, since deformation.matrix is 'targets'"
@@ -142,7 +142,7 @@ class StudyInputs:
 
     def likelihood(self, variant: VariantConfig, verification: bool) -> Likelihood:
         """Return the density of the measurements of one use under a variant."""
-        noise = self.config.data.actuator_noise_um * MICROMETRE
+        noise = self.config.measured.actuator_noise_um * MICROMETRE
         extra = self.matrix_variance(variant, verification)
         return self.measured.likelihood(self.machine(variant), verification, noise, extra)
 
@@ -152,9 +152,9 @@ class StudyInputs:
         None where these are not measured, and where they may be blunders: to these it hardly matters.
         """
         poses, structured = posterior.likelihood.of_poses, posterior.likelihood.structured
-        if poses is None or posterior.errors.outliers is not None:
+        if poses is None or posterior.errors.outliers.expected:
             return None
-        noise = self.config.data.actuator_noise_um * MICROMETRE
+        noise = self.config.measured.actuator_noise_um * MICROMETRE
         return ExactDensity(poses, noise, self.matrix_errors(variant, verification=False), structured=structured)
 
     def matrix_variance(self, variant: VariantConfig, verification: bool) -> Array | None:
@@ -183,7 +183,7 @@ class StudyInputs:
         shape (P, N, N²); None where K is none, or known.
         """
         variant = self.variant(name)
-        noise = self.config.data.actuator_noise_um * MICROMETRE
+        noise = self.config.measured.actuator_noise_um * MICROMETRE
         likelihood = self.measured.likelihood(self.machine(variant), False, noise, None)
         if self.matrix_variance(variant, verification=False) is None:
             return likelihood, None
@@ -195,13 +195,13 @@ class StudyInputs:
         priors, fixed = self.priors(variant, factor)
         error = ModelError(None)
         if with_model_error:
-            scale = self.config.model_error.scale_um * MICROMETRE
-            error = ModelError(scale, shared=not self.config.model_error.per_leg)
+            scale = self.config.leg_error.scale_um * MICROMETRE
+            error = ModelError(scale, shared=not self.config.leg_error.per_leg)
         likelihood, terms = self.likelihood(variant, verification=False), list[LegTerm]()
         if with_model_error and name_kernel(self.config, variant) != INDEPENDENT:
             likelihood, terms = give_kernel(likelihood, self.config, variant, self.mechanism.actuator_range)
         blunders = self.config.blunders
-        outliers = None if blunders is None else Outliers(SharePrior(blunders.expected_share))
+        outliers = NORMAL if blunders is None else Contaminated(SharePrior(blunders.expected_share))
         return build_leg_posterior(likelihood, priors, error, fixed, terms, outliers)
 
     def priors(self, variant: VariantConfig, factor: float = 1.0) -> tuple[dict[str, Prior], dict[str, float]]:
@@ -210,22 +210,13 @@ class StudyInputs:
         A ``factor`` multiplies the width of every prior: the standard deviation of a normal, the half width of a
         uniform one.
         """
-        priors: dict[str, Prior] = {}
-        fixed: dict[str, float] = {}
-        blocks = {block.symbol: block for block in self.machine(variant).layout.blocks}
-        for symbol, config in self.config.parameters.items():
-            if symbol not in blocks:
-                if symbol in variant.free:
-                    raise InputError(f"found {symbol!r} free, expected one of {', '.join(blocks)}")
-                continue
-            block = blocks[symbol]
-            if isinstance(config, FixedConfig):
-                offsets = spread_over_legs(config.offset, len(block.nominal), symbol)
-                fixed |= {n: v + o for n, v, o in zip(block.names, block.nominal, offsets, strict=True)}
-            elif symbol in variant.free:
-                widths = config.sd if isinstance(config, NormalConfig) else config.half_width
-                spread = [factor * width for width in spread_widths(widths, len(block.nominal), symbol, block.unit)]
-                normal = isinstance(config, NormalConfig)
-                for name, value, width in zip(block.names, block.nominal, spread, strict=True):
-                    priors[name] = NormalPrior(value, width) if normal else UniformPrior(value - width, value + width)
+        layout, others = self.machine(variant).layout, self.config.parameters
+        known, fixed, _ = choose_priors(self.config, variant, layout, others)
+        priors = {name: one if factor == 1.0 else widen(one, factor) for name, one in known.items()}
         return priors | self.measured.frame_priors(factor), fixed
+
+    def free(self, variant: VariantConfig) -> tuple[str, ...]:
+        """Return the symbols of a variant's free parameters."""
+        known = {name.partition("[")[0] for name in self.priors(variant)[0]}
+        stated = dict.fromkeys(name.partition("[")[0] for name in self.config.list_free(variant))
+        return tuple(symbol for symbol in stated if symbol in known)

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 from bayescal.density.batches import BATCH
 from bayescal.density.errors import KernelLength, KernelScale, LegTerm
-from bayescal.density.free_length import FreeLengthLikelihood, count_nodes
 from bayescal.density.likelihood import Likelihood
 from bayescal.density.model_error import INDEPENDENT, build_kernel
-from bayescal.density.structured import StructuredLikelihood
+from bayescal.density.structured import StructuredLikelihood, count_nodes
 from bayescal.errors import InputError
 from bayescal.experiments.frame.memory import check_arrays
-from bayescal.experiments.study.schema import StudyConfig, VariantConfig
+from bayescal.experiments.shared.study_schema import StudyConfig, VariantConfig
 from bayescal.numerics.units import MICROMETRE
 
 
 def name_kernel(config: StudyConfig, variant: VariantConfig) -> str:
     """Return the kernel of a variant's model error: its own, or that of all."""
-    return config.model_error.name_for(variant)
+    return config.leg_error.name_for(variant)
 
 
 def has_kernels(config: StudyConfig) -> bool:
@@ -34,7 +33,7 @@ def give_kernel(
     InputError
         Beside blunders, for measurements that are not whole poses, and for more poses than there is memory for.
     """
-    kernel, lengths, error = name_kernel(config, variant), config.model_error.lengths_for(variant), config.model_error
+    kernel, lengths, error = name_kernel(config, variant), config.leg_error.lengths_for(variant), config.leg_error
     if config.blunders is not None:
         raise InputError(
             f"blunders: found them beside kernel {kernel!r}, by which poses depend on each "
@@ -47,10 +46,13 @@ def give_kernel(
             f"expected whole poses in known frames, or kernel {INDEPENDENT!r}"
         )
     _check_kernel(poses.n_poses, poses.n_legs, lengths is not None)
-    scale = KernelScale(error.kernel_scale_um * MICROMETRE, error.kernel_spread, not error.kernel_per_leg)
+    terms: list[LegTerm] = [
+        KernelScale(error.kernel_scale_um * MICROMETRE, error.kernel_spread, not error.kernel_per_leg)
+    ]
     if lengths is not None:
-        return FreeLengthLikelihood(poses, kernel, lengths, travel), [scale, KernelLength(lengths)]
-    return StructuredLikelihood(poses, build_kernel(kernel, error.length_for(variant)), travel), [scale]
+        terms.append(KernelLength(lengths))
+    found = build_kernel(kernel, error.length_for(variant))
+    return StructuredLikelihood(poses, found, travel, lengths), terms
 
 
 def _check_kernel(n_poses: int, n_legs: int, free_length: bool) -> None:

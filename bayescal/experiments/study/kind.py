@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,156 +11,93 @@ import pandas as pd
 from rich.console import Console
 
 from bayescal.calibrated.machine import CalibratedMachine
-from bayescal.config.classes import label_class
-from bayescal.config.registry import find_class
-from bayescal.density.legs import LegPosterior
 from bayescal.errors import InputError
-from bayescal.experiments.frame.experiment import Experiment
 from bayescal.experiments.frame.memory import Need
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
-from bayescal.experiments.frame.terminal import print_text
 from bayescal.experiments.shared.calibrating import Calibrating, load_same
-from bayescal.experiments.shared.measured import MeasuredVariant, Measuring, VariantChoice
-from bayescal.experiments.study.claims import Claims
+from bayescal.experiments.shared.measured import MeasuredReadings, Measuring
+from bayescal.experiments.shared.readings.inputs import ReadingInputs, list_machines
+from bayescal.experiments.shared.readings.machine_kind import MachineExperiment
+from bayescal.experiments.shared.study_schema import StudyConfig
+from bayescal.experiments.study.by_instrument import ByInstrument
+from bayescal.experiments.study.by_tables import ByTables
 from bayescal.experiments.study.inputs import StudyInputs
-from bayescal.experiments.study.load import load_inputs
 from bayescal.experiments.study.look import list_file_faults
-from bayescal.experiments.study.memory import estimate_study
-from bayescal.experiments.study.schema import StudyConfig, VariantConfig, name_variant
-from bayescal.experiments.study.terminal import show_comparison, show_doubts, show_ranking
-from bayescal.numerics.units import MICROMETRE
+from bayescal.experiments.study.route import Route
+from bayescal.experiments.study.terminal import show_comparison
 from bayescal.report.blocks import Page
 
-
-@dataclass(frozen=True, eq=False)
-class StudyTask:
-    """A study's inputs, and the claims of a publication on it."""
-
-    inputs: StudyInputs
-    claims: Claims | None
+type Inputs = StudyInputs | ReadingInputs
 
 
-class Study(Experiment[StudyConfig, StudyTask], Measuring, Calibrating):
-    """A machine calibrated from measured poses: variants ranked by evidence and by prediction."""
+def route_of(data: object) -> Route:
+    """Return how data are computed with: tables of readings, or an instrument's poses."""
+    return ByTables() if isinstance(data, list) else ByInstrument()
+
+
+class Study(MachineExperiment[StudyConfig, Inputs], Measuring, Calibrating):
+    """A machine calibrated from what was measured of it: variants ranked by evidence and by prediction."""
 
     schema = StudyConfig
     tables_in = "tables"
+    tables_of_machine = ("parameters", "errors")
     imports = ("bayescal.experiments.study.compute", "arviz_stats", "emcee")
     page_imports = ("bayescal.report.canvas", "bayescal.experiments.study.page.build")
 
-    def read(self, config: StudyConfig, folder: Path) -> StudyTask:
+    def machines(self, config: StudyConfig) -> list[str]:
+        """Return the files of the machine, those of single variants too."""
+        return list_machines(config)
+
+    def read(self, config: StudyConfig, folder: Path) -> Inputs:
         """Return everything the study computes with."""
-        claims = None
-        if config.claims is not None:
-            kind: type[Claims] = Claims  # type: ignore[type-abstract]  # only subclasses of it are found
-            claims = find_class("CLAIMS", config.claims, kind, "claims", folder, folder)()
-        inputs = load_inputs(config, folder)
-        if claims is not None and inputs.targets is None:
-            raise InputError(f"{folder}: claims: found {config.claims!r} without targets, expected measured targets")
-        return StudyTask(inputs, claims)
+        found: Inputs = route_of(config.data).read(config, folder)
+        return found
 
     def list_file_faults(self, content: Mapping[str, Any], folder: Path) -> list[str]:
         """Return what is wrong with the machine and each table by itself."""
-        return list_file_faults(content, folder)
+        return [] if isinstance(content.get("data"), list) else list_file_faults(content, folder)
 
-    def config_of(self, results: Results) -> StudyConfig:
-        """Return the config that results were made with; a variant's name with a slash is none of its own."""
-        variants = [
-            {key: value for key, value in variant.items() if not (key == "name" and "/" in value)}
-            for variant in results.config.get("variants", [])
-        ]
-        provenance = {**results.provenance, "config": {**results.config, "variants": variants}}
-        return super().config_of(replace(results, provenance=provenance))
+    def estimate_memory(self, inputs: Inputs) -> Need:
+        """Return what the posteriors take."""
+        return route_of(inputs.config.data).estimate_memory(inputs)
 
-    def estimate_memory(self, inputs: StudyTask) -> Need:
-        """Return what the posteriors of all poses take."""
-        return estimate_study(inputs.inputs)
+    def outlook(self, inputs: Inputs) -> list[str]:
+        """Return what the data can determine of each variant."""
+        return route_of(inputs.config.data).outlook(inputs)
 
-    def outlook(self, inputs: StudyTask) -> list[str]:
-        """Return what each variant's poses can determine."""
-        from bayescal.experiments.study.doubts import list_outlooks
-
-        return list_outlooks(inputs.inputs)
-
-    def doubt(self, inputs: StudyTask) -> list[str]:
+    def doubt(self, inputs: Inputs) -> list[str]:
         """Return what may have happened to data that no machine explains, or only one within wide tolerances."""
-        from bayescal.experiments.study.doubts import doubt_zero, find_study_slip
+        return route_of(inputs.config.data).doubt(inputs)
 
-        slip = find_study_slip(inputs.inputs)
-        return doubt_zero(inputs.inputs) if slip is None else [slip.say()]
-
-    def compute(self, inputs: StudyTask, run: Run) -> Results:
+    def compute(self, inputs: Inputs, run: Run) -> Results:
         """Return posteriors, evidence and predictions of all variants."""
-        from bayescal.experiments.study.compute import compute_study  # seconds to import, as its inputs are read first
-
-        return compute_study(inputs.inputs, inputs.claims, run)
+        return route_of(inputs.config.data).compute(inputs, run)
 
     def page(self, results: Results) -> Page:
         """Return the page."""
-        from bayescal.experiments.study.page.build import build_page  # a second to import, while workers compute
-
-        return build_page(results)
+        return route_of(results.config.get("data")).page(results)
 
     def show(self, results: Results, page: Page, console: Console) -> None:
         """Print what to use, the ranking, and what contradicts the stated noise and tolerances."""
-        print_text(console, page.headline)
-        show_ranking(results.summary, console)
-        show_doubts(page.verdict, console)
+        route_of(results.config.get("data")).show(results, page, console)
 
     def list_failures(self, results: Results) -> list[str]:
-        """Return whether a posterior, with or without model error, did not converge."""
-        variants = results.summary["variants"].values()
-        fine = all(v["converged"] and v["without_model_error"]["converged"] for v in variants)
-        return [] if fine else ["not everything converged"]
+        """Return that a posterior did not converge."""
+        return [] if route_of(results.config.get("data")).has_converged(results) else ["not everything converged"]
 
     def measure(
-        self, config: StudyConfig, path: Path, choice: VariantChoice, with_model_error: bool
-    ) -> MeasuredVariant:
-        """Return a variant of the study in a file; InputError where no whole poses were measured by one noise each."""
-        chosen, inputs = choose_variant(config, path, choice), load_inputs(config, path.parent)
-        if not inputs.measured.has_poses:
-            raise InputError(
-                f"{path}: data: found poses measured in part, points, or frames to be found, expected whole poses in "
-                "known frames, since audits and checks of data start from these"
-            )
-        posterior = inputs.posterior(chosen, with_model_error)
-        _check_noise(posterior, path)
-        left = inputs.matrix_variance(chosen, verification=False)
-        priors, fixed = inputs.priors(chosen)
-        return MeasuredVariant(
-            name=chosen.name,
-            origin=f"{config.data.origin}: study {config.name}, variant {chosen.name}",
-            mechanism=path.parent / config.mechanism,
-            free=tuple(chosen.free),
-            machine=inputs.machine(chosen),
-            priors=priors,
-            fixed=fixed,
-            posterior=posterior,
-            poses=inputs.poses(verification=False),
-            actuator_noise=config.data.actuator_noise_um * MICROMETRE,
-            left_variance=0.0 if left is None else float(left.mean()),
-            actuator_variance=left,
-            shared_errors=inputs.without_shared_errors(chosen.name)[1],
-            described=inputs.measured.describe(),
-            n_held_back=int(inputs.verification.sum()),
-        )
-
-    def list_variants(self, config: StudyConfig) -> dict[str, VariantChoice]:
-        """Return the study's variants by their names."""
-        return {
-            one.name: VariantChoice(label_class(one.model), label_class(one.deformation), one.name)
-            for one in config.variants
-        }
+        self, config: StudyConfig, path: Path, names: Sequence[str], with_model_error: bool
+    ) -> dict[str, MeasuredReadings]:
+        """Return variants of the study in a file."""
+        return route_of(config.data).measure(config, path, names, with_model_error)
 
     def calibrate(
         self, results: Results, variant: str | None, experiment: Path | None, trust: bool
     ) -> CalibratedMachine:
         """Return the machine of a variant of the study."""
-        from bayescal.experiments.study.calibrated import calibrate_study
-
         config = self.config_of(results) if experiment is None else load_same(results, experiment, self.schema)
-        return calibrate_study(results, config, variant, experiment, trust)
+        return route_of(config.data).calibrate(results, config, variant, experiment, trust)
 
     def show_comparison(self, table: pd.DataFrame, console: Console) -> None:
         """Print variants of several studies ranked together."""
@@ -173,7 +109,11 @@ class Study(Experiment[StudyConfig, StudyTask], Measuring, Calibrating):
         for name, one in results.items():
             try:
                 data[name] = _identify_data(one.provenance)
-                rows += [_describe_variant(name, variant, fit) for variant, fit in one.summary["variants"].items()]
+                fits = one.summary["variants"]
+                rows += [
+                    _describe_variant(name, variant, fits[variant])
+                    for variant in route_of(one.config.get("data")).list_comparable(one)
+                ]
             except (KeyError, TypeError, AttributeError) as error:
                 raise InputError(f"{name}: is no study's results directory, {error} is missing") from error
         self.check_comparable(data)
@@ -182,50 +122,28 @@ class Study(Experiment[StudyConfig, StudyTask], Measuring, Calibrating):
         return table
 
 
-def choose_variant(config: StudyConfig, path: Path, choice: VariantChoice) -> VariantConfig:
-    """Return the variant of a study that is wanted.
-
-    Raises
-    ------
-    InputError
-        Where there is none, or where several share model and deformation and none is named.
-    """
-    wanted = name_variant(choice.model, choice.deformation)
-    alike = [one for one in config.variants if name_variant(one.model, one.deformation) == wanted]
-    if not alike:
-        known = ", ".join(dict.fromkeys(name_variant(one.model, one.deformation) for one in config.variants))
-        raise InputError(f"{path}: variants: found no {wanted}, expected one of {known}")
-    named = [one for one in alike if choice.name in (None, one.name)]
-    names = ", ".join(repr(one.name) for one in alike)
-    if not named:
-        raise InputError(f"{path}: variants: found no {choice.name!r} of {wanted}, expected {names}")
-    if len(named) > 1:
-        raise InputError(f"{path}: variants: found {wanted} as {names}, expected data.variant with one of these names")
-    return named[0]
-
-
 def _identify_data(provenance: Mapping[str, Any]) -> dict[str, object]:
     """Return what makes two data sets the same: contents of the files and what is assumed of the noise."""
     config, files = provenance["config"], provenance["files"]
-    data = {key: value for key, value in config["data"].items() if key != "origin"}
-    return {key: files.get(value, value) if isinstance(value, str) else value for key, value in data.items()}
+    data = config["data"]
+    entries = data if isinstance(data, list) else [data]
+    found = {
+        f"{key} {k}" if k else key: files.get(value, value) if isinstance(value, str) else value
+        for k, one in enumerate(entries)
+        for key, value in one.items()
+    }
+    return found | {f"noise of {name}": one for name, one in config.get("sensors", {}).items()}
 
 
 def _describe_variant(results: str, name: str, fit: Mapping[str, Any]) -> dict[str, object]:
-    held = fit["verification"] or {}
+    held = fit.get("verification") or {}
     return {
         "results": results,
         "variant": name,
         "n_parameters": fit["n_parameters"],
         "log_evidence": float(fit["log_evidence"]),
         "se": float(fit["log_evidence_se"]),
-        "elpd_loo": float(fit["elpd_loo"]),
-        "elpd_verification": float(held.get("elpd", np.nan)),
+        "elpd_loo": float(fit.get("elpd_loo", np.nan)),
+        "elpd_verification": float(held.get("elpd", fit.get("elpd", np.nan))),
         "converged": "yes" if fit["converged"] else "NO",
     }
-
-
-def _check_noise(posterior: LegPosterior, path: Path) -> None:
-    """Raise InputError for poses that may be blunders, which audits and checks do not have."""
-    if posterior.errors.outliers is not None:
-        raise InputError(f"{path}: found blunders, expected none: audits and checks have no poses that may be spoilt")

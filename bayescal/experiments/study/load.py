@@ -9,10 +9,10 @@ from bayescal.data.actuators import check_moves, check_range
 from bayescal.density.legs import check_machine
 from bayescal.errors import InputError, PoseInputError, name_faults
 from bayescal.experiments.shared.search_memory import check_poses
+from bayescal.experiments.shared.study_schema import StudyConfig, VariantConfig
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.measurement import check_measurement, name_actuator_table, name_data, read_measurement
 from bayescal.experiments.study.published import read_published
-from bayescal.experiments.study.schema import StudyConfig, VariantConfig
 from bayescal.machines.kinematics import check_home_pose
 from bayescal.machines.read import load_mechanism
 
@@ -25,20 +25,20 @@ def load_inputs(config: StudyConfig, folder: Path) -> StudyInputs:
     InputError
         For anything at fault in the config's files, before any long computation.
     """
-    mechanism = load_mechanism(folder / config.mechanism)
+    mechanism = load_mechanism(folder / config.machine)
     measured = read_measurement(config, folder, mechanism)
-    with name_faults(name_actuator_table(config.data, folder)):
+    with name_faults(name_actuator_table(config.measured, folder)):
         check_range(measured.actuators, mechanism.initial_actuator_positions, mechanism.actuator_range, measured.names)
         check_moves(measured.actuators[~measured.verification])
     inputs = StudyInputs(config, folder, mechanism, measured)
-    with name_faults(name_data(config.data, folder)):
+    with name_faults(name_data(config.measured, folder)):
         _measure_deflection(inputs)
     for variant in config.variants:
         machine = inputs.machine(variant)
-        with name_faults(folder / config.mechanism):
+        with name_faults(folder / config.machine):
             check_home_pose(machine)
         check_poses(len(measured.names), mechanism.n_legs, machine.layout.size)
-        check_measurement(inputs.measured, machine, config.data, folder)
+        check_measurement(inputs.measured, machine, config.measured, folder)
         with name_faults(f"variant {variant.name!r}"):
             check_machine(inputs.posterior(variant, with_model_error=True))
             _check_widths(inputs, variant)

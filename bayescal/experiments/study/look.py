@@ -42,7 +42,7 @@ def _catch(check: Callable[[], object]) -> list[str]:
 def _count_legs(content: Mapping[str, Any], folder: Path) -> int | None:
     """Return how many legs a machine at fault has by the places of its base; None where these do not say."""
     try:
-        base = read_toml(folder / str(content.get("mechanism")))[0].get("base")
+        base = read_toml(folder / str(content.get("machine")))[0].get("base")
     except InputError:
         return None
     places = (base.get("points_mm") or base.get("azimuth_deg")) if isinstance(base, dict) else None

@@ -25,8 +25,8 @@ from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.priors import NormalPrior, Prior
 from bayescal.errors import name_faults
 from bayescal.experiments.shared.schema import FramesConfig
-from bayescal.experiments.study.schema import (
-    DataConfig,
+from bayescal.experiments.shared.study_schema import (
+    InstrumentDataConfig,
     PointDataConfig,
     PoseDataConfig,
     StudyConfig,
@@ -165,14 +165,14 @@ class InstrumentMeasurement(Measurement):
         return {"instrument": {"measurement": self.kind, "free_frames": free, **self.instrument.describe()}}
 
 
-def name_data(data: DataConfig, folder: Path) -> Path:
+def name_data(data: InstrumentDataConfig, folder: Path) -> Path:
     """Return the file of the measurements."""
     if isinstance(data, TargetDataConfig):
         return folder / data.targets
     return folder / (data.poses if isinstance(data, PoseDataConfig) else data.points)
 
 
-def name_actuator_table(data: DataConfig, folder: Path) -> Path:
+def name_actuator_table(data: InstrumentDataConfig, folder: Path) -> Path:
     """Return the file of the actuator positions: that of the measurements where they stand in it."""
     return name_data(data, folder) if data.actuators is None else folder / data.actuators
 
@@ -185,7 +185,7 @@ def read_measurement(config: StudyConfig, folder: Path, mechanism: Mechanism) ->
     InputError
         For anything at fault in its tables.
     """
-    data = config.data
+    data = config.measured
     if isinstance(data, TargetDataConfig):
         survey = read_survey(folder / data.targets, folder / data.actuators, folder / data.reference, mechanism.n_legs)
         with name_faults(folder / data.reference):
@@ -220,7 +220,7 @@ def _read_points(data: PointDataConfig, folder: Path, n_legs: int) -> tuple[Poin
     return read_points(folder / data.points, folder / data.probe, stations, folder / data.actuators, noise, n_legs)
 
 
-def check_measurement(measured: Measurement, machine: Machine, data: DataConfig, folder: Path) -> None:
+def check_measurement(measured: Measurement, machine: Machine, data: InstrumentDataConfig, folder: Path) -> None:
     """Raise InputError where the readings of an instrument cannot be in the units that their table names."""
     if not isinstance(measured, InstrumentMeasurement):
         return

@@ -68,7 +68,7 @@ def _evaluate(
     some: SomeDraws,
     rng: np.random.Generator,
 ) -> dict[str, Array]:
-    if posterior.errors.outliers is None:
+    if not posterior.errors.outliers.expected:
         density = likelihood.pointwise(every.theta, every.model_error)
     else:
         density = posterior.predict_density(likelihood, y)
@@ -80,7 +80,7 @@ def _evaluate(
 
 def _suspect(posterior: LegPosterior, likelihood: Likelihood, y: Array) -> dict[str, Array]:
     """Return how probable it is that each pose is a blunder, shape (P,), where they may be."""
-    if posterior.errors.outliers is None:
+    if not posterior.errors.outliers.expected:
         return {}
     return {
         "blunder_probability": likelihood.outlier_probabilities(

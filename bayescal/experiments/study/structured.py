@@ -83,14 +83,14 @@ def _name_kernel(inputs: StudyInputs, variant: str) -> str:
     name = name_kernel(inputs.config, config)
     if name not in LENGTHY:
         return name
-    error = inputs.config.model_error
+    error = inputs.config.leg_error
     length = "free" if error.lengths_for(config) else f"{error.length_for(config):g}"
     return f"{name}, length {length}"
 
 
 def _describe_length(inputs: StudyInputs, variant: str, names: Sequence[str], draws: Array) -> dict[str, Any]:
     """Return a length that is free, in ranges of the actuators, as `_describe_scales` has the scales."""
-    prior = inputs.config.model_error.lengths_for(inputs.variant(variant))
+    prior = inputs.config.leg_error.lengths_for(inputs.variant(variant))
     scale, length = (draws[..., [k for k, name in enumerate(names) if name.startswith(one)]] for one in (SCALE, LENGTH))
     there = length[..., 0][(scale > 0.0).any(axis=-1)] if prior else np.empty(0)
     if prior is None or len(there) < FEWEST_DRAWS:
@@ -111,7 +111,7 @@ def _describe_scales(inputs: StudyInputs, names: Sequence[str], draws: Array) ->
         if len(there) < FEWEST_DRAWS:
             continue
         low, middle, high = (1e3 * float(x) for x in np.quantile(there, [0.05, 0.5, 0.95]))
-        left = float(np.log(there).std() / inputs.config.model_error.kernel_spread)
+        left = float(np.log(there).std() / inputs.config.leg_error.kernel_spread)
         found.append({"median_um": middle, "q05_um": low, "q95_um": high, "prior_sd_left": left})
     return found
 

@@ -10,6 +10,7 @@ from scipy.special import logsumexp
 
 from bayescal.density.least_squares import LeastSquaresFit, identify, list_identified
 from bayescal.experiments.shared.estimate import Fit
+from bayescal.experiments.shared.origin import name_origin
 from bayescal.experiments.study.fit import Task, read_prediction
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.published import read_published
@@ -71,7 +72,7 @@ def tabulate_tau_scale(inputs: StudyInputs, posteriors: dict[Task, Fit]) -> pd.D
     weights of these have a heavy tail the posterior lies elsewhere, and there is no answer.
     """
     rows = []
-    own = inputs.config.model_error.scale_um
+    own = inputs.config.leg_error.scale_um
     for task, fit in posteriors.items():
         if not task.with_model_error:
             continue
@@ -181,7 +182,7 @@ def identify_variants(inputs: StudyInputs) -> dict[str, LeastSquaresFit]:
     if not inputs.measured.has_poses:
         return {}
     poses = inputs.poses(verification=False)
-    return {v.name: identify(inputs.machine(v), poses, tuple(v.free)) for v in inputs.config.variants}
+    return {v.name: identify(inputs.machine(v), poses, inputs.free(v)) for v in inputs.config.variants}
 
 
 def tabulate_least_squares(inputs: StudyInputs, fits: dict[str, LeastSquaresFit]) -> pd.DataFrame:
@@ -191,7 +192,7 @@ def tabulate_least_squares(inputs: StudyInputs, fits: dict[str, LeastSquaresFit]
         machine, fit = inputs.machine(variant), fits[variant.name]
         name = variant.published
         published = {} if name is None else read_published(inputs.folder / name, inputs.mechanism.n_legs)
-        for symbol in list_identified(machine, variant.free):
+        for symbol in list_identified(machine, inputs.free(variant)):
             index = machine.layout.index[symbol]
             for leg, k in enumerate(index, start=1):
                 offset = fit.theta[k] - machine.layout.nominal[k]
@@ -296,7 +297,7 @@ def format_poses(inputs: StudyInputs) -> str:
         for k, (name, held) in enumerate(zip(poses.names, inputs.verification, strict=True))
     ]
     comments = [
-        inputs.config.data.origin,
+        name_origin(inputs.config.origin.model_dump()),
         "Pose of the platform frame in the base frame; position in mm, rotation vector in degrees.",
         "cov: covariance of position (µm) and of the rotation vector (µrad) about the base axes.",
     ]

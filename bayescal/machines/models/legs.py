@@ -44,16 +44,6 @@ def actuator_directions(layout: ParameterLayout, theta: Array) -> Array:
     return chart_of(layout).to_base(local_directions(layout, theta))
 
 
-def differentiate_directions(layout: ParameterLayout, theta: Array) -> Array:
-    """Return the derivatives of u by its two components, shape (..., N, 2, 3), base frame."""
-    local, chart = local_directions(layout, theta), chart_of(layout)
-    slopes = np.zeros((*local.shape[:-1], 2, 3))
-    for k in range(2):
-        slopes[..., k, k] = 1.0
-        slopes[..., k, 2] = -(local[..., k] / local[..., 2])
-    return np.stack([chart.to_base(slopes[..., k, :]) for k in range(2)], axis=-2)
-
-
 def legs_first(values: Array, ndim: int) -> Array:
     """Return values (..., N) of at least so many axes with the legs' in front: operations along long axes are fast."""
     values = values.reshape((1,) * (ndim - values.ndim) + values.shape)

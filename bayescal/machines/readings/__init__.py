@@ -4,10 +4,10 @@ from bayescal.machines.readings.base import POSE, Channel, Coordinate, Given, Re
 from bayescal.machines.readings.function import FunctionModel, Parameters, ReadingMachine
 from bayescal.machines.readings.legs import Legs
 from bayescal.machines.readings.placed import Instrument, Placed, place
-from bayescal.machines.readings.sliding_platform import SlidingPlatform
 
 MACHINES = {
     "line_machine": "bayescal.machines.readings.line_machine:LineMachine",
+    "sliding_platform": "bayescal.machines.readings.sliding_platform:SlidingPlatform",
     "strut_machine": "bayescal.machines.readings.strut_machine:StrutMachine",
 }
 """Built-in machines of one function, by the ``kind`` of their files."""
@@ -31,6 +31,5 @@ __all__ = [
     "ReadingMachine",
     "ReadingModel",
     "Readings",
-    "SlidingPlatform",
     "place",
 ]

@@ -45,6 +45,11 @@ class Coordinate:
     reach : float
         Half the workspace's width: it holds what is between home - reach and home + reach. Zero where a config has to
         say it.
+
+    Examples
+    --------
+    >>> bc.Coordinate("x", "mm", home=10.0, reach=50.0)
+    Coordinate(name='x', unit='mm', home=10.0, reach=50.0)
     """
 
     name: str
@@ -70,6 +75,12 @@ class Channel:
     rotation : str
         Name of the rotation vector of which this is a component, where the readings are one: three channels in a row
         that have the same are compared as the rotation from one to the other.
+
+    Examples
+    --------
+    >>> channel = bc.Channel("motor[2]", "rad")
+    >>> channel.kind, channel.stem
+    ('motor', 'motor_2')
     """
 
     name: str

@@ -44,6 +44,21 @@ class ReadingMachine(ABC):
         What one of many is called in texts: leg, line, joint, belt.
     tool_channels : sequence of Channel
         Names and units of what has to be accurate: what `tool` returns, or the coordinates themselves.
+
+    Examples
+    --------
+    A carriage on a scale whose zero is not known; a laser reads its position for the calibration:
+
+    >>> class Slide(bc.ReadingMachine):
+    ...     parameters = [bc.ParameterBlock("zero", (0.0,), per_leg=False)]
+    ...     coordinates = [bc.Coordinate("x", "mm", home=0.0, reach=50.0)]
+    ...     channels = [bc.Channel("scale", "mm"), bc.Channel("laser", "mm", external=True)]
+    ...
+    ...     def read(self, parameters, v, given):
+    ...         x = v[..., 0]
+    ...         return np.stack(np.broadcast_arrays(x - parameters["zero"], x), axis=-1)
+    >>> Slide().read({"zero": 0.5}, np.array([10.0]), {})
+    array([ 9.5, 10. ])
     """
 
     Config: ClassVar[type[Section]] = Section
@@ -94,6 +109,13 @@ class ReadingMachine(ABC):
         """
         del parameters
         return v
+
+    def rotation(self, v: Any) -> Any:
+        """Return how the tool is turned, (..., m, m) from its frame to the base's; None, as by default: it is not.
+
+        It must take complex numbers. A rotation vector among the numbers of `tool` says the same.
+        """
+        del v
 
 
 class Parameters(Mapping[str, Any]):
@@ -210,6 +232,16 @@ class FunctionModel(ReadingModel):
     def states_tool(self) -> bool:
         """Whether the machine says what has to be accurate."""
         return bool(self.machine.tool_channels)
+
+    @property
+    def tells_rotation(self) -> bool:
+        """Whether the machine says how its tool is turned."""
+        return bool(self.tool_turned) or type(self.machine).rotation is not ReadingMachine.rotation
+
+    def rotation(self, pose: Array) -> Array:
+        """Return what the machine says; see `ReadingModel.rotation`."""
+        turned = self.machine.rotation(pose)
+        return super().rotation(pose) if turned is None else np.asarray(turned)
 
     def check_given(self, poses: Sequence[str], given: Given, free: Sequence[str]) -> None:
         """Check as the machine does."""

@@ -16,13 +16,12 @@ The pose v is position and rotation vector of the platform frame in the base fra
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from bayescal.errors import InputError
 from bayescal.machines.kinematics import (
     Machine,
     check_home_pose,
@@ -312,13 +311,6 @@ class Legs(ReadingModel):
             residual = closure.evaluate(np.asfortranarray(self._own(theta))).transpose(1, 0, 2)
             here = machine.model.prepare(machine.layout, self._own(mean))(position, rotation, basis, False)
             return -divide_closure(here.actuators, residual)
-
-    def check_poses(self, pose: Array, name: Callable[[int], str] = lambda k: f"pose {k + 1}") -> None:
-        """Raise InputError where the nominal machine does not reach a pose, shape (P, 6)."""
-        actuators = self._hold(self.layout.nominal, pose)[2]
-        for k, fault in enumerate(self.find_faults(self.layout.nominal, pose, actuators)):
-            if fault:
-                raise InputError(f"machine {self.name!r}: {name(k)}: {fault}, expected a pose that it reaches")
 
 
 def divide_closure(actuators: Array, rows: Array) -> Array:

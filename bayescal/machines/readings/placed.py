@@ -42,6 +42,19 @@ class Instrument(ReadingMachine):
     A subclass is named in a config, ``[instruments.NAME]`` with ``kind = "own.py:Own"``, and made of its checked
     options. NAME goes before its symbols and channels: ``frame`` is ``NAME_frame``, ``[x]`` is ``NAME[x]``, ``r[x]`` is
     ``NAME_r[x]``, a channel without a name is ``NAME``.
+
+    Examples
+    --------
+    A dial gauge that reads the tool's height above a plate:
+
+    >>> class Gauge(bc.Instrument):
+    ...     parameters = [bc.ParameterBlock("plate", (0.0,), per_leg=False)]
+    ...     channels = [bc.Channel("", "mm")]
+    ...
+    ...     def see(self, parameters, position, rotation):
+    ...         return (position[..., 2] - parameters["plate"])[..., None]
+    >>> Gauge().read({"plate": 5.0}, np.array([0.0, 0.0, 30.0, 0.0, 0.0, 0.0]), {})
+    array([25.])
     """
 
     @abstractmethod

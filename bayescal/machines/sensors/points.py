@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayescal.machines.sensors.base import Sensor
-from bayescal.numerics.geometry import Array, compute_relative_pose, skew_matrix
+from bayescal.numerics.geometry import Array, compute_relative_pose, compute_rigid_jacobian
 
 
 def information_of_points(points: Array, rotation: Array, noise: float) -> Array:
@@ -21,8 +21,7 @@ def information_of_points(points: Array, rotation: Array, noise: float) -> Array
     noise : float
         σ of each coordinate, mm.
     """
-    arms = np.einsum("pij,kj->pki", rotation, points)
-    jacobian = np.concatenate([np.broadcast_to(np.eye(3), (*arms.shape, 3)), -skew_matrix(arms)], axis=-1)
+    jacobian = compute_rigid_jacobian(points, rotation)
     return np.einsum("pkij,pkim->pjm", jacobian, jacobian, optimize=True) / noise**2
 
 

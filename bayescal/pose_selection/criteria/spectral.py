@@ -19,7 +19,7 @@ import numpy as np
 
 from bayescal.numerics.geometry import Array
 from bayescal.pose_selection.criteria.base import ObservabilityCriterion, Scorer, check_rank
-from bayescal.pose_selection.observability import INDICES, singular_values
+from bayescal.pose_selection.observability import compute_index, singular_values
 
 ROUGH, FINE = 8, 20
 """Columns of V that belong to the least eigenvalues and are compressed to as one block."""
@@ -35,7 +35,7 @@ class Spectral(ObservabilityCriterion):
 
     def value(self, rows: Array, n_poses: int) -> Array:
         """Return the index of stacked rows (..., R, L), shape (...)."""
-        return INDICES[self.name](singular_values(rows), n_poses)
+        return compute_index(self.name, singular_values(rows), n_poses)
 
     def gradient(self, rows: Array, n_poses: int) -> Array:
         """Return the derivative by the information, shape (L, L), where the singular values are distinct."""

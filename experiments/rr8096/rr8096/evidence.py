@@ -12,6 +12,7 @@ from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.density.least_squares import LeastSquaresFit
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.errors import InputError
+from bayescal.experiments.shared.origin import name_origin
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.published import read_published
 from bayescal.machines.deformations import DEFORMATIONS, NominalDeformation
@@ -82,9 +83,9 @@ class ClaimEvidence:
             poses=inputs.poses(verification=False),
             all_poses=inputs.measured.poses,
             target_noise=inputs.target_noise,
-            actuator_noise=1e-3 * config.data.actuator_noise_um,
-            origin=config.data.origin,
-            free={v.name: tuple(v.free) for v in variants},
+            actuator_noise=1e-3 * config.measured.actuator_noise_um,
+            origin=name_origin(config.origin.model_dump()),
+            free={v.name: inputs.free(v) for v in variants},
             fits={name: fit for name, fit in fits.items() if name not in others},
             variants={name: fit for name, fit in summary["variants"].items() if name not in others},
             published={

@@ -56,7 +56,7 @@ def null_direction(evidence: ClaimEvidence) -> ClaimRows:
     machine, noise = evidence.best_machine(), MICRO * evidence.target_noise
     layout = machine.layout
     free = WITH_KAPPA if "kappa" in layout.index else WITH_DIRECTION
-    slope = evidence.likelihood(machine).leg_error_jacobian(evidence.identified(machine))[1]
+    slope = evidence.likelihood(machine).error_jacobian(evidence.identified(machine))[1]
     alone, followed = 0.0, 0.0
     for leg in range(evidence.mechanism.n_legs):
         columns = slope[:, leg, [layout.index[s][leg] for s in LENGTHS]]
@@ -291,10 +291,10 @@ def compute_contraction(evidence: ClaimEvidence, machine: Machine, free: Sequenc
     """
     layout, sd = machine.layout, tolerance_of(machine)
     likelihood = evidence.likelihood(machine)
-    slope = likelihood.leg_error_jacobian(evidence.identified(machine))[1]
+    slope = likelihood.error_jacobian(evidence.identified(machine))[1]
     index = np.concatenate([layout.index[symbol] for symbol in free])
     slope = slope[..., index] * sd[index]
-    precision = np.linalg.inv(likelihood.leg_covariance(np.zeros(likelihood.n_legs)))
+    precision = np.linalg.inv(likelihood.error_covariance(np.zeros(likelihood.n_legs)))
     data = np.einsum("pik,pij,pjm->km", slope, precision, slope, optimize=True)
     covariance = np.linalg.inv(data + np.eye(len(index)))
     place = {position: k for k, position in enumerate(index)}

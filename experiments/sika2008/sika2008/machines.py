@@ -10,14 +10,14 @@ import pandas as pd
 
 from bayescal.errors import InputError, NumericalError
 from bayescal.experiments.frame.parallel import Run
-from bayescal.machines.read import build_sliding_platform
-from bayescal.machines.readings import SlidingPlatform
+from bayescal.machines.readings import FunctionModel
 from bayescal.machines.readings.schema import SlidingPlatformConfig
+from bayescal.machines.readings.sliding_platform import SlidingPlatform
 from bayescal.numerics.geometry import Array
 from sika2008.documented import name_parts, rms_of, squares_of
 from sika2008.schema import PlausibleMachinesConfig, PosesConfig
 from sika2008.sensors import FreeParameters, compute_calibrability
-from sika2008.setup import MACHINES, ZEROS, Plan, Plans, Setup, build_plans, draw_poses
+from sika2008.setup import MACHINES, ZEROS, Plan, Plans, Setup, build_plans, draw_poses, platform_of
 from sika2008.simulate import PAPER, Measured, measure, predict_covariance, predict_tool, simulate
 
 GEOMETRY = (
@@ -42,7 +42,8 @@ class Candidate:
     ----------
     geometry : dict of str to float
         By `GEOMETRY`.
-    machine : SlidingPlatform
+    machine : FunctionModel
+        Of a `SlidingPlatform`.
     plans : Plans
     pose, targets : ndarray, shapes (P, 3) and (V, 3)
     measured : Measured
@@ -51,7 +52,7 @@ class Candidate:
     """
 
     geometry: dict[str, float]
-    machine: SlidingPlatform
+    machine: FunctionModel
     plans: Plans
     pose: Array
     targets: Array
@@ -89,7 +90,7 @@ def draw_candidate(setup: Setup, config: PlausibleMachinesConfig, rng: np.random
     geometry = {name: float(rng.uniform(*getattr(config, name))) for name in GEOMETRY}
     workspace = {"position_mm": geometry["position_mm"], "angle_deg": geometry["angle_deg"]}
     try:
-        machine = build_sliding_platform(lay_out(geometry, setup.machine.n_legs))
+        machine = FunctionModel("drawn", SlidingPlatform(lay_out(geometry, platform_of(setup.machine).n_legs)))
         numbers = (setup.config.poses.n_poses, setup.config.verification_poses)
         pose, targets = (draw_poses(machine, PosesConfig(n_poses=n, **workspace), rng) for n in numbers)
         plans = build_plans(machine, setup.config, setup.config.sensors)

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from bayescal.errors import InputError
-from bayescal.machines.read import read_sliding_platform
-from bayescal.machines.readings import ReadingModel, SlidingPlatform
-from bayescal.machines.readings.sliding_platform import matrix_of_angle
+from bayescal.machines.read import read_reading_model
+from bayescal.machines.readings import FunctionModel, ReadingModel
+from bayescal.machines.readings.sliding_platform import SlidingPlatform, matrix_of_angle
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import ARCSECOND, MICROMETRE
 from sika2008.schema import PathConfig, PosesConfig, SelfCalibrationsConfig, SensorConfig, TolerancesConfig
@@ -78,7 +78,8 @@ class Setup:
     config : SelfCalibrationsConfig
     folder : Path
         Where the config's file names start.
-    machine : SlidingPlatform
+    machine : FunctionModel
+        Of a `SlidingPlatform`.
     plans : Plans
     pose : ndarray, shape (P, 3)
         Measured poses.
@@ -90,7 +91,7 @@ class Setup:
 
     config: SelfCalibrationsConfig
     folder: Path
-    machine: SlidingPlatform
+    machine: FunctionModel
     plans: Plans
     pose: Array
     targets: Array
@@ -110,7 +111,9 @@ def read_setup(config: SelfCalibrationsConfig, folder: Path) -> Setup:
         For a fault of the machine, an unknown sensor, a noise in the wrong unit, a set with fewer equations than
         unknowns, a pose out of reach or with crossed legs.
     """
-    machine = read_sliding_platform(folder / config.machine)
+    machine = read_reading_model(folder / config.machine)
+    platform = platform_of(machine)
+    assert isinstance(machine, FunctionModel)
     plans = build_plans(machine, config, config.sensors)
     for plan in plans.plans:
         try:
@@ -121,11 +124,19 @@ def read_setup(config: SelfCalibrationsConfig, folder: Path) -> Setup:
     pose = draw_poses(machine, config.poses, rng[0])
     targets = draw_poses(machine, config.poses.model_copy(update={"n_poses": config.verification_poses}), rng[1])
     path = follow_path(machine, config.path)
-    machine.check_poses(path, lambda k: f"path: pose {k + 1}")
+    platform.check_poses(path, lambda k: f"path: pose {k + 1}")
     return Setup(config, folder, machine, plans, pose, targets, path)
 
 
-def build_plans(machine: SlidingPlatform, config: SelfCalibrationsConfig, sensors: dict[str, SensorConfig]) -> Plans:
+def platform_of(model: ReadingModel) -> SlidingPlatform:
+    """Return the platform on sliding legs that a model is of; InputError where it is another machine."""
+    machine = model.machine if isinstance(model, FunctionModel) else None
+    if not isinstance(machine, SlidingPlatform):
+        raise InputError("machine: found another machine, expected kind = 'sliding_platform'")
+    return machine
+
+
+def build_plans(machine: ReadingModel, config: SelfCalibrationsConfig, sensors: dict[str, SensorConfig]) -> Plans:
     """Return the sets of a config on a machine, with the noise of these sensors."""
 
     def build(name: str, names: list[str]) -> Plan:
@@ -142,7 +153,7 @@ def build_plans(machine: SlidingPlatform, config: SelfCalibrationsConfig, sensor
     return Plans(tuple(plans), build("every", every))
 
 
-def follow_path(machine: SlidingPlatform, config: PathConfig) -> Array:
+def follow_path(machine: ReadingModel, config: PathConfig) -> Array:
     """Return poses (L, 3) of the tool's centre on a circle about home, the platform swinging to either side."""
     turn = 2.0 * np.pi * np.arange(config.n_poses) / config.n_poses
     moves = [config.radius_mm * np.cos(turn), config.radius_mm * np.sin(turn)]
@@ -196,12 +207,12 @@ def _noise(model: ReadingModel, place: int, sensors: Mapping[str, SensorConfig])
     return config.noise_arcsec * ARCSECOND
 
 
-def free_parameters(model: SlidingPlatform, names: Iterable[str], tolerances: TolerancesConfig) -> FreeParameters:
+def free_parameters(model: ReadingModel, names: Iterable[str], tolerances: TolerancesConfig) -> FreeParameters:
     """Return what a calibration with some sensors frees: what they see, but for what defines the frames.
 
     An instrument beside the machine would define the base frame too; here it is taken to be set up in that frame.
     """
-    layout, given = model.layout, model.frame_parameters()
+    layout, given = model.layout, platform_of(model).frame_parameters()
     free = [name for name in model.seen_parameters(names) if name not in given]
     places = np.array([layout.names.index(name) for name in free], dtype=int)
     scale = [tolerance_of(name, layout.units[k], tolerances) for name, k in zip(free, places, strict=True)]
@@ -216,7 +227,7 @@ def tolerance_of(name: str, unit: str, tolerances: TolerancesConfig) -> float:
     return float(np.radians(tolerances.zero_deg if zero else tolerances.angle_deg))
 
 
-def draw_poses(model: SlidingPlatform, config: PosesConfig, rng: np.random.Generator) -> Array:
+def draw_poses(model: ReadingModel, config: PosesConfig, rng: np.random.Generator) -> Array:
     """Return poses (P, 3) whose tool's centre and angle lie within half widths of home.
 
     Raises
@@ -226,13 +237,14 @@ def draw_poses(model: SlidingPlatform, config: PosesConfig, rng: np.random.Gener
     """
     width = np.array([config.position_mm, config.position_mm, np.radians(config.angle_deg)])
     pose = poses_about_home(model, width * rng.uniform(-1.0, 1.0, (config.n_poses, 3)))
-    model.check_poses(pose)
+    platform_of(model).check_poses(pose)
     return pose
 
 
-def poses_about_home(model: SlidingPlatform, displacement: Array) -> Array:
+def poses_about_home(model: ReadingModel, displacement: Array) -> Array:
     """Return poses (P, 3) from displacements of the tool's centre and angle from home (P, 3), mm and rad."""
-    angle = model.home[2] + displacement[:, 2]
-    home = model.home[:2] + matrix_of_angle(model.home[2:])[0] @ model.tool_point
-    origin = home + displacement[:, :2] - np.einsum("pij,j->pi", matrix_of_angle(angle), model.tool_point)
+    home, tool = model.home_pose, platform_of(model).tool_point
+    angle = home[2] + displacement[:, 2]
+    centre = home[:2] + matrix_of_angle(home[2:])[0] @ tool
+    origin = centre + displacement[:, :2] - np.einsum("pij,j->pi", matrix_of_angle(angle), tool)
     return np.concatenate([origin, angle[:, None]], axis=1)

@@ -21,7 +21,7 @@ def see(reference, n, rng, noise=NOISE):
     return position, rotation, measured + rng.normal(0.0, noise, measured.shape)
 
 
-@pytest.mark.parametrize("n_targets", [3, 4, 12])
+@pytest.mark.parametrize("n_targets", [3, 4])
 def test_errors_are_those_of_the_covariance(n_targets, rng):
     """Normalised squares of 4,000 pose errors have the mean and the variance of χ² with six degrees of freedom."""
     reference = np.concatenate([CORNERS, rng.uniform(-100.0, 100.0, (n_targets - 3, 3))])
@@ -41,13 +41,6 @@ def test_what_is_refused_names_the_noise_stated_and_seen(rng):
     assert caught.value.index == 3
     seen = float(re.search(r"noise seen (\d+)", str(caught.value))[1])
     assert 50.0 < seen < 1500.0
-
-
-def test_two_targets_are_too_few(rng):
-    _, _, measured = see(CORNERS, 2, rng)
-    measured[1, 0] = np.nan
-    with pytest.raises(PoseInputError, match="found 2 seen targets, expected at least 3"):
-        fit_least_squares(CORNERS, measured, NOISE)
 
 
 def test_a_study_takes_least_squares_and_names_the_pose_it_refuses(tmp_path):

@@ -24,8 +24,8 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import gamma, multivariate_normal
 
 from bayescal.density.calibration.measurements import Comparison, Measurements
-from bayescal.density.calibration.outliers import Outliers
 from bayescal.density.calibration.poses import search_poses
+from bayescal.density.outliers import StudentT
 from bayescal.machines.readings import Channel
 
 VOLUME = 50.0
@@ -218,7 +218,7 @@ def test_a_robust_density_is_the_integral_over_each_poses_precision(rng, nu):
         total = quad(weigh, 0.0, np.inf, epsabs=1e-12, epsrel=1e-10)[0]
         assert total == pytest.approx(1.0, abs=1e-7)
         mean = quad(lambda w, weigh=weigh: w * weigh(w), 0.0, np.inf, epsabs=1e-12, epsrel=1e-10)[0]
-        assert Outliers(nu).trust(square, robust.n_spare)[p] == pytest.approx(mean, rel=1e-6)
+        assert StudentT(nu).trust(square, robust.n_spare)[p] == pytest.approx(mean, rel=1e-6)
 
 
 def test_a_robust_density_of_much_freedom_is_normal(rng):

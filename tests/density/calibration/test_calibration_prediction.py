@@ -12,6 +12,7 @@ from calibration_problems import (
     linear_model,
     lines_posterior,
     measurements,
+    rows_of,
     simulate,
     unknown_noise,
 )
@@ -20,7 +21,6 @@ from scipy.linalg import null_space
 from scipy.spatial.transform import Rotation
 from scipy.stats import t as student
 
-from bayescal.density.calibration.outliers import Outliers
 from bayescal.density.calibration.prediction import predict_readings
 from bayescal.density.calibration.terms import NO_ERRORS, Errors
 from bayescal.density.posterior import Posterior
@@ -38,7 +38,7 @@ def linear_problem(rng, correlation, nu=np.inf):
     data = measurements(rng.standard_normal((3, 6)), sd, correlation)
     likelihood = density(model, data)
     priors = {"d[1]": NormalPrior(0.0, 1e-9)}
-    return Posterior(likelihood, priors, Errors((), Outliers(nu))), sd
+    return Posterior(likelihood, priors, Errors((), rows_of(nu))), sd
 
 
 @pytest.mark.parametrize("nu", [np.inf, 4.0])

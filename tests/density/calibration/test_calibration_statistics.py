@@ -6,10 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from calibration_problems import correlation_of, density, linear_model, lines_posterior, measurements, simulate
+from calibration_problems import correlation_of, density, linear_model, lines_posterior, measurements, rows_of, simulate
 from scipy.stats import chisquare
 
-from bayescal.density.calibration.outliers import Outliers
 from bayescal.density.calibration.terms import Errors, ModelErrorTerm, NoiseFactor
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior, UniformPrior
@@ -56,7 +55,7 @@ def linear_problem(rng, nu=np.inf, correlation=None):
     pose = 3.0 * rng.standard_normal((8, 2))
     sd = np.array([0.5, 0.4, 0.3, 0.5, 0.5])
     empty = density(model, measurements(np.zeros((8, 5)), sd, correlation))
-    blank = Posterior(empty, priors, Errors(terms, Outliers(nu)))
+    blank = Posterior(empty, priors, Errors(terms, rows_of(nu)))
     y = rng.standard_normal(4)
     data = replace(blank.likelihood.data, values=simulate(blank, y, pose, rng))
     return replace(blank, likelihood=density(model, data)), y

@@ -133,57 +133,6 @@ def test_covariance_is_that_of_the_draws():
 # --- gradient, coordinates -------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("common", [(), ("l",)], ids=["", "one length"])
-@pytest.mark.parametrize("names", SETS.values(), ids=[f"{n} sensors" for n in SETS])
-def test_gradient_against_differences(names, common, rng):
-    posterior = small_posterior(names, 20, 11, common=common)
-    mode = posterior.approach()
-    factor = np.linalg.cholesky(covariance_at(posterior, mode))  # a step along one parameter alone is far off a ridge
-    for distance in (0.0, 1.0, 5.0):
-        y = mode + distance * factor @ rng.standard_normal(len(mode))
-        steps = 1e-2 * factor.T
-        differences = (posterior.log_density(y + steps) - posterior.log_density(y - steps)) / 2e-2
-        gradient = factor.T @ posterior.gradient(y)[0]
-        np.testing.assert_allclose(gradient, differences, rtol=1e-4, atol=1e-4)
-
-
-def test_gauss_newton_hessian_is_the_curvature_at_the_mode():
-    posterior = small_posterior(SETS[12], 20, 13)
-    mode = posterior.approach()
-    hessian = posterior.gradient(mode)[1]
-    factor = np.linalg.cholesky(np.linalg.inv(-hessian))
-    steps = 1e-2 * factor.T
-    middle = posterior.log_density(mode[None])[0]
-    curvature = (posterior.log_density(mode + steps) + posterior.log_density(mode - steps) - 2 * middle) / 1e-4
-    np.testing.assert_allclose(curvature, -1.0, atol=5e-3)
-
-
-def test_parameters_that_deviate_alike_are_one_coordinate(rng):
-    posterior = small_posterior(SETS[8], 20, 11, common=("l",))
-    every = small_posterior(SETS[8], 20, 11)
-    assert posterior.n_parameters == every.n_parameters - 3
-    assert [name for name in posterior.names if name.startswith("l")] == ["l"]
-    y = rng.standard_normal((4, posterior.n_parameters))
-    layout = posterior.likelihood.model.layout
-    lengths = layout.take(posterior.theta(y), "l") - layout.take(layout.nominal, "l")
-    place = posterior.names.index("l")
-    np.testing.assert_allclose(lengths, np.repeat(0.3 * y[:, place, None], 4, axis=1), rtol=1e-9)
-    np.testing.assert_allclose(posterior.natural(y)[:, place], 800.0 + 0.3 * y[:, place])
-    spread = every.natural(np.zeros((1, every.n_parameters)))
-    assert spread.shape == (1, 22)
-    same = posterior.log_density(y) - posterior.log_prior(y)
-    np.testing.assert_allclose(
-        same, every.likelihood.density(posterior.theta(y), every.errors, every.zeta(y)), rtol=1e-12
-    )
-
-
-def test_prior_is_normal_about_the_machine_as_expected():
-    posterior = small_posterior(SETS[4], 20, 11)
-    y = np.zeros((1, posterior.n_parameters))
-    assert (posterior.theta(y)[0] == posterior.likelihood.model.layout.nominal).all()
-    assert posterior.log_prior(y)[0] == pytest.approx(-9.0 * np.log(2 * np.pi))
-
-
 @pytest.mark.parametrize(
     ("priors", "fixed", "common"),
     [

@@ -70,7 +70,10 @@ def test_the_same_design_gives_the_same_numbers(call, design, tmp_path):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ('measured_by = ["laser"]', "measured_by: found sensor 'laser', expected one of better_tracker"),
+        (
+            '[[variants]]\nmodel = "six_ups"\nsensors = ["laser"]',
+            "variants.sensors: found sensor 'laser', expected one of better_tracker",
+        ),
         ('[parameters]\nl = { prior = "normal", sd = 0.0 }', "found 0.0, expected greater than"),
         ('profiles = ["q[1]"]', "profile of 'q[1]': not free here"),
         ("[poses]\ncount = 0", "poses.count: found 0"),

@@ -8,12 +8,12 @@ import audit_problems as problems
 import numpy as np
 import pytest
 
-from bayescal.api import compute_audit
 from bayescal.experiments.audit import compute
 from bayescal.experiments.audit.audit import analyse
 from bayescal.experiments.audit.inputs import read_inputs
 from bayescal.experiments.audit.load import load_audit
 from bayescal.experiments.audit.schema import SweepConfig
+from bayescal.experiments.frame.run import compute_experiment
 
 pytestmark = pytest.mark.runs
 
@@ -30,7 +30,7 @@ def test_shipped_design(name, monkeypatch):
     if name.endswith(("_linear", "_matrix")) or "stiffness" in name:
         changes["sweep"] = SweepConfig(noise=[1.0], poses=[40], workspace=[1.0])
         monkeypatch.setattr(compute, "choose_profiles", lambda audit: [])
-    summary = compute_audit(load_audit(path).model_copy(update=changes), path.parent).summary
+    summary = compute_experiment(load_audit(path).model_copy(update=changes), path.parent).summary
     json.dumps(summary, allow_nan=False)
     assert summary["structural_rank_is_clear"]
     n, rank = summary["n_parameters"], summary["structural_rank"]

@@ -27,7 +27,7 @@ seed = 5
 [data]
 study = "tiny/study.toml"
 
-[variant]
+[[variants]]
 model = "six_pus"
 deformation = "matrix"
 
@@ -141,9 +141,9 @@ def test_audit_of_a_study_runs_with_its_what_ifs(design):
     ("old", "new", "said"),
     [
         ('deformation = "matrix"', 'deformation = "linear"', "found no six_pus/linear, expected one of six_pus/none"),
-        ("[variant]", '[variant]\nfree = ["l"]', "variant.free: found l, expected none or those of the study's"),
-        ("seed = 5", 'seed = 5\nmechanism = "other.toml"', "other.toml beside [data], expected none or the study's"),
-        ("seed = 5", 'seed = 5\nmeasured_by = ["tracker"]', "found measured_by beside [data], expected none"),
+        ("[[variants]]", '[[variants]]\nfree = ["l"]', "variants.free: found l, expected none or those of the study's"),
+        ("seed = 5", 'seed = 5\nmachine = "other.toml"', "other.toml beside [data], expected none or the study's"),
+        ("seed = 5", "seed = 5\nposes = { count = 9 }", "found poses beside [data], expected none"),
         ("[data]", "[noise]\nactuator_um = 1.0\n[data]", "found noise beside [data], expected none"),
         ("tiny/study.toml", "tiny/nowhere.toml", "nowhere.toml"),
         ("tiny/study.toml", "simulate.toml", "kind: found 'simulation', expected 'study'"),
@@ -207,5 +207,5 @@ def test_errors_that_are_functions_of_the_pose_come_from_the_posterior(length, d
 
 
 def test_the_studys_own_mechanism_may_be_named(design):
-    studies.edit(design, "seed = 5", 'seed = 5\nmechanism = "tiny/../tiny/mechanism.toml"')
+    studies.edit(design, "seed = 5", 'seed = 5\nmachine = "tiny/../tiny/mechanism.toml"')
     assert _read(design).plan.n_poses == studies.N_CALIBRATION

@@ -37,7 +37,7 @@ def _inputs(path, draws, variant=(), **changes):
     changes |= {
         "sweep": SweepConfig(noise=[1.0], poses=[40], workspace=[1.0]),
         "posterior": posterior,
-        "variant": config.variant.model_copy(update=dict(variant)),
+        "variants": [config.variants[0].model_copy(update=dict(variant))],
     }
     return read_inputs(config.model_copy(update=changes), path.parent)
 

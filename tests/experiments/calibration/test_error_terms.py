@@ -112,13 +112,16 @@ def read(path):
     return read_inputs(config, path.parent)
 
 
-def test_all_terms_hold_together_and_have_their_gradient(tmp_path, rng):
+@pytest.mark.parametrize("outliers", ["robust = 4.0", "outlier_share = 0.05"])
+def test_all_terms_hold_together_and_have_their_gradient(outliers, tmp_path, rng):
     """Own terms, functions of three inputs, unknown noise and outliers: slopes are those of differences."""
     path = write(tmp_path)
-    calibrations.change(path, 'name = "all"', 'name = "all"\nrobust = 4.0')
+    calibrations.change(path, 'name = "all"', f'name = "all"\n{outliers}')
     posterior = read(path).variants["all"].posterior().anchored()
     expected = ("wander(wander)", "edge", *(f"sigma_g(motors, s[{k}])" for k in (1, 2, 3)))
-    assert posterior.errors.names[-8:] == (*expected, "sigma_g(drift)", "sigma_g(bed)", "L_g(bed)")
+    terms = [name for name in posterior.errors.names if name != "epsilon"]
+    assert terms[-8:] == [*expected, "sigma_g(drift)", "sigma_g(bed)", "L_g(bed)"]
+    assert (posterior.names[-1] == "epsilon") == ("share" in outliers)
     y = posterior.approach() + 0.05 * rng.standard_normal(posterior.n_parameters)
     gradient, hessian = posterior.gradient(y)
     assert (np.linalg.eigvalsh(-hessian) > 0.0).all()

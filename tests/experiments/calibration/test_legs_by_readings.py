@@ -45,7 +45,7 @@ class Struts(ReadingMachine):
         return np.concatenate([np.broadcast_to(one, (*shape, 6)) for one in (rho, v)], axis=-1)
 """
 CONFIG = """
-kind = "calibration"
+kind = "study"
 name = "m2_by_readings"
 title = "The M2 hexapod by the general route"
 seed = 2026

@@ -18,7 +18,7 @@ pytestmark = pytest.mark.runs
 
 
 def run(*arguments, folder):
-    command = [sys.executable, "-m", "bayescal.cli", *map(str, arguments)]
+    command = [sys.executable, "-m", "bayescal", *map(str, arguments)]
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300, check=False)
 
 

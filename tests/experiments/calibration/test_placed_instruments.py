@@ -76,7 +76,7 @@ bar_zero = { prior = "normal", sd = 1.0 }
 laser_zero = { prior = "normal", sd = 2.0 }
 """
 ARM = f"""
-kind = "calibration"
+kind = "study"
 name = "arm"
 title = "An arm and instruments beside it"
 seed = 3
@@ -115,11 +115,11 @@ draws = 4000
 max_draws = 4000
 """
 SIMULATION = f"""
-kind = "calibration_simulation"
+kind = "simulation"
 name = "arm_data"
 title = "Readings of an arm"
 seed = 4
-origin = "drawn within its tolerances"
+origin = {{ status = "simulated", text = "drawn within its tolerances" }}
 machine = "machine.toml"
 n_poses = 20
 verification_poses = 3
@@ -140,14 +140,8 @@ def write_arm(folder):
 @pytest.fixture(scope="module")
 def arm(tmp_path_factory):
     """Return the config of the arm's calibration, its readings simulated before the same instruments."""
-    from bayescal.experiments.calibration.simulate import read_simulation, simulate
-
     path = write_arm(tmp_path_factory.mktemp("arm"))
-    config = load(path.parent / "simulate.toml")[1]
-    found = simulate(read_simulation(config, path.parent), np.random.default_rng(4))
-    (path.parent / "data").mkdir()
-    for name, text in found.files.items():
-        (path.parent / "data" / name).write_text(text)
+    studies.write_texts(path.parent / "data", studies.simulate(path.parent / "simulate.toml").files)
     return path
 
 
@@ -225,14 +219,14 @@ def test_the_machine_alone_is_predicted_and_commanded(variant, results, tmp_path
 
 @pytest.mark.runs
 def test_an_audit_chooses_among_instruments(arm, tmp_path, call):
-    text = ARM.partition("[validation]")[0].replace('kind = "calibration"', 'kind = "calibration_audit"')
+    text = ARM.partition("[validation]")[0].replace('kind = "study"', 'kind = "audit"')
     before, _, after = text.partition("[origin]")
     audit = before + after[after.index("\n[instruments") :] + "\n[poses]\ncount = 12\n[next]\ncandidates = 10\n"
     path = arm.parent / "audit.toml"
     path.write_text(audit + '\n[sensor_choice]\nalways = ["encoder"]\ncandidates = [["station"], "bar", "laser"]\n')
     code, _, err = call("run", path, "--out", tmp_path / "out", "--workers", 1, "--quiet")
     assert code == 0, err
-    sets = pd.read_csv(tmp_path / "out" / "sensor_sets.csv")
+    sets = pd.read_csv(tmp_path / "out" / "tables" / "sensor_sets.csv")
     assert len(sets) == 8
 
 
@@ -240,7 +234,7 @@ def test_an_audit_chooses_among_instruments(arm, tmp_path, call):
 
 
 LEGS = """
-kind = "calibration"
+kind = "study"
 name = "legs"
 title = "Legs and a pose"
 seed = 1
@@ -448,7 +442,7 @@ REFUSED = {
     "unknown symbol": (
         "bar_zero = {",
         "bar_zeros = {",
-        "parameters: found 'bar_zeros', expected some of a, h, o, station",
+        "'near' frees 'bar_zero', which has no prior in [parameters]",
     ),
     "name of the machine's own channel": (
         "[instruments.station]",

@@ -16,7 +16,7 @@ CONFIG = {
         "parameters.s0: found 2 values",
     ),
     "no such file": ('file = "data/readings.csv"', 'file = "data/reading.csv"', "reading.csv"),
-    "free without a prior": ('common = ["l"]', 'free = ["q"]', "free: found 'q'"),
+    "free without a prior": ('common = ["l"]', 'free = ["q"]', "'one_rod' frees 'q', which has no prior"),
     "one in common": ('common = ["l"]', 'common = ["t_x"]', "one parameter, expected at least two"),
     "unknown group": ("[sampler]", "[unknown_noise]\ncam = 1.0\n[sampler]", "unknown_noise: found 'cam'"),
     "error on a channel that is not there": (
@@ -147,10 +147,13 @@ STUDY_OF_POSES = """kind = "study"
 name = "legs"
 title = "Legs"
 seed = 1
-mechanism = "machine.toml"
+machine = "machine.toml"
+
+[origin]
+status = "simulated"
+text = "Simulated"
 
 [data]
-origin = "Simulated"
 measurement = "poses"
 poses = "data/readings.csv"
 actuators = "data/readings.csv"

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from bayescal.errors import InputError
-from bayescal.experiments.calibration.audit.compute import _search_sets
-from bayescal.experiments.calibration.audit.inputs import read_audit
-from bayescal.experiments.calibration.audit.selection import select_poses
-from bayescal.experiments.calibration.audit.set_search import find_hopeless
+from bayescal.experiments.audit.reading_compute import search_sensors
+from bayescal.experiments.audit.reading_inputs import read_audit
+from bayescal.experiments.audit.selection import select_poses
+from bayescal.experiments.audit.set_search import find_hopeless
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.run import run_experiment
 
@@ -52,10 +52,10 @@ def test_a_set_is_as_good_as_an_audit_of_the_same_sensors_says(aligned, folder, 
     done = run_experiment(load(path)[1], folder, folder / "out", quiet=True).results
     sets, accuracy = done.table("sensor_sets").set_index("sensors"), done.table("requirements")
     for variant, sensors in (("both", "s[1], s[2], s[3], cam_x, cam_y, height"), ("probe", "s[1], s[2], s[3], height")):
-        wanted = accuracy[accuracy["variant"] == variant]["error"]
+        wanted = accuracy[accuracy["variant"] == variant]["rms_sd"]
         np.testing.assert_allclose(sets.loc[sensors, ["error_x_mm", "error_y_mm", "error_z_mm"]], wanted, rtol=1e-6)
     told = done.table("parameters")
-    told = told[told["variant"] == "both"].set_index("parameter")["sd"]
+    told = told[told["variant"] == "both"].set_index("parameter")["posterior_sd"]
     best = done.table("best_set_parameters")
     best = best[best["n_sensors"] == 6].set_index("parameter")["sd"]
     np.testing.assert_allclose(best, told[best.index], rtol=1e-6)
@@ -67,9 +67,9 @@ def test_a_set_is_as_good_as_an_audit_of_the_same_sensors_says(aligned, folder, 
 
 
 def test_adding_and_exchanging_finds_the_best_of_all_sets(read):
-    every = _search_sets(read(ALL))
+    every = search_sensors(read(ALL))
     inputs = read(f"{ALL}\nexhaustive = 0")
-    some = _search_sets(inputs)
+    some = search_sensors(inputs)
     assert every.exhaustive
     assert not some.exhaustive
     for number in range(3, 7):
@@ -80,7 +80,7 @@ def test_adding_and_exchanging_finds_the_best_of_all_sets(read):
 
 def test_what_is_no_good_is_named_by_its_largest_sets(read):
     inputs = read(ALL)
-    found = _search_sets(inputs)
+    found = search_sensors(inputs)
     hopeless = [names_of(inputs, found, k) for k in find_hopeless(found)]
     assert [sorted({"s[1]", "s[2]", "s[3]"} - set(one)) for one in hopeless] == [["s[3]"], ["s[2]"], ["s[1]"]]
     assert all(len(one) == 5 for one in hopeless)
@@ -91,7 +91,7 @@ def test_what_is_no_good_is_named_by_its_largest_sets(read):
 
 def test_an_instrument_is_bought_whole_and_what_is_always_there_does_not_count(read):
     inputs = read('candidates = [["cam_x", "cam_y"], "height"]\nalways = ["s"]')
-    found = _search_sets(inputs)
+    found = search_sensors(inputs)
     assert [one.name for one in inputs.choices] == ["cam_x + cam_y", "height"]
     assert found.sets.tolist() == [[False, False], [True, False], [False, True], [True, True]]
     assert [one.n_readings for one in found.accuracy] == [3, 5, 4, 6]
@@ -99,7 +99,7 @@ def test_an_instrument_is_bought_whole_and_what_is_always_there_does_not_count(r
 
 
 def test_a_set_cannot_be_better_than_one_that_holds_it(read):
-    found = _search_sets(read(ALL))
+    found = search_sensors(read(ALL))
     goals = np.array([one.goal for one in found.accuracy])
     for row, goal in zip(found.sets, goals, strict=True):
         larger = (row <= found.sets).all(axis=1)

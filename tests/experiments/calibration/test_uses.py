@@ -27,7 +27,7 @@ def results(tmp_path_factory) -> Path:
     path = calibrations.write_delta(folder)
     command = folder / "bin" / "bayescal"
     command.parent.mkdir()
-    command.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m bayescal.cli "$@"\n')
+    command.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m bayescal "$@"\n')
     command.chmod(0o755)
     surroundings = {**os.environ, "PATH": f"{command.parent}{os.pathsep}{os.environ['PATH']}"}
     done = subprocess.run(

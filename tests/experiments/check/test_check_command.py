@@ -60,7 +60,7 @@ def test_the_best_variant_is_checked_where_none_is_named(study, tmp_path, monkey
     [
         (
             lambda folder: calibrations.write_audit(folder),
-            "found 'calibration_audit', expected 'study' or 'calibration'",
+            "found 'audit', expected 'study'",
         ),
         (
             lambda folder: studies.write_tiny_study(folder),

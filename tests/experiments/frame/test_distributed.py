@@ -161,40 +161,49 @@ def test_own_workers_that_are_gone_are_one_line(monkeypatch, tmp_path):
             Run(cluster).map("lives", lives.end_life, tmp_path, {"plain": "plain"})
 
 
-def test_an_interrupt_cancels_what_is_under_way(dask, tmp_path):
-    path, out = toys.write_toy(tmp_path, "count = 40\npause = 0.3\n"), tmp_path / "out"
-    run = toy_runs.start(path, "--out", out, "--scheduler", dask.address, "--quiet")
-    toy_runs.wait_for_tasks(out)
+def start_long(folder, scheduler, n_tasks=1):
+    """Return a run of many tasks under way, some of which have ended."""
+    path, out = toys.write_toy(folder, "count = 40\npause = 0.3\n"), folder / "out"
+    run = toy_runs.start(path, "--out", out, "--scheduler", scheduler, "--quiet")
+    toy_runs.wait_for_tasks(out, n_tasks)
+    return run
+
+
+def interrupt(run):
+    """Interrupt a run, which says so in one line; return that."""
     os.killpg(run.pid, signal.SIGINT)
     said, complaint = run.communicate(timeout=20)
     assert (run.returncode, said, complaint.count("\n")) == (130, "", 1)
-    assert "interrupted; finished work is kept, go on with --resume" in complaint
+    return complaint
+
+
+def wait_until(happens):
+    """Wait some seconds for something."""
     until = time.monotonic() + 10.0
-    while dask.count_tasks() and time.monotonic() < until:
+    while not happens() and time.monotonic() < until:
         time.sleep(0.1)
+
+
+def test_an_interrupt_cancels_what_is_under_way(dask, tmp_path):
+    run = start_long(tmp_path, dask.address)
+    complaint = interrupt(run)
+    assert "interrupted; finished work is kept, go on with --resume" in complaint
+    wait_until(lambda: not dask.count_tasks())
     assert dask.count_tasks() == 0
     assert all(process.poll() is None for process in dask.started)
 
 
 def test_an_interrupt_of_own_workers_leaves_no_process(tmp_path):
-    path, out = toys.write_toy(tmp_path, "count = 40\npause = 0.3\n"), tmp_path / "out"
-    run = toy_runs.start(path, "--out", out, "--scheduler", "local:2", "--quiet")
-    toy_runs.wait_for_tasks(out)
+    run = start_long(tmp_path, "local:2")
     listening = [one for pid in toy_runs.list_group(run.pid) for one in psutil.Process(pid).net_connections("tcp")]
     assert {one.laddr.ip for one in listening if one.status == psutil.CONN_LISTEN} == {"127.0.0.1"}
-    os.killpg(run.pid, signal.SIGINT)
-    said, complaint = run.communicate(timeout=20)
-    assert (run.returncode, said, complaint.count("\n")) == (130, "", 1)
-    until = time.monotonic() + 10.0
-    while toy_runs.list_group(run.pid) and time.monotonic() < until:
-        time.sleep(0.1)
+    interrupt(run)
+    wait_until(lambda: not toy_runs.list_group(run.pid))
     assert toy_runs.list_group(run.pid) == []
 
 
 def test_a_scheduler_that_goes_away_is_one_line_and_what_is_done_is_kept(call, dask, tmp_path):
-    path, out = toys.write_toy(tmp_path, "count = 40\npause = 0.3\n"), tmp_path / "out"
-    run = toy_runs.start(path, "--out", out, "--scheduler", dask.address, "--quiet")
-    toy_runs.wait_for_tasks(out, 2)
+    run = start_long(tmp_path, dask.address, 2)
     kill(dask.started[0])
     said, complaint = run.communicate(timeout=90)
     assert (run.returncode, said, complaint.count("\n")) == (3, "", 1), complaint

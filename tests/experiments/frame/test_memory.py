@@ -14,7 +14,7 @@ from bayescal.experiments.frame import memory
 from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.frame.memory import GIB, Need, check_memory, estimate_arrays, measure_available
 from bayescal.experiments.frame.run import run_experiment
-from bayescal.experiments.pose_selection.kind import PoseSelection
+from bayescal.experiments.selection.kind import Selection
 
 DEGREES = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
 NEED = Need(shared=1.0 * GIB, each=2.0 * GIB, sizes="many poses", remedy="fewer poses")
@@ -59,7 +59,7 @@ def test_a_study_is_refused_and_writes_nothing(monkeypatch, tmp_path):
     ("kind", "name", "key", "part"),
     [
         (Audit, "audit/m2_hexapod.toml", "poses", {"count": 4000}),
-        (PoseSelection, "pose_selection/hexapod_i_optimal.toml", "candidates", {"count": 100_000}),
+        (Selection, "pose_selection/hexapod_i_optimal.toml", "candidates", {"count": 100_000}),
     ],
 )
 def test_estimates_grow_with_the_sizes(kind, name, key, part):

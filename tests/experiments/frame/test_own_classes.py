@@ -16,14 +16,13 @@ import studies
 
 from bayescal.config.files import find_files
 from bayescal.errors import InputError
-from bayescal.experiments.audit import changes
 from bayescal.experiments.audit.audit import analyse
-from bayescal.experiments.audit.inputs import read_inputs
+from bayescal.experiments.audit.inputs import AuditInputs, read_inputs
 from bayescal.experiments.frame.identity import identify
 from bayescal.experiments.frame.load import load, load_experiment
 from bayescal.experiments.frame.run import compute_experiment
 from bayescal.experiments.frame.store import Store
-from bayescal.experiments.pose_selection.inputs import read_selection
+from bayescal.experiments.selection.inputs import read_selection
 from bayescal.experiments.study.load import load_inputs
 from bayescal.machines.read import load_mechanism
 
@@ -31,9 +30,12 @@ pytestmark = pytest.mark.runs
 
 AUDIT = """
 extends = "base.toml"
-measured_by = ["own"]
 simulated_calibrations = 0
 expected_over_draws = 0
+
+[[variants]]
+model = "six_ups"
+sensors = ["own"]
 
 [sensors.own]
 kind = "own.py:Tracker"
@@ -231,7 +233,7 @@ def test_continuous_starts_from_an_own_method(tmp_path):
 
 
 def test_an_audit_with_an_own_sensor(call, tmp_path, monkeypatch, no_pictures):
-    monkeypatch.setattr(changes, "propose_i_optimal", decline)  # takes longer than all the rest
+    monkeypatch.setattr(AuditInputs, "propose", decline)  # takes longer than all the rest
     shipped = (problems.DESIGNS / "camera_hexapod.toml").read_text()
     shipped = shipped.replace('"camera_hexapod_mechanism', f'"{problems.DESIGNS}/camera_hexapod_mechanism')
     (tmp_path / "base.toml").write_text(shipped)
@@ -248,7 +250,7 @@ def test_an_audit_with_an_own_sensor(call, tmp_path, monkeypatch, no_pictures):
 
 def test_an_audit_of_a_study_of_own_classes(folder):
     path = folder / "audit.toml"
-    text = 'kind = "audit"\nname = "own"\ntitle = "Own"\nseed = 1\ndata = { study = "study.toml" }\n[variant]\n'
+    text = 'kind = "audit"\nname = "own"\ntitle = "Own"\nseed = 1\ndata = { study = "study.toml" }\n[[variants]]\n'
     path.write_text(text + 'model = { class = "own.py:Longer", longer_mm = 0.5 }\n')
     experiment, config = load(path)
     assert experiment.read(config, folder).measured.machine.model.longer == 0.5
@@ -279,7 +281,7 @@ def test_an_installed_package_offers_its_classes_by_name(tmp_path):
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(site), os.environ.get("PYTHONPATH", "")])}
 
     def run(*options):
-        command = [sys.executable, "-m", "bayescal.cli", "run", str(path), "--out", str(tmp_path / "out"), *options]
+        command = [sys.executable, "-m", "bayescal", "run", str(path), "--out", str(tmp_path / "out"), *options]
         return subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
 
     done = run("--workers", "2", "--quiet")

@@ -22,7 +22,7 @@ SLOW = "count = 6\npause = 0.3\n"
 
 def start(path: Path, *options: object) -> subprocess.Popen:
     """Start a run in a process and a group of its own, as a shell does."""
-    command = [sys.executable, "-m", "bayescal.cli", "run", str(path), *map(str, options)]
+    command = [sys.executable, "-m", "bayescal", "run", str(path), *map(str, options)]
     return subprocess.Popen(
         command,
         stdout=subprocess.PIPE,
@@ -101,6 +101,48 @@ def test_code_of_results_is_run_where_somebody_trusts_it(call, tmp_path):
         assert message in complaint
 
 
+BLOCKS = """
+from bayescal.experiments.frame.blocks import PageBlock
+from bayescal.report.blocks import make_section
+
+
+class Total(PageBlock):
+    def show(self, results):
+        return make_section("In full", (f"It is {results.summary['total']!r}.",))
+
+
+class Nothing(PageBlock):
+    def show(self, results):
+        return None
+
+
+class Broken(PageBlock):
+    def show(self, results):
+        return results.summary["no such"]
+"""
+
+
+def test_blocks_of_a_file_are_on_the_page(call, tmp_path):
+    """What fails says so there; all is regenerated from results, whose code runs where somebody trusts it."""
+    names = [f"blocks.py:{name}" for name in ("Total", "Nothing", "Broken")]
+    path, out = toys.write_toy(tmp_path, f"blocks = {json.dumps(names)}\n"), tmp_path / "out"
+    (tmp_path / "blocks.py").write_text(BLOCKS)
+    assert call("run", path, "--out", out, "--workers", 1, "--quiet")[0] == 0
+    whole = read_all(out)
+    page = whole["report.html"].decode()
+    total = json.loads(whole["summary.json"])["total"]
+    assert f"It is {total!r}." in page
+    assert "This block could not be shown: KeyError: 'no such'" in page.replace("&#39;", "'")
+    assert "Nothing" not in page.partition("blocks.py")[0]
+    assert whole["code/blocks.py"] == BLOCKS.encode()
+    assert "blocks.py" in json.loads(whole["provenance.json"])["files"]
+    (tmp_path / "blocks.py").unlink()
+    code, _, complaint = call("report", out)
+    assert (code, complaint.count("\n")) == (2, 1)
+    assert call("report", out, "--trust-code")[0] == 0
+    assert read_all(out) == whole
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -110,6 +152,8 @@ def test_code_of_results_is_run_where_somebody_trusts_it(call, tmp_path):
         ({"kind": "stduy"}, "did you mean 'study'?"),
         ({"numbers": "missing.txt"}, "missing.txt"),
         ({"count": 0}, "count: found 0"),
+        ({"blocks": ["nowhere.py:Total"]}, "blocks: found 'nowhere.py:Total'"),
+        ({"blocks": ["toy_kind.py:Toy"]}, "blocks: found 'toy_kind.py:Toy', which is no PageBlock"),
     ],
 )
 def test_faults_are_one_line_and_leave_nothing(call, tmp_path, change, message):
@@ -132,7 +176,7 @@ def test_an_installed_package_offers_its_kind_by_name(tmp_path):
     path.write_text(path.read_text().replace("toy_kind.py:Toy", "toy"))
     environment = {**os.environ, "PYTHONPATH": str(site)}
     for command in (["run", path, "--out", tmp_path / "out", "--workers", 2, "--quiet"], ["report", tmp_path / "out"]):
-        called = [sys.executable, "-m", "bayescal.cli", *map(str, command)]
+        called = [sys.executable, "-m", "bayescal", *map(str, command)]
         done = subprocess.run(called, env=environment, capture_output=True, text=True, check=False)
         assert (done.returncode, done.stderr) == (0, "")
     assert (tmp_path / "out" / "report.html").is_file()

@@ -5,9 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 KIND = '''
-"""Squares of random numbers, each a task of its own."""
+"""Squares of random numbers, each a task of its own that runs tasks itself."""
+
+from __future__ import annotations
 
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +20,7 @@ from pydantic import Field
 from bayescal.config.sections import ExperimentConfig, InputFile
 from bayescal.errors import InputError
 from bayescal.experiments.frame.experiment import Experiment
+from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.report.blocks import Page, make_section
 
@@ -25,6 +29,16 @@ class ToyConfig(ExperimentConfig):
     numbers: InputFile
     count: int = Field(default=4, ge=1)
     pause: float = 0.0
+
+
+@dataclass(frozen=True)
+class Factor:
+    value: float
+
+
+@dataclass(frozen=True)
+class Factors:
+    both: tuple[Factor, Factor]
 
 
 class Toy(Experiment):
@@ -51,7 +65,13 @@ class Toy(Experiment):
 def square(shared, k):
     config, factor = shared
     time.sleep(config.pause)
-    return factor * float(np.random.default_rng([config.seed, k]).normal() ** 2)
+    one, other = Run().once("factors", draw, [config.seed, k], (Factors,)).both
+    return factor * one.value * other.value
+
+
+def draw(seed):
+    drawn = Factor(float(np.random.default_rng(seed).normal()))
+    return Factors((drawn, drawn))
 '''
 
 CONFIG = """

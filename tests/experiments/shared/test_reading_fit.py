@@ -6,10 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from calibration_problems import correlation_of, density, linear_model, measurements
+from calibration_problems import correlation_of, density, linear_model, measurements, rows_of
 from scipy import stats
 
-from bayescal.density.calibration.outliers import Outliers
 from bayescal.density.calibration.prediction import replicate_readings
 from bayescal.density.calibration.terms import Errors
 from bayescal.density.posterior import Posterior
@@ -35,7 +34,7 @@ def make_posterior(rng, truth, noise=1.0, correlated=False, robust=np.inf, n_pos
     data = measurements(values, SD, correlation if correlated else None)
     names = model.layout.names
     priors = {names[0]: NormalPrior(0.0, 1.0), names[1]: UniformPrior(-2.0, 2.0), names[2]: NormalPrior(0.0, 0.5)}
-    return Posterior(density(model, data), priors, Errors(outliers=Outliers(robust))), pose
+    return Posterior(density(model, data), priors, Errors(outliers=rows_of(robust))), pose
 
 
 def draw_truth(rng):

@@ -230,7 +230,7 @@ def test_committed_hexapod_with_its_config():
 def test_a_certificate_states_a_budget_and_how_it_was_checked(study, call):
     code, out, _ = call("certificate", "out", "--out", "machine.html", "--poses", 32, "--cube", 0.2)
     assert code == 0
-    assert out.splitlines()[0].startswith("Position within ±(x ")
+    assert out.splitlines()[0].startswith("Position: x ±")
     page, figures = Path("machine.html").read_text(), json.loads(Path("machine.json").read_text())
     for said in ("noise of the actuators", "ISO 9283 pose accuracy AP", "ISO 230-2 accuracy A of z", "predicted"):
         assert said in page

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from bayescal.data.photogrammetry.poses import extract_poses
-from bayescal.data.simulation import build_twin, simulate_survey
 from bayescal.experiments.frame.load import load_experiment
-from bayescal.experiments.simulation.load import load_simulation
+from bayescal.experiments.simulation.twin import build_twin, simulate_survey
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.measurement import TargetMeasurement
 from bayescal.inference.ensemble import run_ensemble
@@ -20,7 +19,7 @@ N_SURVEYS = 50
 
 @pytest.fixture(scope="module")
 def twin():
-    return build_twin(load_simulation(TELESCOPE / "simulate.toml"), TELESCOPE)
+    return build_twin(load_experiment(TELESCOPE / "simulate.toml"), TELESCOPE)
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +38,7 @@ def draw_truth(twin, config, variant, rng):
 def infer(twin, config, theta, seed):
     """Return z-scores and posterior ranks of the true geometry, K estimated from the targets of the same survey."""
     survey = simulate_survey(twin, np.random.default_rng(seed), theta)
-    noise = 1e-3 * config.data.target_noise_um
+    noise = 1e-3 * config.measured.target_noise_um
     inputs = StudyInputs(
         config, TELESCOPE, twin.mechanism, TargetMeasurement(survey, extract_poses(survey, noise), "robust")
     )

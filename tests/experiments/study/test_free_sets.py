@@ -10,10 +10,9 @@ import pandas as pd
 import pytest
 import studies
 
-from bayescal.api import run_study
 from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load_experiment
-from bayescal.experiments.frame.run import Finished
+from bayescal.experiments.frame.run import Finished, run_experiment
 from bayescal.experiments.study.fit import Task, run_task
 
 pytestmark = pytest.mark.runs
@@ -51,7 +50,7 @@ def path(tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def result(path) -> Finished:
     """Return the finished study of four variants, three of them of one model and deformation."""
-    return run_study(load_experiment(path), path.parent, path.parent / "results", 1)
+    return run_experiment(load_experiment(path), path.parent, path.parent / "results", 1)
 
 
 @pytest.fixture(scope="module")
@@ -108,7 +107,7 @@ def test_compare_ranks_named_variants_too(call, result, tmp_path):
 def test_claims_take_the_variants_without_names(result, tmp_path, no_pictures):
     path = studies.write_tiny_study(tmp_path)
     studies.edit(path, "seed = 11", f'seed = 11\nclaims = "{studies.CLAIMS}"')
-    other = run_study(load_experiment(path), tmp_path, tmp_path / "out", 1)
+    other = run_experiment(load_experiment(path), tmp_path, tmp_path / "out", 1)
     claims = [pd.read_csv(one.out / "tables" / "claims.csv") for one in (result, other)]
     pd.testing.assert_frame_equal(*claims)
 
@@ -169,7 +168,7 @@ seed = 5
 [data]
 study = "study.toml"
 
-[variant]
+[[variants]]
 model = "six_pus"
 deformation = "none"
 
@@ -192,7 +191,7 @@ def read_design(folder: Path, *changes: tuple[str, str]):
 
 @pytest.mark.parametrize(("name", "symbol"), [("joints alone", "a_x"), ("six_pus/none", "l"), ("lengths", "l")])
 def test_an_audit_takes_a_variant_by_its_name(tmp_path, name, symbol):
-    inputs = read_design(tmp_path, ("[variant]", f'variant = "{name}"\n[variant]'))
+    inputs = read_design(tmp_path, ("[[variants]]", f'variant = "{name}"\n[[variants]]'))
     assert {one.partition("[")[0] for one in inputs.knowledge.names} == {symbol}
     assert inputs.measured.origin.endswith(f"study tiny, variant {name}")
 
@@ -210,15 +209,15 @@ def test_an_audit_takes_the_only_variant_of_a_model_and_deformation_without_its_
             "found six_pus/none as 'six_pus/none', 'joints alone', 'lengths', expected data.variant with one",
         ),
         (
-            (("[variant]", 'variant = "length"\n[variant]'),),
+            (("[[variants]]", 'variant = "length"\n[[variants]]'),),
             "found no 'length' of six_pus/none, expected 'six_pus/none', 'joints alone', 'lengths'",
         ),
         (
-            (("[variant]", 'variant = "lengths"\n[variant]'), ('deformation = "none"', 'deformation = "matrix"')),
+            (("[[variants]]", 'variant = "lengths"\n[[variants]]'), ('deformation = "none"', 'deformation = "matrix"')),
             "found no 'lengths' of six_pus/matrix, expected 'six_pus/matrix'",
         ),
         (
-            (("[variant]", 'variant = "lengths"\n[variant]\nfree = ["a_x"]'),),
+            (("[[variants]]", 'variant = "lengths"\n[[variants]]\nfree = ["a_x"]'),),
             "variant.free: found a_x, expected none or those of the study's lengths: l",
         ),
     ],

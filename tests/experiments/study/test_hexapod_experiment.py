@@ -15,12 +15,11 @@ import studies
 
 from bayescal.data.photogrammetry.poses import PoseExtraction, extract_poses
 from bayescal.data.photogrammetry.survey import Survey
-from bayescal.data.simulation import Twin, build_twin, simulate_survey
 from bayescal.experiments.frame.load import load_experiment
-from bayescal.experiments.simulation.load import load_simulation
+from bayescal.experiments.shared.study_schema import StudyConfig
+from bayescal.experiments.simulation.twin import Twin, build_twin, simulate_survey
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.measurement import TargetMeasurement
-from bayescal.experiments.study.schema import StudyConfig
 from bayescal.inference.ensemble import run_ensemble
 from bayescal.inference.exploration import count_walkers, explore
 from bayescal.machines.kinematics import solve_forward_kinematics
@@ -33,7 +32,7 @@ N_SURVEYS, N_DRAWS = 40, 150
 
 @pytest.fixture(scope="module")
 def twin() -> Twin:
-    return build_twin(load_simulation(FOLDER / "simulate.toml"), FOLDER)
+    return build_twin(load_experiment(FOLDER / "simulate.toml"), FOLDER)
 
 
 @pytest.fixture(scope="module")

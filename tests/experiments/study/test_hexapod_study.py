@@ -11,9 +11,9 @@ import pandas as pd
 import pytest
 import studies
 
-from bayescal.api import run_study
 from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load_experiment
+from bayescal.experiments.frame.run import run_experiment
 from bayescal.report.pictures import Picture
 
 pytestmark = pytest.mark.runs
@@ -32,7 +32,7 @@ def results(folder) -> Path:
     """Return the results of the study, pictures not drawn."""
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr("bayescal.report.page.render_picture", lambda draw, stacked=True: Picture(b"not drawn"))
-        return run_study(load_experiment(folder / "study.toml"), folder, folder / "results", workers=1).out
+        return run_experiment(load_experiment(folder / "study.toml"), folder, folder / "results", workers=1).out
 
 
 @pytest.fixture(scope="module")

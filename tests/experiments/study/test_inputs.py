@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 import studies
 
-from bayescal.api import run_study
 from bayescal.errors import InputError, NumericalError
 from bayescal.experiments.frame import engine
 from bayescal.experiments.frame.load import load_experiment
+from bayescal.experiments.frame.run import run_experiment
 from bayescal.experiments.study import compute
 
 
@@ -101,7 +101,7 @@ def test_faulty_published_table(folder, old, new, expected):
         ("study.toml", "sd = 2.0", "sd = 1e300", "parameters.l.sd: found 1e+300"),
         ("study.toml", "factor = [1.0]", "factor = [1e-300]", "sensitivity.factor.0: found 1e-300"),
         ("study.toml", "offset = 0.0", "offset = 1e300", "parameters.b_z.offset: found 1e+300"),
-        ("study.toml", 'free = ["l"]', 'free = ["l", "l"]', "frees 'l' twice, expected each symbol once"),
+        ("study.toml", 'free = ["l"]', 'free = ["l", "l"]', "free: found 'l' twice, expected it once"),
         ("study.toml", "draws = 1000", "draws = 5000", "max_draws 1000 below draws 5000"),
         ("mechanism.toml", "[0.0, 0.0, 1.0]", "[0.0, 0.0, 1e300]", "legs.direction.2: found 1e+300"),
         ("mechanism.toml", "radius_mm = 130.0", "radius_mm = 9.0\npoints_mm = [[1, 2, 3]]", "platform: expected"),
@@ -243,13 +243,13 @@ def test_a_failure_of_scipy_is_numerical(folder, monkeypatch, error):
 
     monkeypatch.setattr(compute, "run_task", fail_always)
     with pytest.raises(NumericalError, match="six_pus-none-tau-free"):
-        run_study(load_experiment(folder / "study.toml"), folder, folder / "out")
+        run_experiment(load_experiment(folder / "study.toml"), folder, folder / "out")
 
 
 def test_left_handed_targets_are_a_numerical_failure_or_a_misfit(folder):
     change_targets(folder, lambda row: [*row[:5], str(-float(row[5]))])
     try:
-        result = run_study(load_experiment(folder / "study.toml"), folder, folder / "out")
+        result = run_experiment(load_experiment(folder / "study.toml"), folder, folder / "out")
     except (InputError, NumericalError):
         return
     assert not result.converged
@@ -266,4 +266,4 @@ def kill_worker(parent, *_):
 def test_a_killed_worker_is_a_numerical_failure(folder, monkeypatch):
     monkeypatch.setattr(engine, "_call_in_worker", kill_worker)
     with pytest.raises(NumericalError, match="a worker was killed"):
-        run_study(load_experiment(folder / "study.toml"), folder, folder / "out", workers=2)
+        run_experiment(load_experiment(folder / "study.toml"), folder, folder / "out", workers=2)

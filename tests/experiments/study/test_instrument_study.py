@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import studies
 
-from bayescal.data.simulation import POSE_COORDINATES, build_twin
 from bayescal.data.truth import PARAMETER_COLUMNS
+from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.frame.run import compute_experiment
-from bayescal.experiments.simulation.load import load_simulation
+from bayescal.experiments.simulation.twin import POSE_COORDINATES, build_twin
 from bayescal.experiments.study.tables import format_poses
 from bayescal.files.csv_tables import read_table
 from bayescal.inference.mode import find_modes
@@ -76,7 +76,7 @@ def write_points(folder):
     text = text[: text.index("[targets]")].replace("target_um = 3.0\n", "") + INSTRUMENT
     text = re.sub(r"kappa = \[.*\]\n", "", text).replace('deformation_matrix = "deformation_matrix.csv"\n', "")
     (folder / "simulate.toml").write_text(text)
-    made = compute_experiment(load_simulation(folder / "simulate.toml"), folder).files
+    made = compute_experiment(load_experiment(folder / "simulate.toml"), folder).files
     studies.write_texts(folder, {f"data/{name}": str(one) for name, one in made.items()})
     text = config.read_text().replace(studies.BY_TARGETS, POINTS).replace("[parameters]\n", FRAMES + "[parameters]\n")
     (folder / "points.toml").write_text(text)
@@ -191,7 +191,7 @@ def test_the_truth_stands_beside_simulated_readings(pointed):
     """Of machine and platform, not of frames, which the config states; fed back it is the same machine."""
     folder = pointed.parent
     inputs = studies.load_study(pointed)
-    twin = build_twin(load_simulation(folder / "simulate.toml"), folder)
+    twin = build_twin(load_experiment(folder / "simulate.toml"), folder)
     parameters = read_table(folder / "data" / "true_parameters.csv", PARAMETER_COLUMNS)
     assert parameters.text("parameter") == list(twin.machine.layout.names)
     poses = read_table(folder / "data" / "true_poses.csv", ("pose", *POSE_COORDINATES))
@@ -205,7 +205,7 @@ def test_the_truth_stands_beside_simulated_readings(pointed):
         r"\[truth.*?(?=\n\[poses\])", '[truth]\nparameters = "data/true_parameters.csv"\n', text, flags=re.DOTALL
     )
     fed.write_text(truth)
-    made = compute_experiment(load_simulation(fed), folder).files
+    made = compute_experiment(load_experiment(fed), folder).files
     assert {name: (folder / "data" / name).read_text() for name in made} == made
 
 
@@ -344,7 +344,7 @@ CAMERA = studies.EXPERIMENTS / "camera_hexapod"
 
 
 def test_shipped_readings_are_those_of_the_documented_command():
-    made = compute_experiment(load_simulation(CAMERA / "simulate.toml"), CAMERA).files
+    made = compute_experiment(load_experiment(CAMERA / "simulate.toml"), CAMERA).files
     assert set(made) == {path.name for path in (CAMERA / "data").iterdir()}
     for name, text in made.items():
         studies.assert_same_text(str(text), (CAMERA / "data" / name).read_text(), name)
@@ -355,7 +355,7 @@ def test_shipped_example_finds_its_machine_and_frames():
     inputs = studies.load_study(CAMERA / "study.toml")
     posterior = inputs.posterior(inputs.config.variants[0], with_model_error=False)
     mode = find_modes(posterior)[0]
-    truth = compute_experiment(load_simulation(CAMERA / "simulate.toml"), CAMERA).tables["truth"]
+    truth = compute_experiment(load_experiment(CAMERA / "simulate.toml"), CAMERA).tables["truth"]
     true = truth.set_index("parameter")["true"]
     assert set(true.index) == set(posterior.names)
     sd = np.array([posterior.priors[name].sd for name in posterior.names]) * np.sqrt(np.diagonal(mode.covariance))

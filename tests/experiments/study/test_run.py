@@ -16,12 +16,11 @@ import pytest
 import studies
 import xarray as xr
 
-from bayescal.api import run_study
 from bayescal.errors import InputError, NumericalError
 from bayescal.experiments.frame import run as frame
 from bayescal.experiments.frame.identity import hash_identity
 from bayescal.experiments.frame.load import load_experiment
-from bayescal.experiments.frame.run import Finished
+from bayescal.experiments.frame.run import Finished, run_experiment
 from bayescal.experiments.study import compute
 from bayescal.experiments.study.fit import list_tasks, run_task
 from bayescal.limits import MOVED_LIMIT, PARETO_K_LIMIT
@@ -37,7 +36,7 @@ NUMBERS = (
 
 def run(path: Path, out: Path, workers: int = 1, resume: bool = False, **changes: Any) -> Finished:
     config = load_experiment(path).model_copy(update=changes)
-    return run_study(config, path.parent, out, workers, resume)
+    return run_experiment(config, path.parent, out, workers, resume)
 
 
 @pytest.fixture(scope="module")

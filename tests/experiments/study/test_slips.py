@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 import studies
 
-from bayescal.data.simulation import build_twin, format_survey, simulate_survey
 from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load_experiment
-from bayescal.experiments.simulation.load import load_simulation
+from bayescal.experiments.simulation.twin import build_twin, format_survey, simulate_survey
 from bayescal.experiments.study.doubts import find_study_slip
 from bayescal.experiments.study.load import load_inputs
 
@@ -91,14 +90,14 @@ def test_likely_cause_is_found_by_trying_it(drawn, what, call):
 @pytest.mark.parametrize("seed", range(20))
 def test_no_clean_twin_is_suspected(drawn, seed, tmp_path):
     studies.write_texts(tmp_path, studies.tiny_texts())
-    config = load_simulation(tmp_path / "simulate.toml")
+    config = load_experiment(tmp_path / "simulate.toml")
     rng = np.random.default_rng(500 + seed)
     twin = build_twin(config, tmp_path)
     theta = twin.theta.copy()
     lengths = twin.machine.layout.index["l"]
     theta[lengths] = twin.machine.layout.nominal[lengths] + rng.normal(0.0, 2.0, len(lengths))
     survey = simulate_survey(twin, rng, theta)
-    studies.write_texts(tmp_path, {f"data/{n}": text for n, text in format_survey(survey, config.origin).items()})
+    studies.write_texts(tmp_path, {f"data/{n}": text for n, text in format_survey(survey, config.origin.text).items()})
     assert find_study_slip(load(tmp_path)) is None
 
 
@@ -179,6 +178,6 @@ def test_plan_without_motion_is_refused(drawn, values, tmp_path):
     path = tmp_path / "calibration_configurations.csv"
     header = next(line for line in path.read_text().splitlines() if not line.startswith("#"))
     path.write_text(f"{header}\n{values}\n{values}\n")
-    config = load_simulation(tmp_path / "simulate.toml")
+    config = load_experiment(tmp_path / "simulate.toml")
     with pytest.raises(InputError, match="found the same actuator positions at all 2 poses"):
         build_twin(config, tmp_path)

@@ -11,13 +11,12 @@ import pytest
 import studies
 from rich.console import Console
 
-from bayescal.api import run_study
-from bayescal.data.simulation import build_twin, format_survey, simulate_survey
 from bayescal.experiments.frame import run as frame
 from bayescal.experiments.frame.load import load_experiment
+from bayescal.experiments.frame.run import run_experiment
 from bayescal.experiments.shared.chi_square import ChiSquare
 from bayescal.experiments.shared.soundness import find_misfit, measure_pulls
-from bayescal.experiments.simulation.load import load_simulation
+from bayescal.experiments.simulation.twin import build_twin, format_survey, simulate_survey
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.load import load_inputs
 from bayescal.inference.exploration import explore
@@ -36,9 +35,9 @@ def draw_survey(folder: Path, seed: int) -> None:
     for symbol, values in offsets.items():
         text = re.sub(rf"^{symbol} = .*$", f"{symbol} = {[float(x) for x in values]}", text, flags=re.MULTILINE)
     (folder / "simulate.toml").write_text(text)
-    config = load_simulation(folder / "simulate.toml")
+    config = load_experiment(folder / "simulate.toml")
     survey = simulate_survey(build_twin(config, folder), np.random.default_rng(seed))
-    for name, table in format_survey(survey, config.origin).items():
+    for name, table in format_survey(survey, config.origin.text).items():
         (folder / "data" / name).write_text(table)
 
 
@@ -93,7 +92,7 @@ def test_a_study_says_first_which_noise_is_wrong(folder, noise, cause, monkeypat
     monkeypatch.setattr(frame, "write_page", lambda page, folder, *more: folder)
     inputs = read(folder, noise)
     only = [one for one in inputs.config.variants if one.name == VARIANT]
-    finished = run_study(inputs.config.model_copy(update={"variants": only}), folder, folder / "out")
+    finished = run_experiment(inputs.config.model_copy(update={"variants": only}), folder, folder / "out")
     said = [statement for statement in finished.page.verdict if statement.lead == "Noise"]
     console = Console(file=io.StringIO(), width=120)
     finished.show(console)

@@ -11,7 +11,8 @@ from saved_trees import check_tree, scale_power
 
 from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.shared.estimate import Fit
-from bayescal.experiments.shared.trees import choose_draws, write_tree
+from bayescal.experiments.shared.packing import pack_tree
+from bayescal.experiments.shared.trees import choose_draws, write_packed
 from bayescal.experiments.study.fit import Task, run_task
 from bayescal.experiments.study.held_out import compute_pits
 from bayescal.experiments.study.inputs import StudyInputs
@@ -43,7 +44,7 @@ def trees(inputs, fits, tmp_path_factory) -> dict[Task, xr.DataTree]:
     """Return the trees as they are read from their files."""
     folder = tmp_path_factory.mktemp("posterior")
     for task in TASKS:
-        write_tree(lambda task=task: build_study_tree(inputs, task, fits[task]))(folder / f"{task.stem}.nc")
+        write_packed(pack_tree(build_study_tree(inputs, task, fits[task])), folder / f"{task.stem}.nc")
     return {task: check_tree(folder / f"{task.stem}.nc", k_is_good=False) for task in TASKS}
 
 

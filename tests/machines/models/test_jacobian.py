@@ -137,9 +137,9 @@ def test_initial_positions_are_told_by_nothing(where, symbols, n_null):
     theta = layout.nominal if where == "nominal" else machines.telescope_truth(machine)
     data = machines.place_poses(machine, theta, machines.table_3_actuators(), np.zeros((40, 6)))
     likelihood = PoseLikelihood(machine, data, machines.ACTUATOR_NOISE)
-    white = np.linalg.inv(np.linalg.cholesky(likelihood.leg_covariance(np.zeros(6))))
+    white = np.linalg.inv(np.linalg.cholesky(likelihood.error_covariance(np.zeros(6))))
     columns = np.concatenate([layout.index[s] for s in symbols])
-    slope = (white @ likelihood.leg_error_jacobian(theta)[1][..., columns]).reshape(-1, len(columns))
+    slope = (white @ likelihood.error_jacobian(theta)[1][..., columns]).reshape(-1, len(columns))
     values = np.linalg.svd(slope / np.linalg.norm(slope, axis=0), compute_uv=False)
     assert (values < 1e-12 * values[0]).sum() == n_null
     assert values[len(columns) - n_null - 1] > 1e-4 * values[0]

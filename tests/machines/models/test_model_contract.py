@@ -9,20 +9,22 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, replace
 
+import guided_machines as guided
 import numpy as np
 import pytest
 import telescope_machines as machines
 
 from bayescal.errors import InputError
-from bayescal.machines.kinematics import Machine, check_home_pose, solve_inverse_kinematics
+from bayescal.machines.kinematics import Machine, check_home_pose, solve_forward_kinematics, solve_inverse_kinematics
 from bayescal.machines.mechanism import Flexures
-from bayescal.numerics.geometry import matrix_from_rotation_vector
+from bayescal.numerics.geometry import compute_pose_error, matrix_from_rotation_vector
 
 TOLERANCE = 1e-7
 STEP_SHARE = 0.1  # of the spread: rounding and what the stencil leaves out are then both below 1e-8, relative
 POSE_STEPS = np.array([0.1] * 3 + [1e-3] * 3)  # mm and rad
 ACTUATOR_STEP = 0.1  # mm
 N_POSES = 5
+DEFORMATIONS = machines.deformation_names()
 
 
 @dataclass(frozen=True)
@@ -41,36 +43,32 @@ class Scene:
         return self.machine.linearise(*(changes.get(name, getattr(self, name)) for name in names))
 
 
-@pytest.fixture(params=machines.model_cases(6, 8), ids=lambda case: f"{case[0]}, {case[1]} legs")
-def case(request):
-    """Return the name of a model and a number of legs."""
-    return request.param
+CASES = [
+    *((model, str(n), deformation) for model, n in machines.model_cases(6, 8) for deformation in DEFORMATIONS),
+    *((model, kind, "linear") for model in machines.model_names() if model != "six_ups" for kind in guided.KINDS),
+]
 
 
-@pytest.fixture
-def n_legs(case):
-    """Return the number of legs."""
-    return case[1]
-
-
-@pytest.fixture(params=machines.deformation_names())
-def deformation(request):
-    """Return the name of a deformation."""
-    return request.param
-
-
-@pytest.fixture
-def scene(case, deformation, rng):
-    """Return a machine with every parameter moved, near its home pose."""
-    model, n_legs = case
-    machine = machines.build_machine(deformation, machines.build_random_mechanism(n_legs, seed=3), model)
+@pytest.fixture(params=CASES, ids=", ".join)
+def scene(request, rng):
+    """Return a machine with every parameter moved, near its home pose: of so many legs, or on guides of a kind."""
+    model, form, deformation = request.param
+    build = machines.build_random_mechanism if form.isdigit() else guided.build_guided
+    machine = machines.build_machine(deformation, build(int(form) if form.isdigit() else form, seed=4), model)
     layout, home = machine.layout, check_home_pose(machine)
-    spread = machines.spread_of(layout)
+    spread = machines.spread_of(layout) * (1.0 if form.isdigit() else 0.2)
     theta = layout.nominal + spread * rng.standard_normal(layout.size)
     position = home.position + rng.uniform(-3, 3, (N_POSES, 3))
     rotation = matrix_from_rotation_vector(rng.uniform(-0.05, 0.05, (N_POSES, 3)))
+    n_legs = machine.mechanism.n_legs
     actuators = machine.mechanism.initial_actuator_positions + rng.uniform(-2, 2, (N_POSES, n_legs))
     return Scene(machine, theta, position, rotation, actuators)
+
+
+@pytest.fixture
+def n_legs(scene):
+    """Return the number of legs."""
+    return scene.machine.mechanism.n_legs
 
 
 def assert_derivative(found, expected):
@@ -208,6 +206,21 @@ def test_direction_off_the_unit_sphere_is_nan(scene):
     both = np.isnan(bound.evaluate(np.stack([theta, scene.theta])))
     np.testing.assert_array_equal(both[..., 0].T, lost)
     assert not both[..., 1].any()
+
+
+def test_poses_are_found_again(scene, rng):
+    """By the actuators that hold them; and the actuators again from these poses."""
+    machine, theta = scene.machine, scene.machine.layout.nominal
+    home = check_home_pose(machine)
+    position = home.position + rng.uniform(-3, 3, (20, 3))
+    rotation = matrix_from_rotation_vector(rng.uniform(-0.02, 0.02, (20, 3)))
+    actuators = solve_inverse_kinematics(machine, theta, position, rotation).actuators
+    found = solve_forward_kinematics(machine, theta, actuators)
+    error = compute_pose_error(found.position, found.rotation, position, rotation)
+    assert np.abs(error[:, :3]).max() < 1e-9
+    assert np.abs(error[:, 3:]).max() < 1e-11
+    again = solve_inverse_kinematics(machine, theta, found.position, found.rotation)
+    np.testing.assert_allclose(again.actuators, actuators, rtol=0, atol=1e-9)
 
 
 def test_inverse_kinematics_closes(scene):

@@ -1,102 +1,26 @@
-"""Instruments beside any machine: one contract for all, against differences, an independent form, and each other."""
+"""Instruments beside any machine, against an independent form; `test_machine_contract` has what every machine does."""
 
 from __future__ import annotations
 
-from pathlib import Path
-
+import machine_registry
 import numpy as np
 import own_arm
 import pytest
-import sliding_platforms
+from machine_registry import FRAME, build_instruments, draw
 from scipy.spatial.transform import Rotation
 
 from bayescal.errors import InputError
 from bayescal.machines.parameters import ParameterBlock
-from bayescal.machines.read import read_reading_model
 from bayescal.machines.readings import Channel, FunctionModel, Instrument, ReadingMachine, place
-from bayescal.machines.readings.placed import (
-    DistanceConfig,
-    DistanceInstrument,
-    PointConfig,
-    PointInstrument,
-    PoseConfig,
-    PoseInstrument,
-)
+from bayescal.machines.readings.placed import PointConfig, PointInstrument
 
-ROOT = Path(__file__).parents[3]
-FRAME = {"frame_mm": [900.0, -400.0, 250.0], "frame_deg": [10.0, -40.0, 115.0]}
-TURNED = [30.0, -20.0, 45.0]
+SEEN = {**machine_registry.LEVEL, **machine_registry.TURNING}
 
 
-def read_legs(folder):
-    (folder / "machine.toml").write_text(
-        'kind = "legs"\nname = "m2"\nmechanism = "mechanism.toml"\nmodel = "six_ups"\ntool_mm = [10.0, -20.0, 60.0]\n'
-    )
-    text = (ROOT / "experiments" / "audit" / "m2_hexapod_mechanism.toml").read_text()
-    (folder / "mechanism.toml").write_text(text)
-    return read_reading_model(folder / "machine.toml")
-
-
-class TurningArm(own_arm.Arm):
-    """The arm with a tool that turns with its column and its forearm."""
-
-    tool_channels = (*own_arm.Arm.tool_channels, *(Channel(f"r{a}", "rad", rotation="r") for a in "xyz"))
-
-    def tool(self, parameters, v):
-        from bayescal.numerics.analytic import rotation_matrix, rotation_vector
-
-        def turn(angle, axis):
-            return rotation_matrix(angle[..., None] * np.eye(3)[axis])
-
-        here = rotation_vector(turn(v[..., 0], 2) @ turn(-v[..., 1] - v[..., 2], 1))
-        return np.concatenate(np.broadcast_arrays(super().tool(parameters, v), here), axis=-1)
-
-    def read(self, parameters, v, given):
-        encoders = v - parameters["o"]
-        return np.concatenate(np.broadcast_arrays(encoders, own_arm.Arm.tool(self, parameters, v)), axis=-1)
-
-
-LEVEL = {
-    "delta": lambda _: read_reading_model(ROOT / "examples" / "own_machine" / "machine.toml"),
-    "hangprinter": lambda _: read_reading_model(ROOT / "experiments" / "hangprinter" / "machine.toml"),
-    "three_rps": lambda _: read_reading_model(ROOT / "benchmarks" / "three_rps" / "solved.toml"),
-    "arm": lambda _: FunctionModel("arm", own_arm.Arm(None)),
-}
-"""Machines that say where their tool is, and not how it is turned."""
-TURNING = {
-    "legs": read_legs,
-    "struts": lambda _: read_reading_model(ROOT / "experiments" / "m2_hexapod_table" / "machine.toml"),
-    "sliding platform": lambda _: sliding_platforms.sliding_star(),
-    "turning arm": lambda _: FunctionModel("arm", TurningArm(None)),
-}
-
-
-def build_instruments(turned):
-    """Return an instrument of each kind; those of machines without a rotation see the tool's centre."""
-    target = {"target_mm": TURNED} if turned else {}
-    found = {
-        "station": PointInstrument(PointConfig(**FRAME, **target)),
-        "bar": DistanceInstrument(DistanceConfig(anchor_mm=[500.0, 600.0, -100.0], zero_mm=3.0, **target)),
-    }
-    pose = PoseConfig(**FRAME, target_mm=TURNED, target_deg=[5.0, 6.0, 170.0])
-    return found | ({"camera": PoseInstrument(pose)} if turned else {})
-
-
-@pytest.fixture(params=[*LEVEL, *TURNING])
-def placed(request, tmp_path):
+@pytest.fixture(params=SEEN)
+def placed(request):
     name = request.param
-    machine = (LEVEL | TURNING)[name](tmp_path)
-    return place(machine, build_instruments(name in TURNING))
-
-
-def draw(model, rng, n=4):
-    """Return parameters (n, D), poses (n, q) near home and what is given of them."""
-    size = np.array([1e-2 if unit in ("mm", "rad") else 1e-3 for unit in model.layout.units])
-    theta = model.layout.nominal + size * rng.standard_normal((n, model.layout.size))
-    pose = model.home_pose + 0.02 * np.minimum(model.pose_scale, 100.0) * rng.uniform(
-        -1.0, 1.0, (n, len(model.home_pose))
-    )
-    return theta, pose, {name: rng.uniform(10.0, 12.0, n) for name in model.given}
+    return place(machine_registry.MACHINES[name](), build_instruments(name in machine_registry.TURNING))
 
 
 def test_readings_are_those_of_the_tool(placed, rng):
@@ -134,53 +58,6 @@ def test_readings_are_those_of_the_tool(placed, rng):
         assert apart.magnitude().max() < 1e-12
 
 
-def test_derivatives_are_those_of_differences(placed, rng):
-    theta, pose, given = draw(placed, rng)
-    found = placed.linearise(theta, pose, True, given)
-    np.testing.assert_allclose(found.values, placed.read(theta, pose, given), rtol=0, atol=1e-10)
-    alone = placed.linearise(theta, pose, False, given)
-    np.testing.assert_allclose(alone.by_pose, found.by_pose, rtol=1e-9, atol=1e-12)
-    seen = slice(len(placed.whole.channels), None)  # the machine's own have their tests
-    for exact, at, where in ((found.by_pose, pose, 1), (found.by_parameters, theta, 0)):
-        for k in range(at.shape[1]):
-            step = 1e-5 * max(1.0, float(np.abs(at[:, k]).max())) * np.eye(at.shape[1])[k]
-            above, below = (
-                placed.read(*((theta, pose + one) if where else (theta + one, pose)), given)[:, seen]
-                for one in (step, -step)
-            )
-            slope = (above - below) / (2.0 * step[k])
-            np.testing.assert_allclose(exact[:, seen, k], slope, rtol=1e-6, atol=2e-6)
-
-
-def test_picked_channels_read_the_same(placed, rng):
-    """Once and again, with channels of all parts, of one, and without any of the machine's own."""
-    theta, pose, given = draw(placed, rng)
-    whole = placed.linearise(theta, pose, True, given)
-    last = len(placed.channels) - 1
-    own = len(placed.whole.channels)
-    for some in ([0, 1, own, own + 2, last], [own + 1, last], list(range(own)), [1, own - 1, last]):
-        once = placed.pick(np.array(some))
-        for model, places in ((once, some), (once.pick(np.array([1])), some[1:2])):
-            assert model.names == tuple(placed.names[k] for k in places)
-            assert model.layout.names == placed.layout.names
-            found = model.linearise(theta, pose, True, given)
-            np.testing.assert_allclose(found.values, whole.values[:, places], rtol=0, atol=1e-12)
-            np.testing.assert_allclose(found.by_pose, whole.by_pose[:, places], rtol=1e-12, atol=1e-12)
-            np.testing.assert_allclose(found.by_parameters, whole.by_parameters[:, places], rtol=1e-12, atol=1e-12)
-            np.testing.assert_allclose(model.read(theta, pose, given), found.values, rtol=0, atol=1e-10)
-
-
-def test_batches_of_machines_and_poses(placed, rng):
-    theta, pose, given = draw(placed, rng)
-    found = placed.linearise(theta[:, None], pose[None, :3], True, {name: one[None, :3] for name, one in given.items()})
-    n, q, size = len(placed.channels), pose.shape[1], theta.shape[1]
-    assert found.values.shape == (4, 3, n)
-    assert found.by_pose.shape == (4, 3, n, q)
-    assert found.by_parameters.shape == (4, 3, n, size)
-    again = placed.linearise(theta[2], pose[1], True, {name: one[1] for name, one in given.items()})
-    np.testing.assert_allclose(found.by_parameters[2, 1], again.by_parameters, rtol=1e-9, atol=1e-12)
-
-
 def test_the_machine_stays_what_it_is(placed, rng):
     """Its commands, its tool and what its channels read: instruments are for the calibration only."""
     theta, pose, given = draw(placed, rng)
@@ -199,13 +76,9 @@ def test_the_machine_stays_what_it_is(placed, rng):
     assert placed.seen_parameters(machine.names[:1]) == machine.seen_parameters(machine.names[:1])
 
 
-def test_an_actuator_that_deflects_others_still_does(tmp_path, rng):
+def test_an_actuator_that_deflects_others_still_does():
     """The gain of a machine's model errors, with an instrument's beside it."""
-    import telescope_machines
-
-    from bayescal.machines.readings import Legs
-
-    machine = Legs(telescope_machines.build_machine("matrix"), np.zeros(3))
+    machine = machine_registry.MACHINES["coupled legs"]()
     placed = place(machine, build_instruments(turned=True))
     theta, pose = placed.layout.nominal[None], placed.home_pose[None]
     n, own = len(machine.channels), machine.error_gain(machine.layout.nominal[None], pose)

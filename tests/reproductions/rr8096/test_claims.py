@@ -260,8 +260,8 @@ def test_contraction_of_a_known_problem(telescope):
     """One parameter in one leg's residual: the posterior variance in closed form."""
     machine = telescope.machine("six_pus")
     likelihood = telescope.likelihood(machine)
-    column = likelihood.leg_error_jacobian(machine.layout.nominal)[1][..., machine.layout.index["l"][2]]
-    precision = np.linalg.inv(likelihood.leg_covariance(np.zeros(6)))
+    column = likelihood.error_jacobian(machine.layout.nominal)[1][..., machine.layout.index["l"][2]]
+    precision = np.linalg.inv(likelihood.error_covariance(np.zeros(6)))
     information = np.einsum("pi,pij,pj->", column, precision, column)
     all_legs = compute_contraction(telescope, machine, ("l",), ("l",))
     assert all_legs.shape == (6, 1)

@@ -8,7 +8,7 @@ from sika_problems import NOISE, TOLERANCES
 from sliding_platforms import STAR, build, make_content, sliding_star
 
 from bayescal.errors import InputError
-from bayescal.machines.read import read_sliding_platform
+from bayescal.machines.read import read_reading_model
 from sika2008.schema import PosesConfig, SensorConfig
 from sika2008.setup import ARCSECOND, build_sensors, draw_poses, free_parameters, poses_about_home
 
@@ -47,7 +47,7 @@ def test_tolerances_by_what_a_parameter_is():
     assert known["l[1]"] == known["eta_B[3]"] == 0.3
     assert known["beta[2]"] == pytest.approx(np.radians(0.05))
     assert known["phi0[3]"] == pytest.approx(np.radians(2.0))
-    assert not set(model.frame_parameters()) & set(known)
+    assert not set(model.machine.frame_parameters()) & set(known)
     assert "phi0[1]" not in known
     rng = np.random.default_rng(0)
     drawn = free.draw(rng, 4000)
@@ -61,12 +61,12 @@ def test_poses_lie_within_half_widths_of_home():
     pose = draw_poses(model, config, np.random.default_rng(3))
     tool, _, _ = model.tool(model.layout.nominal, pose)
     off = np.abs(tool - [3.0, -2.0])
-    turned = np.abs(np.degrees(pose[:, 2] - model.home[2]))
+    turned = np.abs(np.degrees(pose[:, 2] - model.home_pose[2]))
     assert off.max() < 150.0
     assert turned.max() < 20.0
     assert (off.max(axis=0) > 145.0).all()
     assert turned.max() > 19.0
-    np.testing.assert_allclose(poses_about_home(model, np.zeros((1, 3)))[0], model.home, atol=1e-12)
+    np.testing.assert_allclose(poses_about_home(model, np.zeros((1, 3)))[0], model.home_pose, atol=1e-12)
 
 
 def test_poses_out_of_reach_are_named():
@@ -83,4 +83,4 @@ def test_guide_angles_in_radians_are_found_out(tmp_path):
     path.write_text(text)
     config = PosesConfig(n_poses=50, position_mm=200.0, angle_deg=30.0)
     with pytest.raises(InputError, match=r"machine 'sliding_star': pose \d+: legs \d and \d cross"):
-        draw_poses(read_sliding_platform(path), config, np.random.default_rng(1))
+        draw_poses(read_reading_model(path), config, np.random.default_rng(1))

@@ -18,7 +18,8 @@ from sliding_platforms import make_content
 from bayescal.experiments.frame.identity import hash_identity, identify
 from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.frame.run import check_experiment, run_experiment
-from bayescal.machines.read import build_sliding_platform
+from bayescal.machines.readings import FunctionModel
+from bayescal.machines.readings.sliding_platform import SlidingPlatform
 from sika2008.documented import QUANTILE, cover, list_calibrabilities, list_steps, name_parts, ratio_of, rms_of
 from sika2008.machines import GEOMETRY, draw_candidate, lay_out
 from sika2008.published import band_of, read_published
@@ -204,7 +205,7 @@ def test_steps_are_ratios_of_root_mean_squares(setup):
 def test_path_is_a_circle_of_the_tool(setup):
     position, _, _ = setup.machine.tool(setup.machine.layout.nominal, setup.path)
     np.testing.assert_allclose(np.linalg.norm(position, axis=1), 150.0, rtol=1e-12)
-    turned = np.degrees(setup.path[:, 2] - setup.machine.home[2])
+    turned = np.degrees(setup.path[:, 2] - setup.machine.home_pose[2])
     assert turned.max() == pytest.approx(20.0)
     assert turned.min() == pytest.approx(-20.0)
 
@@ -254,8 +255,9 @@ def test_machines_are_drawn_from_their_ranges(setup):
         for name in GEOMETRY:
             low, high = getattr(config, name)
             assert low <= one.geometry[name] <= high
-        one.machine.check_poses(one.pose)
-        np.testing.assert_allclose(np.hypot(*one.machine.guide_points.T), one.geometry["guide_radius_mm"])
+        platform = one.machine.machine
+        platform.check_poses(one.pose)
+        np.testing.assert_allclose(np.hypot(*platform.guide_points.T), one.geometry["guide_radius_mm"])
         tool, _, _ = one.machine.tool(one.machine.layout.nominal, one.pose)
         assert np.abs(tool).max() <= one.geometry["position_mm"]
 
@@ -263,7 +265,7 @@ def test_machines_are_drawn_from_their_ranges(setup):
 def test_the_documented_machine_is_one_of_them(setup):
     geometry = dict.fromkeys(GEOMETRY, 0.0) | {"guide_radius_mm": 600.0, "leg_length_mm": 800.0}
     ours = lay_out(geometry | {"platform_radius_mm": 100.0}, 4)
-    found = build_sliding_platform(ours)
+    found = FunctionModel("drawn", SlidingPlatform(ours))
     off = found.layout.nominal - setup.machine.layout.nominal
     turns = np.array(found.layout.units) == "rad"
     np.testing.assert_allclose(off[~turns], 0.0, atol=1e-9)

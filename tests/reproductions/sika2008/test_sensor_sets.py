@@ -31,7 +31,7 @@ def setting(names=("s", "phi"), model=None):
 def test_exact_readings_lead_back_to_their_poses_from_home(names, rng):
     model, sensors, pose = setting(names)
     theta = model.layout.nominal * (1 + 1e-4 * rng.standard_normal((3, 1, model.layout.size)))
-    found = find_poses(sensors, theta, sensors.read(theta, pose), np.tile(model.home, (len(pose), 1)))
+    found = find_poses(sensors, theta, sensors.read(theta, pose), np.tile(model.home_pose, (len(pose), 1)))
     assert found.converged.all()
     np.testing.assert_allclose(found.pose, np.broadcast_to(pose, found.pose.shape), rtol=0, atol=1e-8)
     assert np.abs(found.error).max() < 1e-5
@@ -42,7 +42,7 @@ def test_any_number_of_legs(n_legs):
     model = star_of(n_legs)
     sensors = build_sensors(model, NOISE, ("s", "psi[1]"))
     pose = replace(WORKSPACE, angle_deg=10.0).draw(model, np.random.default_rng(4))
-    start = np.tile(model.home, (len(pose), 1))
+    start = np.tile(model.home_pose, (len(pose), 1))
     found = find_poses(sensors, model.layout.nominal, sensors.read(model.layout.nominal, pose), start)
     np.testing.assert_allclose(found.pose, pose, rtol=0, atol=1e-8)
 

@@ -11,10 +11,11 @@ from bayescal.experiments.audit.page.wording import (
     format_share,
     name_requirement,
 )
+from bayescal.experiments.shared.headline import LIKELY
 from bayescal.report.blocks import Level, Statement
 from bayescal.report.numbers import format_count, format_fixed, join_words
 
-KEPT = 0.95  # probability from which on a requirement counts as kept
+KEPT = LIKELY  # probability from which on a requirement counts as kept
 OFF = 3.0  # standard errors of a ratio of simulated to predicted sd
 OFF_SHARE = 0.05
 SIMULATED_LEAD = "Simulated calibrations"

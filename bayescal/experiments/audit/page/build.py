@@ -4,14 +4,25 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from bayescal.experiments.audit.page import freedom, illustrations, tables
+from bayescal.experiments.audit.page import freedom, illustrations
 from bayescal.experiments.audit.page.method import describe_method, tabulate_audit
 from bayescal.experiments.audit.page.poses import count_poses
 from bayescal.experiments.audit.page.profile_table import tabulate_profiles
 from bayescal.experiments.audit.page.results import AuditResults
 from bayescal.experiments.audit.page.ridges import build_ridges
+from bayescal.experiments.audit.page.sensor_sets import show_counts, show_sets
+from bayescal.experiments.audit.page.tables import (
+    tabulate_changes,
+    tabulate_parameters,
+    tabulate_posterior,
+    tabulate_requirements,
+    tabulate_ridge_help,
+    tabulate_symbols,
+)
+from bayescal.experiments.audit.page.variants import show_selected, show_variants
 from bayescal.experiments.audit.page.verdict import list_failures, state_headline, state_verdict
 from bayescal.experiments.frame.results import Results
+from bayescal.experiments.shared.knowledge_page import name_titles, show_accuracy, show_next
 from bayescal.report.blocks import Absent, Block, Definitions, Fold, Page, Section, Statement, Table
 from bayescal.report.numbers import format_plain, join_words
 from bayescal.report.variant_names import describe_deformation
@@ -53,7 +64,7 @@ def build_page(results: Results) -> Page:
         headline=state_headline(audit),
         verdict=tuple(state_verdict(audit)),
         sections=_build_sections(audit),
-        facts=(("Machine", _describe_machine(audit)), ("Plan", _describe_plan(audit))),
+        facts=_list_facts(audit),
         failures=tuple(list_failures(audit)),
         failures_title=FAILURES,
         symbols=tuple(audit.symbols),
@@ -66,14 +77,24 @@ def _find_origin(audit: AuditResults) -> str:
     return posterior["origin"] if posterior is not None else ""
 
 
+def _list_facts(audit: AuditResults) -> tuple[tuple[str, str], ...]:
+    facts = [("Machine", _describe_machine(audit)), ("Plan", _describe_plan(audit))]
+    titles = name_titles(audit.tables) if "variants" in audit.tables else {}
+    return (*facts, ("Details of", titles[audit.best])) if len(titles) > 1 else tuple(facts)
+
+
 def _describe_machine(audit: AuditResults) -> str:
     summary = audit.summary
+    if not audit.is_of_legs:
+        return str(summary["machine"])
     model = summary.get("model_title", summary["model"])
     return f"{summary['machine']}, {model} {describe_deformation(summary['deformation'])}"
 
 
 def _describe_plan(audit: AuditResults) -> str:
     plan = audit.summary["plan"]
+    if not audit.is_of_legs:
+        return f"{count_poses(audit)}, {plan['poses']}; readings of {join_words(plan['sensors'])}"
     moved, most, noise, model_error = (
         format_plain(plan[key], 3)
         for key in ("largest_displacement_mm", "actuator_range_mm", "actuator_noise_um", "model_error_um")
@@ -94,27 +115,41 @@ def _describe_plan(audit: AuditResults) -> str:
 
 
 def _build_sections(audit: AuditResults) -> tuple[Section, ...]:
-    ridges = build_ridges(audit)
-    sweeps = illustrations.show_sweeps(audit)
+    ridges, tables, asked = build_ridges(audit), audit.tables, audit.summary["units"]
+    sweeps, accuracy = illustrations.show_sweeps(audit), show_accuracy(tables, asked)
     return (
+        *show_variants(tables, audit.best),
+        *((accuracy,) if accuracy is not None else ()),
         Section("Parameters: what will be known", _show_parameters(audit), "parameters", "Parameters"),
         Section("Ridges: what cannot be told apart", (RIDGES if ridges else NO_RIDGES, *ridges), "ridges", "Ridges"),
         Section("What to free", _show_selection(audit), "selection"),
         Section("Requirements", _show_requirements(audit), "requirements"),
+        *show_sets(tables, audit.summary),
+        *show_next(tables, audit.best, asked),
+        *show_selected(tables, audit.best, asked),
+        *show_counts(tables, audit.best, asked),
         Section("What would help", _show_changes(audit), "changes"),
         Section("Noise, number of poses, displacements", (sweeps,), "sweeps", "Sweeps"),
-        Section("Profile likelihoods", _show_profiles(audit), "profiles", "Profiles"),
-        Section("Ridges as draws show them", _show_draws(audit), "draws", "Ridge plots"),
+        *_show_checks_of_legs(audit),
         Section("Simulated calibrations", _show_simulated(audit), "simulated"),
         Section("How it was computed", (Definitions(describe_method(audit)), tabulate_audit(audit)), "method"),
     )
 
 
+def _show_checks_of_legs(audit: AuditResults) -> tuple[Section, ...]:
+    if not audit.is_of_legs:
+        return ()
+    return (
+        Section("Profile likelihoods", _show_profiles(audit), "profiles", "Profiles"),
+        Section("Ridges as draws show them", _show_draws(audit), "draws", "Ridge plots"),
+    )
+
+
 def _show_parameters(audit: AuditResults) -> tuple[Block, ...]:
-    each = Fold("Every parameter with the reason of its verdict", (_set_small(tables.tabulate_parameters(audit)),))
+    each = Fold("Every parameter with the reason of its verdict", (_set_small(tabulate_parameters(audit)),))
     return (
         *illustrations.show_machine(audit),
-        _set_small(tables.tabulate_symbols(audit)),
+        _set_small(tabulate_symbols(audit)),
         illustrations.show_contraction(audit),
         each,
         illustrations.show_spectrum(audit),
@@ -134,12 +169,12 @@ def _show_selection(audit: AuditResults) -> tuple[Block, ...]:
 
 
 def _show_requirements(audit: AuditResults) -> tuple[Block, ...]:
-    table = tables.tabulate_requirements(audit)
+    table = tabulate_requirements(audit)
     return (*_if_any(table), illustrations.show_requirements(audit))
 
 
 def _show_changes(audit: AuditResults) -> tuple[Block, ...]:
-    table, best = tables.tabulate_changes(audit), tables.tabulate_ridge_help(audit)
+    table, best = tabulate_changes(audit), tabulate_ridge_help(audit)
     blocks: list[Block] = [illustrations.show_changes(audit)]
     if table is not None:
         blocks.insert(0, replace(table, style="wide"))
@@ -154,7 +189,7 @@ def _show_profiles(audit: AuditResults) -> tuple[Block, ...]:
 
 def _show_draws(audit: AuditResults) -> tuple[Block, ...]:
     blocks: list[Block] = [illustrations.show_ridges(audit), *_list_formulas(audit)]
-    others, drawn = illustrations.show_other_ridges(audit), tables.tabulate_posterior(audit)
+    others, drawn = illustrations.show_other_ridges(audit), tabulate_posterior(audit)
     if others is not None:
         blocks.append(Fold("The other ridges", (others,)))
     if drawn is not None:

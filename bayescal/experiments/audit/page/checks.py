@@ -14,18 +14,17 @@ KINDS = ("structural", "practical", "informed")
 EFFECTS = ("harmless", "noticeable", "harmful", "unknown")
 
 SUMMARY_KEYS: dict[str, Kinds] = {
-    **dict.fromkeys(("name", "title", "machine", "model", "deformation"), str),
+    **dict.fromkeys(("name", "title", "machine"), str),
     **dict.fromkeys(("n_parameters", "structural_rank", "n_structural", "n_practical", "n_informed"), int),
     **dict.fromkeys(("units", "plan", "parameters", "requirements"), dict),
     **dict.fromkeys(("directions", "recommended_free", "could_also_be_freed", "selection", "what_if"), list),
     "structural_rank_is_clear": bool,
     "total_nats": NUMBER,
 }
-PLAN_KEYS: dict[str, Kinds] = {
-    "n_poses": int,
-    "sensors": list,
-    **dict.fromkeys(("actuator_noise_um", "model_error_um", "largest_displacement_mm", "actuator_range_mm"), NUMBER),
-}
+PLAN_KEYS: dict[str, Kinds] = {"n_poses": int, "sensors": list}
+PLAN_OF_LEGS: dict[str, Kinds] = dict.fromkeys(
+    ("actuator_noise_um", "model_error_um", "largest_displacement_mm", "actuator_range_mm"), NUMBER
+)
 PARAMETER_KEYS: dict[str, Kinds] = {
     **dict.fromkeys(("unit", "verdict", "why"), str),
     **dict.fromkeys(("nominal", "prior_sd", "posterior_sd", "contraction", "nats"), NUMBER),
@@ -44,13 +43,14 @@ RIDGE_KEYS: dict[str, Kinds] = {
     **dict.fromkeys(("changes_workspace_position", "changes_workspace_rotation"), NUMBER),
 }
 FAR_KEYS: dict[str, Kinds] = {"legs": list, "reading_mm": NUMBER, "direction_sd": NUMBER}
-REQUIREMENT_NUMBERS = (
-    *("limit", "prior_sd", "predicted_sd", "geometry_sd", "reduced_sd"),
-    *("prior_probability", "probability", "reduced_probability"),
-)
+DEVIATIONS = ("prior_sd", "predicted_sd", "geometry_sd", "reduced_sd")
+REQUIREMENT_NUMBERS = ("limit", *DEVIATIONS, "prior_probability", "probability", "reduced_probability")
+ANY_NUMBER = (*NUMBER, type(None))
+"""A number that is not known where the machine's own sensors do not determine it."""
 REQUIREMENT_KEYS: dict[str, Kinds] = {
     "unit": str,
     **dict.fromkeys(REQUIREMENT_NUMBERS, NUMBER),
+    **dict.fromkeys(DEVIATIONS, ANY_NUMBER),
 }
 STEP_KEYS: dict[str, Kinds] = {"symbol": str, "nats": NUMBER, "contraction": NUMBER, "taken": bool}
 CHANGE_KEYS: dict[str, Kinds] = {
@@ -90,6 +90,9 @@ def check_summary(summary: dict[str, Any], path: Path) -> None:
     check_keys(summary, SUMMARY_KEYS, path, "")
     check_keys(summary["units"], {"length": str, "angle": str}, path, "units.")
     check_keys(summary["plan"], PLAN_KEYS, path, "plan.")
+    if "model" in summary:
+        check_keys(summary, dict.fromkeys(("model", "deformation"), str), path, "")
+        check_keys(summary["plan"], PLAN_OF_LEGS, path, "plan.")
     if "n_held_back" in summary["plan"]:
         check_keys(summary["plan"], {"n_held_back": int}, path, "plan.")
     if "far_readings" in summary:
@@ -145,7 +148,10 @@ def _check_change(change: dict[str, Any], summary: dict[str, Any], path: Path, w
         check_keys(change, {"total_nats": NUMBER, "n_identifiable": int}, path, f"{where}.")
         check_keys(change["ridges"], dict.fromkeys(change["ridges"], NUMBER), path, f"{where}.ridges.")
         check_keys(
-            change["requirements"], dict.fromkeys(summary["requirements"], NUMBER), path, f"{where}.requirements."
+            change["requirements"],
+            {k: ANY_NUMBER if k in change["requirements"] else NUMBER for k in summary["requirements"]},
+            path,
+            f"{where}.requirements.",
         )
 
 

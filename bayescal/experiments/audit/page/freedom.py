@@ -97,7 +97,7 @@ def tabulate_selection(results: AuditResults) -> Table | None:
         )
     ]
     if extra:
-        notes.append(Statement(f"On single legs it could hold more: {list_names(extra)}."))
+        notes.append(Statement(f"On single ones it could hold more: {list_names(extra, results.member)}."))
     return make_table(
         "How the reduced set is found: symbols in the order in which they are looked at.", columns, rows, notes
     )

@@ -46,7 +46,11 @@ def show_contraction(results: AuditResults) -> Figure:
         "Outlined: the reduced set of reproductions."
     )
     draw = partial(
-        draw_contraction, values.to_numpy(dtype=float), results.symbols, legs, free.eq(True).to_numpy(dtype=bool)
+        draw_contraction,
+        values.to_numpy(dtype=float),
+        results.symbols,
+        [f"{results.member} {leg}" if leg else "machine" for leg in legs],
+        free.eq(True).to_numpy(dtype=bool),
     )
     return Figure("contraction", caption, draw)
 
@@ -88,7 +92,7 @@ def show_changes(results: AuditResults) -> Figure:
     which = (
         "the combination named after each parameter"
         if len(ridges) == len(names)
-        else ("the combinations named after each symbol, on the leg known least")
+        else (f"the combinations named after each symbol, on the {results.member} known least")
     )
     caption = (
         f"Contraction of {which} under other plans; the first row is the plan itself. Blue: determined. Combinations "
@@ -118,10 +122,10 @@ def show_sweeps(results: AuditResults) -> Figure:
     """Return how everything goes with noise, number of poses and displacements."""
     sweeps = results.tables.get("sweeps")
     caption = (
-        "What is left of the tolerances on the leg that is known least, a line per symbol, with all parameters unknown "
-        "(dashed red: contraction 0.75 and 0.1), and below it the predicted standard deviations in per cent of their "
-        "limits. The grey line is the plan; open marks need more than the actuators' range. Lines that stay level wait "
-        "for another kind of measurement."
+        f"What is left of the tolerances on the {results.member} that is known least, a line per symbol, with all "
+        "parameters unknown (dashed red: contraction 0.75 and 0.1), and below it the predicted standard deviations in "
+        "per cent of their limits. The grey line is the plan; open marks need more than the actuators' range. Lines "
+        "that stay level wait for another kind of measurement."
     )
     if sweeps is None or not set(sweeps["sweep"]) & set(SWEEPS):
         return Figure("sweeps", caption, None, "nothing was swept")

@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from bayescal.errors import InputError
-from bayescal.experiments.audit.page.checks import REQUIREMENT_KEYS, check_summary
+from bayescal.experiments.audit.page.checks import REQUIREMENT_NUMBERS, check_summary
 from bayescal.experiments.frame.results import SUMMARY_FILE, Results
 from bayescal.experiments.shared.joints import COLUMNS as JOINT_COLUMNS
 from bayescal.limits import DEAD, INFORMED
@@ -142,11 +142,31 @@ class AuditResults:
     ----------
     summary : dict
     tables : dict of str to DataFrame
-        Those of `TABLE_COLUMNS` that are there and not empty.
+        Those that are there and not empty.
     """
 
     summary: dict[str, Any]
     tables: dict[str, pd.DataFrame]
+
+    @property
+    def best(self) -> str:
+        """The variant that the details are of."""
+        return str(self.summary.get("best", ""))
+
+    @property
+    def is_of_legs(self) -> bool:
+        """Whether instruments see the platform of a mechanism on legs."""
+        return "model" in self.summary
+
+    @property
+    def member(self) -> str:
+        """What one of many is called."""
+        return str(self.summary.get("member", "leg"))
+
+    @property
+    def together(self) -> float:
+        """Probability that all requirements are kept; NaN where it is not known."""
+        return _number(self.summary.get("variants", {}).get(self.best, {}).get("probability"))
 
     @classmethod
     def of(cls, results: Results) -> AuditResults:
@@ -164,7 +184,8 @@ class AuditResults:
         there = {name: table for name, table in tables.items() if name in REQUIRED or not table.empty}
         for name, table in there.items():
             _check_table(table, folder / TABLES / f"{name}.csv")
-        return cls(results.summary, there)
+        others = {name: table for name, table in results.tables.items() if name not in TABLE_COLUMNS}
+        return cls(results.summary, {**others, **there})
 
     @cached_property
     def parameters(self) -> pd.DataFrame:
@@ -198,7 +219,10 @@ class AuditResults:
     def requirements(self) -> list[Requirement]:
         """In the design's order."""
         items = self.summary["requirements"].items()
-        return [Requirement(name, **{key: values[key] for key in REQUIREMENT_KEYS}) for name, values in items]
+        return [
+            Requirement(name, values["unit"], **{key: _number(values[key]) for key in REQUIREMENT_NUMBERS})
+            for name, values in items
+        ]
 
     @cached_property
     def changes(self) -> list[Change]:

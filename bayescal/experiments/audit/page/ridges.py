@@ -37,7 +37,7 @@ def build_ridges(results: AuditResults) -> tuple[Card, ...]:
 def _build(results: AuditResults, group: RidgeGroup) -> Card:
     ridges = group.ridges
     legs = sorted(leg for leg in (split_name(r.pivot)[1] for r in ridges) if leg)
-    where = f"leg{'s' if len(legs) > 1 else ''} {', '.join(map(str, legs))}" if legs else "machine"
+    where = f"{results.member}{'s' if len(legs) > 1 else ''} {', '.join(map(str, legs))}" if legs else "machine"
     worst = min((ridge.effect for ridge in ridges), key=EFFECT_ORDER.index)
     level: Level = "bad" if group.kind == "structural" else "warning"
     marks = (Cell(KIND_WORDS[group.kind], level), Cell(EFFECT_WORDS[worst], EFFECT_LEVELS[worst]))
@@ -62,7 +62,7 @@ def _describe_effect(results: AuditResults, ridges: Sequence[Ridge]) -> list[str
     facts = []
     if position > 0.0 or rotation > 0.0:
         moved = format_change(position, rotation, results.summary["units"])
-        of_all = " (the largest of all legs)" if len(ridges) > 1 else ""
+        of_all = f" (the largest of all {results.member}s)" if len(ridges) > 1 else ""
         facts.append(f"The step above moves a pose anywhere in the workspace by at most {moved}{of_all}.")
     judged = [ridge for ridge in ridges if not math.isnan(ridge.share)]
     if judged:
@@ -81,6 +81,6 @@ def _describe_help(results: AuditResults, group: RidgeGroup) -> list[str]:
         return []
     change, contraction = best
     return [
-        f"Best of the changes looked at: “{change.name}”, contraction {format_contraction(contraction)} on the leg "
-        "shown."
+        f"Best of the changes looked at: “{change.name}”, contraction {format_contraction(contraction)} on the "
+        f"{results.member} shown."
     ]

@@ -47,12 +47,12 @@ def tabulate_symbols(results: AuditResults) -> Table:
         Column("Of tolerance"),
         Column("Contraction"),
         Column("Verdict", kind="text"),
-        Column("Why, on the leg that is known least", kind="text"),
+        Column(f"Why, on the {results.member} that is known least", kind="text"),
     ]
     rows: list[list[str | Cell]] = []
     for symbol, group in results.parameters.groupby("symbol", sort=False):
         worst = group.sort_values("contraction").iloc[0]
-        leg = f"Leg {worst['leg']}: " if worst["leg"] else ""
+        leg = f"{results.member.capitalize()} {worst['leg']}: " if worst["leg"] else ""
         rows.append(
             [
                 str(symbol),
@@ -72,7 +72,7 @@ def tabulate_symbols(results: AuditResults) -> Table:
         ),
         Statement("All parameters are free, also those that the poses do not tell: their tolerances hold them."),
     ]
-    return make_table("Parameters by symbol; ranges are over the legs.", columns, rows, notes)
+    return make_table(f"Parameters by symbol; ranges are over the {results.member}s.", columns, rows, notes)
 
 
 def _remaining(group: pd.DataFrame) -> list[float]:
@@ -107,7 +107,7 @@ def tabulate_parameters(results: AuditResults) -> Table:
     """Return one row per parameter."""
     columns = [
         Column("Symbol", kind="symbol"),
-        Column("Leg"),
+        Column(results.member.capitalize()),
         Column("Nominal"),
         Column("Tolerance", "sd"),
         Column("Remains", "sd"),
@@ -268,7 +268,7 @@ def tabulate_ridge_help(results: AuditResults) -> Table | None:
         return None
     columns = [
         Column("Ridge of", kind="symbol"),
-        Column("Leg"),
+        Column(results.member.capitalize()),
         Column("Contraction", "as planned"),
         Column("Best change within the actuators' range", kind="text"),
         Column("Contraction", "then"),

@@ -9,33 +9,58 @@ from bayescal.experiments.audit.page.borne_out import find_probability, is_kept,
 from bayescal.experiments.audit.page.far_readings import state_far_readings
 from bayescal.experiments.audit.page.poses import state_poses
 from bayescal.experiments.audit.page.results import AuditResults, Change, Requirement, Ridge
+from bayescal.experiments.audit.page.sensor_sets import state_counts, state_sets
+from bayescal.experiments.audit.page.variants import state_equations, state_selected
 from bayescal.experiments.audit.page.wording import (
     count,
     format_probability,
     format_range,
     format_share,
+    list_names,
     name_requirement,
     say,
     say_most,
 )
+from bayescal.experiments.shared.headline import say_accuracy, say_count, say_requirements, write_headline
+from bayescal.experiments.shared.knowledge_page import name_titles, state_next
 from bayescal.report.blocks import Level, Statement
 from bayescal.report.numbers import format_fixed, format_significant, join_words
+from bayescal.report.reading import list_rows
+from bayescal.report.units import format_amount
 
 UNLIKELY = 0.5
 WORTH_NATS = 2.0  # a change that tells less more is not worth a name
 WORTH_SHARE = 0.9  # of the worst predicted sd; a change that leaves more is not worth a name
+MANY = 12  # parameters that are named
 FIXING_COSTS = 1.25  # growth of a predicted sd from which on fixing the rest is not cheap
 
 
 def state_headline(results: AuditResults) -> str:
-    """Return whether the plan meets what is required, and how much of the machine it determines."""
-    told = describe_determined(results)
-    if not results.requirements:
-        return f"{told} Requirements: not stated."
-    kept = sum(is_kept(results, r) for r in results.requirements)
-    subject = "calibration" if results.is_measured else "plan"
-    meets = f"The {subject} meets {kept} of {count(len(results.requirements), 'requirement')}"
-    return f"{meets}. {told}"
+    """Return which sensors to use, how likely what is required is kept, and how much of the machine is determined."""
+    parts, titles = [], name_titles(results.tables) if "variants" in results.tables else {}
+    if len(titles) > 1:
+        parts.append(f"Best of {say_count(len(titles))} sets of sensors: “{titles[results.best]}”")
+    if results.requirements:
+        each = {name_requirement(r.name): find_probability(results, r) for r in results.requirements}
+        together = min([results.together, *each.values()])
+        subject = "the calibration" if results.is_measured else "the plan"
+        parts.append(say_requirements({**each, "": together} if math.isfinite(results.together) else each, subject))
+        parts.append(describe_determined(results))
+    else:
+        parts += [describe_determined(results), *_state_accuracy(results), "Requirements: not stated"]
+    return write_headline(parts)
+
+
+def _state_accuracy(results: AuditResults) -> list[str]:
+    """Return how accurate the tool will be, where readings say it."""
+    if "accuracy" not in results.tables:
+        return []
+    asked, table = results.summary["units"], results.tables["accuracy"]
+    rows = [row for row in list_rows(table[table["variant"] == results.best]) if math.isfinite(row["after"])]
+    if not rows:
+        return ["the machine's own sensors do not determine where it is"]
+    amounts = {str(row["coordinate"]): format_amount(row["after"], row["unit"], 2, asked) for row in rows}
+    return [f"uncertainty of the tool over the workspace: {say_accuracy(amounts)}"]
 
 
 def describe_determined(results: AuditResults) -> str:
@@ -88,16 +113,29 @@ def state_verdict(results: AuditResults) -> list[Statement]:
     """Return the sentences below the headline."""
     return [
         *state_poses(results),
+        *(state_equations(results.tables) if "variants" in results.tables and not results.is_of_legs else []),
         *_state_freedom(results),
         *_state_requirements(results),
         *_state_harm(results),
         *_state_help(results),
+        *_state_readings(results),
         *_state_special_case(results),
         *state_far_readings(results),
         *state_simulated(results),
         *state_posterior(results),
         *_state_reduced(results),
     ]
+
+
+def _state_readings(results: AuditResults) -> list[Statement]:
+    """Return what only readings of channels have: frames, sensors, poses."""
+    tables, summary, asked = results.tables, results.summary, results.summary["units"]
+    found = [*state_sets(tables, summary), *state_next(tables, results.best, asked)]
+    found += [*state_selected(tables, summary, results.best), *state_counts(tables, results.best)]
+    if summary.get("aligned"):
+        text = "Accuracies are after alignment: one motion each of base and tool, the same at all poses, is no error."
+        found.append(Statement(text, "plain", "Frames"))
+    return found
 
 
 # --- what to free, and what stays hidden -----------------------------------------------------------------------------
@@ -117,7 +155,14 @@ def _state_freedom(results: AuditResults) -> list[Statement]:
     text = (
         f"Everything: all {count(n, 'parameter')}, each with its tolerance as prior, which holds what the poses do not"
     )
-    return [Statement(f"{text} tell.", "good", lead)]
+    found = [Statement(f"{text} determine.", "good", lead)]
+    words = []
+    for verdict, said in (("not", "not determined"), ("weak", "uncertainty not halved")):
+        names = list(results.parameters.index[results.parameters["verdict"] == verdict])
+        words += [f"{list_names(names, results.member)} ({said})"] if 0 < len(names) <= MANY else []
+    if words:
+        found.append(Statement(f"{join_words(words)}.", "warning", "Poorly determined"))
+    return found
 
 
 def _state_reduced(results: AuditResults) -> list[Statement]:
@@ -200,12 +245,16 @@ def _state_requirements(results: AuditResults) -> list[Statement]:
             Statement("The design states none; whether the accuracy suffices is not told.", "plain", "Requirements")
         ]
     failing = [r for r in requirements if not is_kept(results, r)]
+    lost = [r for r in requirements if math.isnan(r.predicted_sd)]
+    if lost:
+        text = f"{join_words([name_requirement(r.name) for r in lost])} is not determined by the machine's own sensors."
+        return [Statement(text, "bad", "Requirements")]
     worst = max(requirements, key=_share)
     uncalibrated = f"before the calibration {_describe_before(requirements)}"
     if not failing:
         least = say(format_probability(min(find_probability(results, r) for r in requirements)))
         text = (
-            f"The calibrated machine will keep {_all(requirements)} with a probability of {least}, {uncalibrated}. "
+            f"The calibrated machine meets {_all(requirements)} with a probability of {least}, {uncalibrated}. "
             f"Tightest: {name_requirement(worst.name)}, predicted standard deviation {format_share(_share(worst))} of "
             "the limit."
         )
@@ -214,8 +263,8 @@ def _state_requirements(results: AuditResults) -> list[Statement]:
         f"{name_requirement(r.name)} (probability {format_probability(find_probability(results, r))})" for r in failing
     ]
     text = (
-        f"The calibrated machine will not reliably keep {join_words(words)}; {uncalibrated}. {_blame(worst)}"
-        f"{' The other requirements are kept.' if len(failing) < len(requirements) else ''}"
+        f"The calibrated machine does not reliably meet {join_words(words)}; {uncalibrated}. {_blame(worst)}"
+        f"{' The others are met with more than 90 % probability.' if len(failing) < len(requirements) else ''}"
     )
     return [Statement(text, "bad", "Requirements")]
 
@@ -240,6 +289,8 @@ def _share(requirement: Requirement) -> float:
 def _blame(worst: Requirement) -> str:
     """Say how tight the worst one is, and whether the geometry or the actuators cause it."""
     share = (worst.geometry_sd / worst.predicted_sd) ** 2 if worst.predicted_sd else 0.0
+    if worst.predicted_sd * math.sqrt(max(0.0, 1.0 - share)) > worst.limit:
+        return f"{name_requirement(worst.name)}: the noise in use alone exceeds the limit, no calibration helps."
     text = (
         f"Tightest: {name_requirement(worst.name)}, predicted standard deviation {format_share(_share(worst))} of the "
         f"limit; {format_share(share)} of that variance is geometry"

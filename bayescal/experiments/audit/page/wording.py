@@ -94,7 +94,7 @@ def format_nominal(value: float, sd: float) -> str:
     return format_fixed(value, min(6, count_decimals(sd))) if abs(value) < 1e6 else format_sd(value)
 
 
-def list_names(names: Sequence[str]) -> str:
+def list_names(names: Sequence[str], member: str = "leg") -> str:
     """Return parameters as words, a symbol with its legs: ``u_y of legs 4 and 5``."""
     legs: dict[str, list[str]] = {}
     for name in names:
@@ -102,7 +102,9 @@ def list_names(names: Sequence[str]) -> str:
         legs.setdefault(symbol, []).extend([str(leg)] if leg else [])
     words = []
     for symbol, numbers in legs.items():
-        which = f" of leg{'s' if len(numbers) > 1 else ''} {join_words(sorted(numbers, key=int))}" if numbers else ""
+        which = (
+            f" of {member}{'s' if len(numbers) > 1 else ''} {join_words(sorted(numbers, key=int))}" if numbers else ""
+        )
         words.append(f"{symbol}{which}")
     return join_words(words)
 

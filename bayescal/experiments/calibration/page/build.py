@@ -7,61 +7,49 @@ from typing import Any
 import pandas as pd
 
 from bayescal.experiments.calibration.page import figures
-from bayescal.experiments.calibration.page.verdict import (
-    Asked,
-    Row,
-    format_place,
-    list_rows,
-    name_unit,
-    shown_in,
-    state_headline,
-    state_verdict,
-)
+from bayescal.experiments.calibration.page.verdict import state_headline, state_verdict
 from bayescal.experiments.calibration.tables import choose_best
 from bayescal.experiments.shared.diagnostics_table import tabulate_diagnostics
 from bayescal.experiments.shared.function_page import judge_functions, show_functions
 from bayescal.experiments.shared.joints import MOST_POSES
 from bayescal.experiments.shared.judgement_page import tabulate_power_scaling, tabulate_widths
+from bayescal.experiments.shared.knowledge_page import VERDICT_LEVELS, show_accuracy, show_next, show_ridges
 from bayescal.experiments.shared.machine_scene import AXES, build_line_scene
+from bayescal.experiments.shared.origin import name_origin
 from bayescal.limits import PARETO_K_LIMIT
 from bayescal.report.blocks import (
     Cell,
     Column,
     Figure,
-    Level,
     Page,
     Section,
     make_section,
     make_table,
 )
 from bayescal.report.numbers import format_estimate, format_fixed, format_percent, format_significant
+from bayescal.report.reading import Row, list_rows
 from bayescal.report.scene import Triple
+from bayescal.report.units import Asked, shown_in
 
 KIND = "Calibration"
-VERDICT_LEVELS: dict[str, Level] = {"identifiable": "good", "weak": "warning", "not": "bad", "noise": "plain"}
-STATUS = {
-    "measured": "Measured",
-    "simulated": "Simulated, never measured",
-    "reconstructed": "Reconstructed",
-    "unstated": "Not stated",
-}
 
 
 def build_page(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Page:
     """Return the page of an experiment's tables."""
-    best = choose_best(summary)
+    best, asked = choose_best(summary), summary["units"]
+    accuracy = show_accuracy(tables, asked)
     sections = [
         _show_variants(tables, summary),
-        _show_parameters(tables, best),
+        _show_parameters(tables, best, asked),
         *show_machine(tables, best),
         *show_functions(tables),
-        show_accuracy(tables),
+        *([] if accuracy is None else [accuracy]),
         *_show_predictions(tables, best),
         _show_poses(tables, best),
         *_show_judgement(tables, summary, best),
         *show_ridges(tables, best),
-        *_show_beside(tables, best),
-        *show_next(tables, best),
+        *_show_beside(tables, best, asked),
+        *show_next(tables, best, asked),
         _show_method(tables),
     ]
     row = next(row for row in list_rows(tables["variants"]) if row["variant"] == best)
@@ -75,14 +63,6 @@ def build_page(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Page
         tuple(sections),
         (("Machine", str(summary["machine"])), ("Data of the best variant", str(row["data"]))),
     )
-
-
-def name_origin(origin: dict[str, str]) -> str:
-    """Return where the data come from, in words: measured or not, source, licence."""
-    words = f"{STATUS[origin['status']]}: {origin['text']}"
-    for name in ("source", "licence"):
-        words += f"; {name} {origin[name]}" if origin[name] else ""
-    return words
 
 
 def list_variants(tables: dict[str, pd.DataFrame]) -> list[str]:
@@ -130,13 +110,13 @@ def _show_variants(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> 
     return make_section("Which model", text, (make_table("Variants, best first.", columns, rows),))
 
 
-def _show_parameters(tables: dict[str, pd.DataFrame], best: str) -> Section:
+def _show_parameters(tables: dict[str, pd.DataFrame], best: str, asked: Asked) -> Section:
     mine = tables["parameters"][tables["parameters"]["variant"] == best]
     columns = [Column("Parameter", kind="text"), Column("Unit", kind="text"), Column("beforehand"), Column("now")]
     columns += [Column("90 % interval"), Column("Contraction"), Column("Told", kind="text")]
     rows: list[list[str | Cell]] = []
     for row in list_rows(mine):
-        factor, unit = shown_in(row["unit"])
+        factor, unit = shown_in(row["unit"], asked)
         verdict = str(row["verdict"])
         rows.append(
             [
@@ -181,27 +161,6 @@ def show_machine(tables: dict[str, pd.DataFrame], best: str) -> list[Section]:
 def _take_triple(column: pd.Series, names: list[str]) -> Triple:
     x, y, z = (float(column[name]) for name in names)
     return x, y, z
-
-
-def show_accuracy(tables: dict[str, pd.DataFrame], asked: Asked = None) -> Section:
-    """Return how well each variant knows the tool, or the coordinates where none is stated."""
-    titles = dict(zip(tables["variants"]["variant"], tables["variants"]["title"], strict=True))
-    columns = [Column("Variant", kind="text"), Column("Tool", kind="text"), Column("Unit", kind="text")]
-    columns += [Column("before", group="rms over the workspace"), Column("after", group="rms over the workspace")]
-    columns += [Column("noise of one reading", group="rms over the workspace")]
-    columns += [Column("largest after"), Column("at", kind="text")]
-    rows: list[list[str | Cell]] = []
-    for row in list_rows(tables["accuracy"]):
-        factor, unit = shown_in(row["unit"], asked)
-        numbers = (format_significant(factor * row[name]) for name in ("before", "after", "noise"))
-        worst = (format_significant(factor * row["worst"]), str(row["worst_at"])) if "worst" in row else ("–", "–")
-        rows.append([str(titles[row["variant"]]), str(row["coordinate"]), unit, *numbers, *worst])
-    text = (
-        "Standard uncertainty of the tool as located by the machine's own sensors alone: before the calibration by the "
-        "tolerances, after it by the posterior; the noise of one set of readings comes on top. A dash: its own sensors "
-        "do not determine it.",
-    )
-    return make_section("How accurate the machine is", text, (make_table("Predicted errors.", columns, rows),))
 
 
 def _show_predictions(tables: dict[str, pd.DataFrame], best: str) -> list[Section]:
@@ -297,16 +256,7 @@ def _show_poses(tables: dict[str, pd.DataFrame], best: str) -> Section:
     return make_section("Poses", text, tables_shown, (figure,))
 
 
-def show_ridges(tables: dict[str, pd.DataFrame], best: str) -> list[Section]:
-    """Return the combinations that a variant does not tell; nothing where it tells all."""
-    if "ridges" not in tables:
-        return []
-    mine = tables["ridges"][tables["ridges"]["variant"] == best]
-    text = [f"Contraction {format_fixed(row['contraction'], 2)}: {row['sentence']}" for row in list_rows(mine)]
-    return [make_section("What these readings cannot tell", text)] if text else []
-
-
-def _show_beside(tables: dict[str, pd.DataFrame], best: str) -> list[Section]:
+def _show_beside(tables: dict[str, pd.DataFrame], best: str, asked: Asked) -> list[Section]:
     if "beside" not in tables:
         return []
     mine = tables["beside"][tables["beside"]["variant"] == best]
@@ -314,15 +264,15 @@ def _show_beside(tables: dict[str, pd.DataFrame], best: str) -> list[Section]:
     columns += [Column("Difference"), Column("in deviations")]
     shown = []
     for title, rows in mine.groupby("beside", sort=False):
-        lines = [_list_beside(row) for row in list_rows(rows)]
+        lines = [_list_beside(row, asked) for row in list_rows(rows)]
         source = str(rows["source"].iloc[0])
         caption = f"{title}{f' ({source})' if source else ''}. These values stay out of the fit."
         shown.append(make_table(caption, columns, lines))
     return [make_section("Beside other values", (), shown)]
 
 
-def _list_beside(row: Row) -> list[str | Cell]:
-    factor, unit = shown_in(row["unit"])
+def _list_beside(row: Row, asked: Asked) -> list[str | Cell]:
+    factor, unit = shown_in(row["unit"], asked)
     spread = (row["sd"] ** 2 + (row["value_sd"] if row["value_sd"] == row["value_sd"] else 0.0) ** 2) ** 0.5
     away = row["value"] - row["mean"]
     return [
@@ -333,27 +283,6 @@ def _list_beside(row: Row) -> list[str | Cell]:
         format_significant(factor * away),
         format_fixed(away / spread, 1, sign=True) if spread > 0.0 else "–",
     ]
-
-
-def show_next(tables: dict[str, pd.DataFrame], best: str, asked: Asked = None) -> list[Section]:
-    """Return the poses that promise most to a variant."""
-    if "next" not in tables:
-        return []
-    mine = tables["next"][tables["next"]["variant"] == best].dropna(axis=1, how="all")
-    names = [str(name) for name in mine.columns if name not in ("variant", "sensors", "gain")]
-    columns = [Column("Sensors", kind="text")]
-    columns += [Column(name.rpartition("_")[0], name_unit(name, asked)) for name in names]
-    columns += [Column("Mean squared error falls by")]
-    rows: list[list[str | Cell]] = [
-        [
-            "all" if row["sensors"] == "all" else "the machine's own",
-            *(format_place(name, row[name], asked) for name in names),
-            format_percent(row["gain"], 1),
-        ]
-        for row in list_rows(mine)
-    ]
-    text = ("Random poses of the workspace, by how much one more set of readings there would tell.",)
-    return [make_section("What to measure next", text, (make_table("The best of the poses tried.", columns, rows),))]
 
 
 def _show_method(tables: dict[str, pd.DataFrame]) -> Section:

@@ -3,27 +3,26 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Any
 
 import pandas as pd
 
-from bayescal.experiments.calibration.tables import choose_best
+from bayescal.experiments.calibration.tables import choose_best, list_candidates
 from bayescal.experiments.shared.chi_square import ChiSquare
+from bayescal.experiments.shared.headline import say_accuracy, say_choice, write_headline
 from bayescal.experiments.shared.judgement_page import state_misfit, state_pulls
+from bayescal.experiments.shared.knowledge_page import state_next
 from bayescal.experiments.shared.slips import state_slip
-from bayescal.numerics.units import ARCSECOND, MICROMETRE
 from bayescal.report.blocks import Statement
 from bayescal.report.numbers import (
     format_estimate,
     format_fixed,
     format_odds,
     format_percent,
-    format_significant,
     join_words,
 )
-
-type Row = dict[str, Any]
+from bayescal.report.reading import Row, list_rows
+from bayescal.report.units import Asked, format_amount, shown_in
 
 NO_TOOL = (
     "The machine's class states no tool: its coordinates are reported instead. State tool_channels (names and units), "
@@ -36,56 +35,24 @@ WEAK = 0.75  # contraction below which a tolerance is not even halved
 COVERAGE, DOUBT = 0.90, 2.5  # what intervals should hold, and binomial deviations from it that are no chance
 MANY = 8
 FEW = 40  # held-back readings, from which little can be said of coverage
-TELLING = 0.01  # of the mean squared error; what promises less is no advice
-INNER = {"mm": "length", "rad": "angle"}
-SHOWN = {"mm": (1.0, "mm"), "rad": (1e3, "mrad")}
-"""Factor and unit in which values of a unit are shown where nothing else is said."""
-ASKED = {
-    "um": (1.0 / MICROMETRE, "µm"),
-    "mm": (1.0, "mm"),
-    "m": (1e-3, "m"),
-    "arcsec": (1.0 / ARCSECOND, "arcsec"),
-    "mrad": (1e3, "mrad"),
-    "deg": (math.degrees(1.0), "°"),
-    "rad": (1.0, "rad"),
-}
-"""The same of the units that a config may ask for, which inside are mm or rad."""
-PLACES = {"mm": 0, "um": 0, "arcsec": 0, "deg": 1, "mrad": 1}
-"""Decimals of coordinates that say where to measure."""
-
-type Asked = Mapping[str, str] | None
-"""The units of a config, ``length`` and ``angle``; None for `SHOWN`."""
-
-
-def list_rows(table: pd.DataFrame) -> list[Row]:
-    """Return the rows of a table by the names of its columns."""
-    return [{str(key): value for key, value in row.items()} for row in table.to_dict("records")]
-
-
-def shown_in(unit: str, asked: Asked = None) -> tuple[float, str]:
-    """Return factor and name of the unit that values of an inner unit are shown in: that of the config if asked for."""
-    if asked is not None and unit in INNER:
-        return ASKED[asked[INNER[unit]]]
-    return SHOWN.get(unit, (1.0, "" if unit == "1" else unit))
 
 
 def state_headline(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> str:
-    """Return which variant to use and how well it knows the machine's tool, over the workspace and at its worst."""
-    best = choose_best(summary)
-    row = _row(tables["variants"], best)
+    """Return which variant to use and how accurate the machine's tool is, over the workspace and at its worst."""
+    best, asked = choose_best(summary), summary["units"]
+    choice = say_choice(list_candidates(summary), careful="slip" in summary)
     known = [one for one in list_rows(tables["accuracy"]) if one["variant"] == best and math.isfinite(one["after"])]
-    words = f"Use “{row['title']}”" + (", with care (see the warnings)" if "slip" in summary else "")
     if not known:
-        return f"{words}."
-    accuracy = join_words([f"{one['coordinate']} {format_amount(one['after'], one['unit'])}" for one in known])
+        return write_headline([choice])
     what = "tool" if summary.get("states_tool", True) else "coordinates"
-    said = f"{words}: standard uncertainty of the {what} {accuracy}, root mean square over the workspace"
+    accuracy = say_accuracy({one["coordinate"]: format_amount(one["after"], one["unit"], 2, asked) for one in known})
+    said = f"{choice}; {what} {accuracy}, rms over the workspace"
     lengths = [one for one in known if one["unit"] == "mm"] or known[:1]
     worst = max(lengths, key=lambda one: one.get("worst", 0.0))
     if "worst" not in worst:
-        return f"{said}."
-    largest = format_amount(worst["worst"], worst["unit"])
-    return f"{said}; largest {worst['coordinate']} {largest}, at {worst['worst_at']}."
+        return write_headline([said])
+    largest = format_amount(worst["worst"], worst["unit"], 2, asked)
+    return write_headline([f"{said}; largest {worst['coordinate']} {largest}, at {worst['worst_at']}"])
 
 
 def state_tool(summary: dict[str, Any]) -> list[Statement]:
@@ -95,42 +62,22 @@ def state_tool(summary: dict[str, Any]) -> list[Statement]:
 
 def state_verdict(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> list[Statement]:
     """Return what was found, the most important first."""
-    best = choose_best(summary)
+    best, asked = choose_best(summary), summary["units"]
     found = [
         *state_slip(summary),
         *state_tool(summary),
         _state_ranking(tables, summary, best),
         *([Statement(summary["unused"], "warning", "Data")] if "unused" in summary else []),
         *_state_convergence(tables),
-        *_state_data(tables, best),
+        *_state_data(tables, best, asked),
         *_state_soundness(tables, best),
     ]
     found += [*_state_coverage(tables, best), *_state_ignorance(tables, best), *_state_doubt(tables, best)]
-    return [*found, *_state_beside(tables, best), *state_next(tables, best)]
+    return [*found, *_state_beside(tables, best, asked), *state_next(tables, best, asked)]
 
 
 def _row(table: pd.DataFrame, variant: str) -> Row:
     return list_rows(table[table["variant"] == variant])[0]
-
-
-def format_amount(value: float, unit: str, digits: int = 2, asked: Asked = None) -> str:
-    """Return a value of an inner unit with the unit it is shown in."""
-    factor, name = shown_in(unit, asked)
-    return f"{format_significant(factor * value, digits)} {name}".rstrip().replace(" °", "°")
-
-
-def format_place(column: str, value: float, asked: Asked = None) -> str:
-    """Return a coordinate of a column such as ``x_mm`` in the unit that places are shown in."""
-    unit = column.rpartition("_")[2]
-    if asked is None or unit not in INNER:
-        return format_fixed(value, 0 if unit == "mm" else 3)
-    return format_fixed(shown_in(unit, asked)[0] * value, PLACES.get(asked[INNER[unit]], 3))
-
-
-def name_unit(column: str, asked: Asked = None) -> str:
-    """Return the unit of a column such as ``x_mm`` as places are shown."""
-    unit = column.rpartition("_")[2]
-    return unit if asked is None or unit not in INNER else shown_in(unit, asked)[1]
 
 
 def _state_ranking(tables: dict[str, pd.DataFrame], summary: dict[str, Any], best: str) -> Statement:
@@ -165,7 +112,7 @@ def _state_convergence(tables: dict[str, pd.DataFrame]) -> list[Statement]:
     ]
 
 
-def _state_data(tables: dict[str, pd.DataFrame], best: str) -> list[Statement]:
+def _state_data(tables: dict[str, pd.DataFrame], best: str, asked: Asked) -> list[Statement]:
     row = _row(tables["variants"], best)
     found = []
     if row["n_equations"] < row["n_parameters"]:
@@ -179,7 +126,7 @@ def _state_data(tables: dict[str, pd.DataFrame], best: str) -> list[Statement]:
         )
     mine = tables["parameters"][tables["parameters"]["variant"] == best]
     for one in list_rows(mine[mine["verdict"] == "noise"]):
-        factor, unit = shown_in(one["unit"])
+        factor, unit = shown_in(one["unit"], asked)
         what = str(one["parameter"]).replace("noise_factor(", "").replace("model_error(", "").rstrip(")")
         text = format_estimate(factor * one["mean"], factor * one["sd"])
         if str(one["parameter"]).startswith("noise_factor"):
@@ -248,7 +195,7 @@ def _state_doubt(tables: dict[str, pd.DataFrame], best: str) -> list[Statement]:
     ]
 
 
-def _state_beside(tables: dict[str, pd.DataFrame], best: str) -> list[Statement]:
+def _state_beside(tables: dict[str, pd.DataFrame], best: str, asked: Asked) -> list[Statement]:
     if "beside" not in tables:
         return []
     found = []
@@ -257,7 +204,7 @@ def _state_beside(tables: dict[str, pd.DataFrame], best: str) -> list[Statement]
         spread = (rows["sd"] ** 2 + rows["value_sd"].fillna(0.0) ** 2) ** 0.5
         z = (rows["value"] - rows["mean"]) / spread
         worst = list_rows(rows)[int(z.abs().to_numpy().argmax())]
-        factor, unit = shown_in(str(worst["unit"]))
+        factor, unit = shown_in(str(worst["unit"]), asked)
         found.append(
             Statement(
                 f"{title}: {int((z.abs() <= 2.0).sum())} of {len(z)} values within two deviations; farthest "
@@ -265,33 +212,6 @@ def _state_beside(tables: dict[str, pd.DataFrame], best: str) -> list[Statement]
                 f"{format_estimate(factor * worst['mean'], factor * worst['sd'])} {unit}.",
                 "plain",
                 "Beside",
-            )
-        )
-    return found
-
-
-def state_next(tables: dict[str, pd.DataFrame], best: str, asked: Asked = None) -> list[Statement]:
-    """Return where to measure next with each set of sensors, where that promises something."""
-    if "next" not in tables:
-        return []
-    mine = tables["next"][tables["next"]["variant"] == best]
-    found = []
-    for sensors, rows in mine.groupby("sensors", sort=False):
-        first = list_rows(rows)[0]
-        if first["gain"] < TELLING:
-            continue
-        coordinates = [
-            f"{name.rpartition('_')[0]} = {format_place(name, value, asked)} {name_unit(name, asked)}"
-            for name, value in first.items()
-            if name not in ("variant", "sensors", "gain")
-        ]
-        with_what = "with all sensors" if sensors == "all" else "with the machine's own sensors"
-        found.append(
-            Statement(
-                f"Measure next, {with_what}, at {', '.join(coordinates)}: of all poses tried this one promises most, "
-                f"{format_percent(1.0 - math.sqrt(max(0.0, 1.0 - first['gain'])), 1)} less error.",
-                "plain",
-                "Next",
             )
         )
     return found

@@ -14,8 +14,8 @@ from bayescal.density.calibration.terms import ErrorTerm, TermRows, check_term
 from bayescal.errors import InputError, name_faults
 from bayescal.experiments.shared.function_errors import check_functions
 from bayescal.experiments.shared.readings.noise import group_channels
-from bayescal.experiments.shared.readings.schema import CalibrationConfig, CalibrationVariantConfig
 from bayescal.experiments.shared.readings.workspace import Workspace
+from bayescal.experiments.shared.study_schema import StudyConfig, VariantConfig
 from bayescal.machines.readings import ReadingModel
 from bayescal.numerics.geometry import Array
 
@@ -23,8 +23,8 @@ LARGEST_GRID = 3**6  # poses over the workspace, from which the readings' ranges
 
 
 def build_terms(
-    config: CalibrationConfig,
-    section: CalibrationVariantConfig,
+    config: StudyConfig,
+    section: VariantConfig,
     whole: ReadingModel,
     chosen: np.ndarray,
     data: Measurements,

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -11,7 +12,6 @@ import numpy as np
 from bayescal.calibrated.kept import keep_machines
 from bayescal.density.calibration.likelihood import CalibrationLikelihood, CalibrationPosterior
 from bayescal.density.calibration.measurements import Measurements
-from bayescal.density.calibration.outliers import Outliers
 from bayescal.density.calibration.terms import Errors
 from bayescal.density.elimination import project_out
 from bayescal.density.posterior import Posterior
@@ -21,14 +21,14 @@ from bayescal.experiments.shared.outlook import tell_outlook
 from bayescal.experiments.shared.reading_slips import Suspicion, check_reach
 from bayescal.experiments.shared.readings.beside import Beside, read_beside
 from bayescal.experiments.shared.readings.errors import build_terms
-from bayescal.experiments.shared.readings.instruments import read_machine
+from bayescal.experiments.shared.readings.instruments import list_seen_files, read_instruments, read_model
 from bayescal.experiments.shared.readings.noise import build_noise, stated_noise
 from bayescal.experiments.shared.readings.priors import choose_priors, widen
 from bayescal.experiments.shared.readings.reading_tables import PoseReadings, read_tables
-from bayescal.experiments.shared.readings.schema import CalibrationConfig, CalibrationVariantConfig
 from bayescal.experiments.shared.readings.workspace import Workspace, build_workspace, find_starts
 from bayescal.experiments.shared.search_memory import check_readings
-from bayescal.machines.readings import ReadingModel
+from bayescal.experiments.shared.study_schema import StudyConfig, VariantConfig
+from bayescal.machines.readings import ReadingModel, place
 from bayescal.numerics.geometry import Array
 
 
@@ -38,7 +38,7 @@ class Variant:
 
     Attributes
     ----------
-    config : CalibrationVariantConfig
+    config : VariantConfig
     whole : ReadingModel
         The machine with all its channels.
     model : ReadingModel
@@ -57,7 +57,7 @@ class Variant:
         Whether accuracy is the error that remains after base and tool were aligned over the workspace.
     """
 
-    config: CalibrationVariantConfig
+    config: VariantConfig
     whole: ReadingModel
     model: ReadingModel
     priors: Mapping[str, Prior]
@@ -108,68 +108,74 @@ class Variant:
 
 
 @dataclass(frozen=True, eq=False)
-class CalibrationInputs:
+class ReadingInputs:
     """Readings and variants.
 
     Attributes
     ----------
-    config : CalibrationConfig
+    config : StudyConfig
     machine : str
         Its name.
     variants : dict of name to Variant
     beside : list of Beside
     files : dict of str to bytes
         Those that the machines are read from, by names in one folder.
-    machine_files : dict of str to str
-        The names there of the machines' own files, by those in the config.
+    machine_folder : str
+        Where in that folder the config's own one is.
     unused : str
         Which columns of the tables no variant takes in, in a line; empty where it takes in all.
     """
 
-    config: CalibrationConfig
+    config: StudyConfig
     machine: str
     variants: dict[str, Variant]
     beside: list[Beside]
     files: dict[str, bytes]
-    machine_files: dict[str, str]
+    machine_folder: str
     unused: str = ""
 
 
-def read_inputs(config: CalibrationConfig, folder: Path) -> CalibrationInputs:
+def read_inputs(config: StudyConfig, folder: Path) -> ReadingInputs:
     """Return the inputs of a calibration; InputError names the file, the variant, the pose, the column."""
-    models = {name: read_machine(config, folder, name) for name in list_machines(config)}
-    model = models[config.machine]
-    for name, other in models.items():
-        if other.names != model.names:
-            raise InputError(f"{folder / name}: found other channels than {config.machine} has, expected the same")
+    models, instruments = dict[str, ReadingModel](), read_instruments(config, folder)
+    for one in config.variants:
+        file = folder / (one.machine or config.machine)
+        with name_faults(f"variant {one.name!r}") if one.model else nullcontext():
+            models[one.name] = place(read_model(config, one, file, folder), instruments)
+        model = next(iter(models.values()))
+        if models[one.name].names != model.names:
+            first = config.variants[0].name
+            raise InputError(f"{file}: found other channels than variant {first!r} has, expected the same")
+    symbols = {symbol for one in models.values() for symbol in one.layout.symbols}
     given = list(dict.fromkeys(name for one in models.values() for name in one.given))
-    readings = read_tables(config.data, folder, model.channels, given)
+    readings = read_tables(config.tables, folder, model.channels, given)
     deviations = stated_noise(config.sensors, readings, model)
     variants = {}
     for one in config.variants:
         with name_faults(f"variant {one.name!r}"):
-            machine = models[one.machine or config.machine]
-            variants[one.name] = _build(config, one, machine, readings, deviations, folder)
+            variants[one.name] = _build(config, one, models[one.name], readings, deviations, folder, symbols)
     beside = [read_beside(one, folder, model) for one in config.beside]
-    files, kept = keep_machines(folder / name for name in models)
-    machine_files = {name: kept[folder / name] for name in models}
+    files, kept = keep_machines(
+        [folder / name for name in list_machines(config)], list_seen_files(config, folder), folder
+    )
     unused = readings.tell_unused({name for one in variants.values() for name in one.model.names})
     name = getattr(model, "name", config.machine)
-    return CalibrationInputs(config, name, variants, beside, files, machine_files, unused)
+    return ReadingInputs(config, name, variants, beside, files, kept[folder], unused)
 
 
-def list_machines(config: CalibrationConfig) -> list[str]:
+def list_machines(config: StudyConfig) -> list[str]:
     """Return the files of the machine, those of single variants too."""
-    return list(dict.fromkeys([config.machine, *(one.machine for one in config.variants if one.machine)]))
+    return list(dict.fromkeys(one.machine or config.machine for one in config.variants))
 
 
 def _build(
-    config: CalibrationConfig,
-    section: CalibrationVariantConfig,
+    config: StudyConfig,
+    section: VariantConfig,
     model: ReadingModel,
     readings: PoseReadings,
     deviations: Array,
     folder: Path,
+    symbols: Collection[str],
 ) -> Variant:
     rows = _choose_poses(section, model, readings)
     chosen = model.select(section.sensors if section.sensors is not None else config.sensors)
@@ -177,7 +183,7 @@ def _build(
     if not len(chosen):
         raise InputError("sensors: found no reading of any, expected some")
     whole, model = model, model.pick(chosen)
-    priors, fixed, common = choose_priors(config, section, model)
+    priors, fixed, common = choose_priors(config, section, model.layout, symbols)
     data = Measurements(
         readings.poses,
         readings.values[:, chosen],
@@ -194,7 +200,6 @@ def _build(
         *build_noise(config, section, whole, chosen),
         *build_terms(config, section, whole, chosen, data, workspace, folder),
     )
-    outliers = Outliers(np.inf if section.robust is None else section.robust)
     unplaced = Variant(
         section,
         whole,
@@ -202,7 +207,7 @@ def _build(
         priors,
         fixed,
         common,
-        Errors(terms, outliers),
+        Errors(terms, section.outliers),
         data,
         readings.verification[rows],
         np.zeros((data.n_poses, len(model.coordinates))),
@@ -215,7 +220,7 @@ def _build(
     return placed
 
 
-def _choose_poses(section: CalibrationVariantConfig, model: ReadingModel, readings: PoseReadings) -> np.ndarray:
+def _choose_poses(section: VariantConfig, model: ReadingModel, readings: PoseReadings) -> np.ndarray:
     """Return which poses a variant takes in; InputError where one lacks what the machine has to know of it."""
     for name in section.poses_with:
         if name not in readings.given:

@@ -2,41 +2,104 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any, Protocol
 
 from bayescal.config.classes import choose, name_failures
-from bayescal.experiments.shared.readings.schema import (
-    CalibrationAuditConfig,
-    CalibrationConfig,
-    CalibrationSimulationConfig,
-    CalibrationVariantConfig,
-)
+from bayescal.config.load import read_toml
+from bayescal.config.registry import list_sources
+from bayescal.errors import InputError
+from bayescal.experiments.shared.design import read_machine
+from bayescal.experiments.shared.readings.schema import InstrumentConfig
+from bayescal.experiments.shared.schema import DeformationConfig, ModelConfig
+from bayescal.experiments.shared.study_schema import StudyConfig, VariantConfig
 from bayescal.machines.read import read_reading_model
-from bayescal.machines.readings import Instrument, ReadingModel, place
+from bayescal.machines.readings import Instrument, Legs, ReadingModel
+from bayescal.machines.readings.legs import TILTS
 
 
-def read_machine(
-    config: CalibrationConfig | CalibrationAuditConfig | CalibrationSimulationConfig, folder: Path, name: str = ""
-) -> ReadingModel:
-    """Return the machine of a file, by default the config's, before the config's instruments.
+class Instrumented(Protocol):
+    """A config that names instruments."""
 
-    Raises
-    ------
-    InputError
-        For faults of the machine's file, of an instrument's section or class, and where one does not fit the other.
-    """
+    @property
+    def instruments(self) -> Mapping[str, InstrumentConfig]:
+        """By name: instruments beside the machine."""
+
+
+def read_instruments(config: Instrumented, folder: Path) -> dict[str, Instrument]:
+    """Return a config's instruments by their names; InputError for faults of an instrument's section or class."""
     instruments = {}
     for one, section in config.instruments.items():
         field = f"instruments.{one}"
         choice = choose("INSTRUMENTS", section.kind, Instrument, f"{field}.kind", folder, section.options)  # type: ignore[type-abstract]
         with name_failures(choice.found, field, folder):
             instruments[one] = choice.found(choice.options)
-    return place(read_reading_model(folder / (name or config.machine)), instruments)
+    return instruments
+
+
+class Placed(Protocol):
+    """A config of a machine by its channels."""
+
+    @property
+    def sensors(self) -> Mapping[str, Any]:
+        """By channel or kind of channels."""
+
+    @property
+    def deformation(self) -> DeformationConfig:
+        """Nominal deformation of the platform of a machine on legs."""
+
+
+class Seen(Protocol):
+    """A variant that may name how a machine on legs is seen."""
+
+    @property
+    def model(self) -> str | None:
+        """Kinematic model of a mechanism's file."""
+
+    @property
+    def deformation(self) -> str:
+        """Deformation of its platform."""
+
+
+def read_model(config: Placed, variant: Seen, path: Path, folder: Path) -> ReadingModel:
+    """Return the machine of a file; a mechanism by the channels of its legs, as a variant sees them.
+
+    It has inclinometers where the config has any.
+
+    Raises
+    ------
+    InputError
+        For faults of the machine's file, a mechanism without a model and a model of another machine.
+    """
+    if "kind" in read_toml(path)[0]:
+        if variant.model is not None:
+            raise InputError(f"model: found {variant.model!r}, expected it of a mechanism's file alone, not of {path}")
+        return read_reading_model(path)
+    if variant.model is None:
+        raise InputError(f"model: missing, expected the kinematic model that the mechanism {path} is seen by")
+    seen = ModelConfig(model=variant.model, deformation=variant.deformation)
+    inclined = any(name.partition("[")[0] in TILTS for name in config.sensors)
+    return Legs(read_machine(path, seen, config.deformation, folder), inclined=inclined)
+
+
+def list_seen_files(config: StudyConfig, folder: Path) -> list[Path]:
+    """Return what variants see a mechanism by besides its file: K, and classes of one's own."""
+    seen = [one for one in config.variants if one.model is not None]
+    files = [
+        folder / file
+        for one in seen
+        for what, name in zip(("MODELS", "DEFORMATIONS"), one.seen, strict=True)
+        for file in list_sources(what, name, folder)
+    ]
+    if any(one.deformation == "matrix" for one in seen):
+        files.append(folder / config.deformation.matrix)
+    return list(dict.fromkeys(files))
 
 
 def leave_instruments(
-    config: CalibrationConfig, variant: CalibrationVariantConfig, machine: ReadingModel
-) -> tuple[CalibrationConfig, CalibrationVariantConfig]:
+    config: StudyConfig, variant: VariantConfig, machine: ReadingModel
+) -> tuple[StudyConfig, VariantConfig]:
     """Return a config that has run, and a variant of it, without what is not the machine's own."""
     if not config.instruments:
         return config, variant

@@ -30,12 +30,12 @@ def tabulate_accuracy(variant: Variant, known: Knowledge) -> pd.DataFrame:
             "after": known.after,
             "noise": known.noise,
             "worst": known.worst,
-            "worst_at": [_name_place(variant, pose) for pose in known.worst_pose],
+            "worst_at": [name_place(variant, pose) for pose in known.worst_pose],
         }
     )
 
 
-def _name_place(variant: Variant, pose: Array) -> str:
+def name_place(variant: Variant, pose: Array) -> str:
     """Return where a pose is, coordinate by coordinate."""
     return ", ".join(
         f"{one.name} = {value:.4g} {one.unit}" for one, value in zip(variant.model.coordinates, pose, strict=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from bayescal.experiments.frame.memory import Need, estimate_arrays
-from bayescal.experiments.shared.readings.inputs import CalibrationInputs, Variant
+from bayescal.experiments.shared.readings.inputs import ReadingInputs, Variant
 from bayescal.experiments.shared.search_memory import list_readings, list_sampling, list_saved
 
 
@@ -20,7 +20,7 @@ def find_largest(variants: Mapping[str, Variant]) -> Variant:
     return max(variants.values(), key=lambda one: len(one.start) * len(one.priors))
 
 
-def estimate_calibration(inputs: CalibrationInputs) -> Need:
+def estimate_calibration(inputs: ReadingInputs) -> Need:
     """Return what a calibration needs."""
     largest, config = find_largest(inputs.variants), inputs.config
     n_poses, n_parameters, held = len(largest.start), len(largest.priors), list_variant(largest)

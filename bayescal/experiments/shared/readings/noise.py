@@ -10,12 +10,8 @@ from bayescal.density.calibration.terms import ErrorTerm, ModelErrorTerm, NoiseF
 from bayescal.errors import InputError
 from bayescal.experiments.shared.per_leg import spread_over_legs
 from bayescal.experiments.shared.readings.reading_tables import PoseReadings
-from bayescal.experiments.shared.readings.schema import (
-    NOISE_UNITS,
-    CalibrationConfig,
-    CalibrationVariantConfig,
-    ChannelConfig,
-)
+from bayescal.experiments.shared.readings.schema import NOISE_UNITS, ChannelConfig
+from bayescal.experiments.shared.study_schema import StudyConfig, VariantConfig
 from bayescal.identifiability.units import units_like
 from bayescal.machines.readings import Channel, ReadingModel
 from bayescal.numerics.geometry import Array
@@ -66,7 +62,7 @@ def _factor(name: str, channel: Channel, field: str) -> float:
 
 
 def build_noise(
-    config: CalibrationConfig, section: CalibrationVariantConfig, model: ReadingModel, chosen: np.ndarray
+    config: StudyConfig, section: VariantConfig, model: ReadingModel, chosen: np.ndarray
 ) -> tuple[ErrorTerm, ...]:
     """Return what of the noise of the chosen channels is unknown; InputError for a group that no channel belongs to."""
     groups = group_channels(config, model)
@@ -80,7 +76,7 @@ def build_noise(
     members = {name: np.array([groups[k] == name for k in chosen]) for name in groups}
     factors = [NoiseFactor(name, members[name], sd) for name, sd in config.unknown_noise.items() if members[name].any()]
     errors = []
-    for name, one in config.model_error.items():
+    for name, one in config.channel_errors.items():
         units = {c.unit for g, c in zip(groups, model.channels, strict=True) if g == name}
         if members[name].any() and len(units) > 1:
             raise InputError(f"model_error.{name}: found channels of several units, expected one")
@@ -89,7 +85,7 @@ def build_noise(
     return (*factors, *errors)
 
 
-def group_channels(config: CalibrationConfig, model: ReadingModel) -> list[str]:
+def group_channels(config: StudyConfig, model: ReadingModel) -> list[str]:
     """Return the group of each channel, empty for those without noise."""
     result = []
     for channel in model.channels:

@@ -2,38 +2,47 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from typing import Protocol
 
 from bayescal.density.priors import NormalPrior, Prior, UniformPrior
 from bayescal.density.schema import FixedConfig, NormalConfig, PriorConfig
 from bayescal.errors import InputError
 from bayescal.experiments.shared.per_leg import spread_over_legs, spread_widths
-from bayescal.experiments.shared.readings.schema import (
-    CalibrationAuditConfig,
-    CalibrationConfig,
-    CalibrationSimulationConfig,
-    FreeConfig,
-)
+from bayescal.experiments.shared.readings.schema import FreeConfig
+from bayescal.experiments.shared.schema import UnitsConfig
 from bayescal.identifiability.units import Units
 from bayescal.machines.parameters import ParameterBlock, ParameterLayout
-from bayescal.machines.readings import ReadingModel
 
 type Chosen = tuple[dict[str, Prior], dict[str, float], dict[str, tuple[str, ...]]]
 
 
+class Tolerated(Protocol):
+    """A config that states tolerances."""
+
+    @property
+    def parameters(self) -> Mapping[str, PriorConfig]:
+        """Tolerance of each symbol."""
+
+    @property
+    def units(self) -> UnitsConfig:
+        """Their units."""
+
+
 def choose_priors(
-    config: CalibrationConfig | CalibrationSimulationConfig | CalibrationAuditConfig,
-    choice: FreeConfig,
-    model: ReadingModel,
+    config: Tolerated, choice: FreeConfig, layout: ParameterLayout, others: Collection[str] = ()
 ) -> Chosen:
     """Return the priors of the free parameters, the values of fixed ones, and what deviates alike.
 
     Parameters
     ----------
-    config : CalibrationConfig, CalibrationSimulationConfig or CalibrationAuditConfig
+    config : Tolerated
     choice : FreeConfig
         What of it is free, and what deviates alike.
-    model : ReadingModel
+    layout : ParameterLayout
+        Of the machine.
+    others : collection of str
+        Symbols that other machines have.
 
     Raises
     ------
@@ -41,9 +50,9 @@ def choose_priors(
         For an unknown symbol, a free one without a prior, a list of another length, and a prior's range in which there
         is no machine.
     """
-    layout, units = model.layout, Units(config.units.length, config.units.angle)
+    units = Units(config.units.length, config.units.angle)
     for symbol in config.parameters:
-        if symbol not in layout.symbols:
+        if symbol not in layout.symbols and symbol not in others:
             raise InputError(f"parameters: found {symbol!r}, expected some of {', '.join(layout.symbols)}")
     free = _choose_free(config.parameters, choice, layout)
     priors: dict[str, Prior] = {}

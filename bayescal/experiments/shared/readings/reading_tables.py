@@ -158,13 +158,11 @@ def _check(table: Table, known: Mapping[str, _Column], channels: Sequence[Channe
         if column.places and (other := taken.setdefault((column.role, column.places), name)) != name:
             raise InputError(f"{table.path}: found columns {other!r} and {name!r}, expected one of them")
     read = {channels[c.places[0]].name for n in table.columns if (c := known.get(n)) and c.role == "values"}
-    for name in section.channels:
-        if not any(name in (one, one.partition("[")[0]) for one in read):
-            raise InputError(f"{table.path}: found no column of channel {name!r}, which data.channels asks for")
-    for name in section.commanded:
-        asked = [one.name for one in channels if name in (one.name, one.kind)]
-        if missing := [one for one in asked or [name] if one not in read]:
-            raise InputError(f"{table.path}: found no column of channel {missing[0]!r}, which is in data.commanded")
+    for key in ("channels", "commanded"):
+        for name in getattr(section, key):
+            asked = [one.name for one in channels if name in (one.name, one.kind)]
+            if missing := [one for one in asked or [name] if one not in read]:
+                raise InputError(f"{table.path}: found no column of channel {missing[0]!r}, which is in data.{key}")
     return table
 
 

@@ -1,27 +1,20 @@
-"""The schema of a calibration. Keys carry their units; those of tolerances and of the workspace stand in [units]."""
+"""Sections of experiments on readings of channels; units of tolerances and of the workspace stand in [units]."""
 
 from __future__ import annotations
 
 from typing import Annotated, Literal, Self
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import Field, model_validator
 
 from bayescal.config.classes import ClassMark, OwnSection
 from bayescal.config.sections import (
-    ExperimentConfig,
-    Factor,
     InputFile,
     Name,
     Names,
     NotNegative,
-    Number,
     Positive,
     Section,
-    check_once,
 )
-from bayescal.density.schema import PriorConfig
-from bayescal.experiments.shared.schema import UnitsConfig
-from bayescal.inference.schema import EvidenceConfig, SamplerConfig
 
 NOISE_UNITS = {"noise_um": "um", "noise_mm": "mm", "noise_arcsec": "arcsec", "noise_deg": "deg", "noise_rad": "rad"}
 
@@ -138,31 +131,10 @@ class SensorSetConfig(Section):
 
     name: Name
     """What tables call the variant."""
-    title: str
-    """What the page calls it."""
+    title: str = Field(default_factory=lambda known: known.get("name", ""))
+    """What the page calls it; its name where nothing is said."""
     sensors: Annotated[Names, Field(min_length=1)] | None = None
     """Channels that it takes in; all where nothing is said."""
-
-
-class CalibrationVariantConfig(FreeConfig, SensorSetConfig):
-    """A model of the readings.
-
-    ``noise`` says whether the noise is as stated or unknown as far as [unknown_noise] and [model_error] allow,
-    ``errors`` which further errors it has;
-    ``robust`` is the degree of freedom ν of a density that lets single poses be wrong; ``poses_with`` keeps to poses
-    for which these columns are known; ``machine`` is another file for this variant.
-    """
-
-    machine: InputFile | None = None
-    """Another machine's file for this variant."""
-    noise: Literal["unknown", "stated"] = "unknown"
-    """Noise as `stated`, or `unknown` as far as [unknown_noise] and [model_error] allow."""
-    errors: Names | None = Field(default=None, exclude_if=lambda value: value is None)
-    """Sections of [errors] that it has; all whose channels it takes in where nothing is said."""
-    robust: Annotated[float, Field(ge=1.0, le=100.0)] | None = None
-    """Degrees of freedom of a density that lets single poses be wrong; fewer forgive more [1]."""
-    poses_with: Names = Field(default=[])
-    """Keep to poses for which these columns are known."""
 
 
 class ValidationConfig(Section):
@@ -174,26 +146,16 @@ class ValidationConfig(Section):
     """Posterior draws that predict."""
 
 
-class PriorWidthsConfig(Section):
-    """Factors on the widths of all priors, sd or half width, for which the evidence is computed again."""
-
-    factor: Annotated[list[Factor], Field(min_length=1), AfterValidator(check_once)] = Field(default=[1.0])
-    """Factors on the widths of all parameters' priors for which evidences are computed [1]."""
-
-
-AS_STATED = PriorWidthsConfig()
-
-
 class BesideConfig(Section):
     """Values from elsewhere, which stay out of the fit: a CSV with ``quantity``, ``unit``, ``value``.
 
     A quantity is a parameter, or a channel that is read at home; an optional column ``sd`` says how well it is known.
     """
 
-    title: str
-    """What the page calls the values."""
     file: InputFile
     """CSV file: quantity, unit, value, and sd where it is known; or the true parameters that a simulation wrote."""
+    title: str = Field(default_factory=lambda known: known.get("file", ""))
+    """What the page calls the values; the file where nothing is said."""
     source: str = ""
     """Where they come from."""
 
@@ -207,215 +169,14 @@ class NextConfig(Section):
     """How many of them are shown."""
 
 
-class CalibrationConfig(ExperimentConfig):
-    """Any machine calibrated from readings of its own sensors, of instruments beside it, or both."""
-
-    kind: Literal["calibration"]
-    """`"calibration"`."""
-    origin: OriginConfig
-    """Where the data come from."""
-    machine: InputFile
-    """The machine's TOML file."""
-    instruments: dict[Name, InstrumentConfig] = Field(default={}, exclude_if=lambda value: not value)
-    """By name: instruments beside the machine."""
-    data: Annotated[list[DataTableConfig], Field(min_length=1)]
-    """Tables of readings."""
-    sensors: Annotated[dict[str, ChannelConfig], Field(min_length=1)]
-    """Noise of each channel, or of all of a kind."""
-    units: UnitsConfig = UnitsConfig()
-    """Units of tolerances, requirements and results."""
-    parameters: Annotated[dict[str, PriorConfig], Field(min_length=1)]
-    """Tolerance of each symbol."""
-    unknown_noise: dict[str, Positive] = Field(default={})
-    """By group: standard deviation of the logarithm of a factor on its noise [1]."""
-    model_error: dict[str, ModelErrorScaleConfig] = Field(default={})
-    """By channel or kind: an error that the stated noise lacks."""
-    errors: dict[Name, ErrorTermConfig] = Field(default={}, exclude_if=lambda value: not value)
-    """By name: errors common to all rows, such as functions of what is read, or those of a class of one's own."""
-    workspace: dict[str, Annotated[list[Number], Field(min_length=2, max_length=2)]] = Field(default={})
-    """By coordinate: smallest and largest value where accuracy counts; the machine's own where nothing is said [unit
-    of the coordinate].
-    """
-    variants: Annotated[list[CalibrationVariantConfig], Field(min_length=1)]
-    """Models to compare."""
-    validation: ValidationConfig = ValidationConfig()
-    """Prediction of held-back readings."""
-    sensitivity: PriorWidthsConfig = Field(default=AS_STATED, exclude_if=lambda value: value == AS_STATED)
-    """Other widths of the priors."""
-    beside: list[BesideConfig] = Field(default=[])
-    """Values from elsewhere that stay out of the fit."""
-    next: NextConfig = NextConfig()
-    """What to measure next."""
-    sampler: SamplerConfig = SamplerConfig()
-    """Effort of sampling."""
-    evidence: EvidenceConfig = EvidenceConfig()
-    """Effort of the evidence."""
-
-    @model_validator(mode="after")
-    def _check_names(self) -> Self:
-        _check_once([variant.name for variant in self.variants])
-        _check_bounds(self.workspace)
-        return self
-
-
 def _check_once(names: list[str]) -> None:
     for name in names:
         if names.count(name) > 1:
             raise ValueError(f"variants: found {name!r} twice, expected each name once")
 
 
-def _check_bounds(workspace: dict[str, list[float]]) -> None:
+def check_bounds(workspace: dict[str, list[float]]) -> None:
+    """Raise ValueError for a range whose larger number comes first."""
     for name, (low, high) in workspace.items():
         if not low < high:
             raise ValueError(f"workspace.{name}: found {low:g} to {high:g}, expected the smaller number first")
-
-
-class TrueParametersConfig(Section):
-    """A CSV file of true parameters, as simulations write it."""
-
-    parameters: InputFile
-    """CSV file of true parameters, as a simulation writes it."""
-
-
-class CalibrationSimulationConfig(FreeConfig, ExperimentConfig):
-    """Readings of any machine drawn within the priors of what is free.
-
-    ``given`` are the smallest and the largest value of what the machine has to know of each row. A truth from a file
-    stands in for what is drawn.
-    """
-
-    kind: Literal["calibration_simulation"]
-    """`"calibration_simulation"`."""
-    origin: str
-    """What is written into all files about where they come from."""
-    machine: InputFile
-    """The machine's TOML file."""
-    instruments: dict[Name, InstrumentConfig] = Field(default={}, exclude_if=lambda value: not value)
-    """By name: instruments beside the machine."""
-    sensors: Annotated[dict[str, ChannelConfig], Field(min_length=1)]
-    """Noise of each channel, or of all of a kind."""
-    units: UnitsConfig = UnitsConfig()
-    """Units of tolerances, requirements and results."""
-    parameters: dict[str, PriorConfig] = Field(default={})
-    """Tolerance of each symbol, within which the true machine is drawn."""
-    truth: TrueParametersConfig | None = None
-    """A given true machine in place of a drawn one."""
-    workspace: dict[str, Annotated[list[Number], Field(min_length=2, max_length=2)]] = Field(default={})
-    """By coordinate: smallest and largest value of the poses [unit of the coordinate]."""
-    given: dict[str, Annotated[list[Number], Field(min_length=2, max_length=2)]] = Field(default={})
-    """By column: smallest and largest value of what the machine has to know of a row [unit of the column]."""
-    n_poses: Annotated[int, Field(ge=1, le=100_000)]
-    """Number of poses to calibrate with."""
-    verification_poses: Annotated[int, Field(ge=0, le=100_000)] = 0
-    """Number of poses that are held back."""
-
-
-class PlannedPosesConfig(Section):
-    """Where it is planned to measure: that many random poses of the workspace, or those of a CSV file.
-
-    The file has ``pose``, the coordinates with their units such as ``x_mm``, and what the machine has to know of each.
-    """
-
-    count: Annotated[int, Field(ge=1, le=10_000)] | None = None
-    """Number of random poses of the workspace."""
-    file: InputFile | None = None
-    """CSV file of poses in place of random ones."""
-
-    @model_validator(mode="after")
-    def _check_one(self) -> Self:
-        if (self.count is None) == (self.file is None):
-            raise ValueError("found both or none of count and file, expected one of them")
-        return self
-
-
-class AuditVariantConfig(FreeConfig, SensorSetConfig):
-    """A set of sensors and what is free with it; as in variants of a calibration."""
-
-
-class SelectionConfig(Section):
-    """How many poses to choose out of how many random ones of the workspace.
-
-    ``greedy`` ones are added one by one; ``exchange`` goes on to put others in their place for as long as that helps.
-    """
-
-    count: Annotated[int, Field(ge=1, le=1000)]
-    """Number of poses to choose."""
-    candidates: Annotated[int, Field(ge=1, le=10_000)] = 300
-    """Out of how many random ones of the workspace."""
-    method: Literal["greedy", "exchange"] = "greedy"
-    """Poses added one by one (`greedy`), and then exchanged for as long as that helps (`exchange`)."""
-
-    @model_validator(mode="after")
-    def _check_enough(self) -> Self:
-        if self.candidates < self.count:
-            raise ValueError(f"found {self.candidates} candidates for {self.count} poses, expected at least as many")
-        return self
-
-
-class SensorChoiceConfig(FreeConfig):
-    """Sensors to choose from, for the poses planned.
-
-    A name among ``candidates`` is one sensor, a kind each of its sensors by itself, a list an instrument whose readings
-    are there together. Those of ``always`` are in every set, ``largest`` is how many candidates a set has at most. All
-    sets are judged where these are no more than ``exhaustive``; else sensors are added one by one and exchanged.
-    """
-
-    candidates: Annotated[
-        list[str | Annotated[Names, Field(min_length=1)]], Field(min_length=1), AfterValidator(check_once)
-    ]
-    """Sensors to choose from; a list is one instrument of several readings."""
-    always: Names = Field(default=[])
-    """Sensors that are in every set."""
-    largest: Annotated[int, Field(ge=1, le=1000)] | None = None
-    """How many candidates a set has at most."""
-    exhaustive: Annotated[int, Field(ge=0, le=100_000)] = 4096
-    """Up to how many sets all are judged."""
-    prices: dict[str, NotNegative] = Field(default={}, exclude_if=lambda value: not value)
-    """By candidate or kind, an instrument's readings joined by ` + `: its price [any currency]."""
-
-
-class CalibrationAuditConfig(ExperimentConfig):
-    """What a calibration of any machine would tell, before there is a machine.
-
-    ``requirements`` are the largest rms errors over the workspace with the machine's own sensors, by coordinate, in
-    the units of [units]; ``given`` as in simulations.
-    """
-
-    kind: Literal["calibration_audit"]
-    """`"calibration_audit"`."""
-    machine: InputFile
-    """The machine's TOML file."""
-    instruments: dict[Name, InstrumentConfig] = Field(default={}, exclude_if=lambda value: not value)
-    """By name: instruments beside the machine."""
-    sensors: Annotated[dict[str, ChannelConfig], Field(min_length=1)]
-    """Noise of each channel, or of all of a kind."""
-    units: UnitsConfig = UnitsConfig()
-    """Units of tolerances, requirements and results."""
-    parameters: Annotated[dict[str, PriorConfig], Field(min_length=1)]
-    """Tolerance of each symbol."""
-    workspace: dict[str, Annotated[list[Number], Field(min_length=2, max_length=2)]] = Field(default={})
-    """By coordinate: smallest and largest value where accuracy counts; the machine's own where nothing is said [unit
-    of the coordinate].
-    """
-    given: dict[str, Annotated[list[Number], Field(min_length=2, max_length=2)]] = Field(default={})
-    """By column: smallest and largest value of what the machine has to know of a row [unit of the column]."""
-    poses: PlannedPosesConfig = PlannedPosesConfig(count=40)
-    """Where it is planned to measure."""
-    requirements: dict[str, Positive] = Field(default={})
-    """By coordinate: largest rms error over the workspace [units]."""
-    aligned: bool = Field(default=False, exclude_if=lambda value: not value)
-    """Accuracy of variants, requirements and sets is the error that remains after base and tool were aligned anew."""
-    variants: Annotated[list[AuditVariantConfig], Field(min_length=1)]
-    """Sets of sensors to judge."""
-    next: NextConfig = NextConfig()
-    """What to measure besides."""
-    selection: SelectionConfig | None = None
-    """Poses to choose."""
-    sensor_choice: SensorChoiceConfig | None = None
-    """Sensors to choose."""
-
-    @model_validator(mode="after")
-    def _check_names(self) -> Self:
-        _check_once([variant.name for variant in self.variants])
-        _check_bounds(self.workspace)
-        return self

@@ -2,48 +2,34 @@
 
 from __future__ import annotations
 
+from bayescal.experiments.shared.headline import say_choice, say_requirements, write_headline
 from bayescal.experiments.study.page.checks import passes_with_model_error
 from bayescal.experiments.study.page.results import StudyResults, get_number
 from bayescal.experiments.study.page.soundness import has_doubts
 from bayescal.experiments.study.page.variants import (
     choose_variant,
-    find_leaders,
     label_model,
     label_variant,
+    list_candidates,
     split_variant,
 )
 from bayescal.report.numbers import MICROMETRES, NOTHING, format_significant
 from bayescal.report.variant_names import describe_deformation
 
-NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
-REQUIREMENTS = "Accuracy requirements: not stated; an audit of this study judges them."
-
 
 def state_headline(results: StudyResults) -> str:
     """Return which variant to use and how large its errors are on poses that it has not seen."""
-    accuracy = _state_accuracy(results)
     if not passes_with_model_error(results):
         name = label_variant(results, results.ranking[0])
         return f"Use none yet: not everything converged (best so far: {name})."
-    return f"Use {_name_choice(results)}; {accuracy}. {REQUIREMENTS}"
-
-
-def _name_choice(results: StudyResults) -> str:
-    """Return the variant to use, why this one, and whether something speaks against the assumptions."""
-    chosen, leaders = choose_variant(results), find_leaders(results)
+    chosen = choose_variant(results)
     model, deformation = split_variant(results, chosen)
     name = label_variant(results, chosen)
     if model and chosen not in results.own_names:
         name = f"{label_model(results, model)} {describe_deformation(deformation)}"
-    if len(results.ranking) == 1:
-        name += ", the only variant"
-    elif len(leaders) > 1:
-        name += f", the simplest of {_count(len(leaders))} equals"
-    return f"{name}, with care (see the warnings)" if has_doubts(results) else name
-
-
-def _count(number: int) -> str:
-    return NUMBERS[number] if number < len(NUMBERS) else str(number)
+    choice = say_choice(list_candidates(results, results.ranking), name, has_doubts(results))
+    required = f"{say_requirements({})}; to judge them run an audit of this study"
+    return write_headline([f"{choice}; {_state_accuracy(results)}", required])
 
 
 def _state_accuracy(results: StudyResults) -> str:

@@ -8,11 +8,11 @@ from typing import Any
 
 import pandas as pd
 
+from bayescal.experiments.shared.headline import NOT_DISTINGUISHABLE
 from bayescal.experiments.shared.judgement_page import format_factor
 from bayescal.experiments.study.page.results import SETTINGS, StudyResults
 from bayescal.experiments.study.page.soundness import choose_setting, describe_bounds, has_doubts, state_soundness
 from bayescal.experiments.study.page.variants import (
-    NOT_DISTINGUISHABLE,
     find_leaders,
     is_told_apart,
     label_variant,

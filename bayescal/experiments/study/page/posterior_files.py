@@ -10,7 +10,7 @@ import h5py
 import numpy as np
 
 from bayescal.errors import InputError
-from bayescal.experiments.study.schema import stem_of
+from bayescal.experiments.shared.study_schema import stem_of
 from bayescal.numerics.geometry import matrix_from_rotation_vector, rotation_vector_of_turn
 from bayescal.report.symbols import OF_KERNELS
 

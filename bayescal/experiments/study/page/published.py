@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from bayescal.experiments.shared.study_schema import name_variant
 from bayescal.experiments.study.page.results import StudyResults
 from bayescal.experiments.study.page.variants import (
     find_variants,
@@ -17,7 +18,6 @@ from bayescal.experiments.study.page.variants import (
     list_models,
     split_variant,
 )
-from bayescal.experiments.study.schema import name_variant
 from bayescal.report.blocks import Column, Statement, Table, make_table
 from bayescal.report.numbers import NOTHING, PER_MILLE, format_significant, format_span
 from bayescal.report.symbols import scale_of, write_symbol

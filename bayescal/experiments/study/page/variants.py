@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from itertools import combinations
 
-from bayescal.experiments.study.page.results import StudyResults
+from bayescal.experiments.shared.headline import Candidate, choose_candidate, group_candidates
+from bayescal.experiments.study.page.results import StudyResults, get_number
 from bayescal.report.blocks import Column
 from bayescal.report.numbers import join_words
 from bayescal.report.variant_names import describe_deformation
 
-NOT_DISTINGUISHABLE = 1.0  # nats
 SIMPLEST_FIRST = ("none", "linear", "matrix")
 VARIANT = Column("Variant", kind="name")
 
@@ -89,26 +88,33 @@ def read_evidence(results: StudyResults, name: str, setting: str = "free") -> fl
     return float(results.fit(name, setting)["log_evidence"])
 
 
+def list_candidates(results: StudyResults, names: Sequence[str], setting: str = "free") -> list[Candidate]:
+    """Return variants as the headline compares them, in the order of the study.
+
+    Simplest is what has the fewest free parameters, then the simplest deformation, then the first of the study.
+    """
+    order, use = list(results.summary["variants"]), "verification" if results.n_verification else "calibration"
+
+    def describe(name: str) -> Candidate:
+        fit, deformation = results.fit(name, setting), split_variant(results, name)[1]
+        rank = SIMPLEST_FIRST.index(deformation) if deformation in SIMPLEST_FIRST else len(SIMPLEST_FIRST)
+        size, error = (int(fit["n_parameters"]), rank), get_number(fit[use]["position_error_mm"], "max")
+        evidence = (float(fit["log_evidence"]), float(fit["log_evidence_se"]))
+        return Candidate(name, label_variant(results, name), *evidence, bool(fit["converged"]), size, error)
+
+    return [describe(name) for name in order if name in names]
+
+
 def is_told_apart(results: StudyResults, one: str, other: str, setting: str = "free") -> bool:
-    """Whether two log-evidences differ by more than 1 nat and by more than twice the error of the estimates."""
-    error = math.hypot(*(results.fit(name, setting)["log_evidence_se"] for name in (one, other)))
-    gap = abs(read_evidence(results, one, setting) - read_evidence(results, other, setting))
-    return gap > max(NOT_DISTINGUISHABLE, 2 * error)
+    """Whether the evidence distinguishes two variants."""
+    first, second = list_candidates(results, (one, other), setting)
+    return first.is_distinguishable(second)
 
 
 def group_variants(results: StudyResults, names: Sequence[str], setting: str = "free") -> list[list[str]]:
-    """Return variants in groups by evidence, the best group first; a group is not told apart from its own best.
-
-    Within a group the variants stand in the order of the study.
-    """
-    order = list(results.summary["variants"])
-    groups: list[list[str]] = []
-    for name in sorted(names, key=lambda name: -read_evidence(results, name, setting)):
-        if groups and not is_told_apart(results, groups[-1][0], name, setting):
-            groups[-1].append(name)
-        else:
-            groups.append([name])
-    return [sorted(group, key=order.index) for group in groups]
+    """Return variants in groups by evidence, the best group first; within a group in the order of the study."""
+    groups = group_candidates(list_candidates(results, names, setting))
+    return [[one.name for one in group] for group in groups]
 
 
 def find_leaders(results: StudyResults, setting: str = "free") -> list[str]:
@@ -117,17 +123,8 @@ def find_leaders(results: StudyResults, setting: str = "free") -> list[str]:
 
 
 def choose_variant(results: StudyResults) -> str:
-    """Return the variant to use: the simplest that the evidence does not tell apart from the best.
-
-    Simplest by the number of free parameters, then by the deformation, then by its place in the study.
-    """
-
-    def weigh(name: str) -> tuple[int, int]:
-        deformation = split_variant(results, name)[1]
-        rank = SIMPLEST_FIRST.index(deformation) if deformation in SIMPLEST_FIRST else len(SIMPLEST_FIRST)
-        return int(results.fit(name, "free")["n_parameters"]), rank
-
-    return min(find_leaders(results), key=weigh)
+    """Return the variant to use."""
+    return choose_candidate(list_candidates(results, results.ranking)).name
 
 
 def choose_model(results: StudyResults) -> str:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from bayescal.experiments.shared.headline import DECISIVE, NOT_DISTINGUISHABLE, state_ruled_out
 from bayescal.experiments.study.page import checks, claims
 from bayescal.experiments.study.page.blunders import state_blunders
 from bayescal.experiments.study.page.prediction import state_prediction
 from bayescal.experiments.study.page.results import StudyResults, get_number
 from bayescal.experiments.study.page.soundness import state_soundness
 from bayescal.experiments.study.page.variants import (
-    NOT_DISTINGUISHABLE,
     find_best,
     find_free_sets,
     find_leaders,
@@ -18,6 +18,7 @@ from bayescal.experiments.study.page.variants import (
     label_model,
     label_variant,
     list_best,
+    list_candidates,
     list_deformations,
     list_models,
     measure_spread,
@@ -39,7 +40,6 @@ from bayescal.report.numbers import (
 )
 from bayescal.report.variant_names import describe_deformation
 
-STRONG = 5.0  # nats
 BEYOND_BELIEF = 15.0  # nats from which odds rest on the assumptions, no longer on the data
 
 
@@ -58,13 +58,13 @@ def describe_lead(results: StudyResults) -> str:
                 f"{name_variants(results, leaders)} cannot be told apart: {between} nat of log-evidence between them."
             )
         behind = measure_spread(results, (best, others[0]))
-        words = "explain the measurements best and cannot" if behind > STRONG else "cannot"
+        words = "explain the measurements best and cannot" if behind > DECISIVE else "cannot"
         return (
             f"{name_variants(results, leaders)} {words} be told apart: {between} nat of log-evidence between them; "
             f"{label_variant(results, others[0])} follows {format_fixed(behind, 1)} nat behind."
         )
     lead = measure_spread(results, results.ranking[:2])
-    word = "explains the measurements best" if lead > STRONG else "is preferred, not decisively"
+    word = "explains the measurements best" if lead > DECISIVE else "is preferred, not decisively"
     return (
         f"{label_variant(results, best)} {word}, by {format_fixed(lead, 1)} nat over "
         f"{label_variant(results, results.ranking[1])} (odds of about {format_odds(lead)})."
@@ -77,6 +77,7 @@ def state_verdict(results: StudyResults) -> list[Statement]:
         *state_soundness(results),
         *state_blunders(results),
         _state_accuracy(results),
+        *state_ruled_out(list_candidates(results, results.ranking), "largest position error"),
         checks.state_convergence(results),
         *state_prediction(results),
         Statement(describe_lead(results), lead="Evidence"),

@@ -23,6 +23,8 @@ def describe_audit() -> dict[str, Any]:
     """Return a made-up summary in which everything is well."""
     return {
         "name": "made_up",
+        "best": "all",
+        "variants": {"all": {"title": "all", "probability": 0.998}},
         "title": "Made up for a test",
         "machine": "made-up machine",
         "model": "six_pus",

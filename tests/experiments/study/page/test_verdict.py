@@ -51,8 +51,9 @@ def test_a_tie_is_said_to_be_one(make_results):
 def test_the_headline_says_what_to_use_and_how_good_it_is(make_results):
     results = read_study(make_results(variants=TWELVE))
     assert state_headline(results) == (
-        "Use 6-PUS with the matrix deformation, the simplest of three equals; largest error on 2 held-back poses 9.0 "
-        "µm, mean 4.0 µm. Accuracy requirements: not stated; an audit of this study judges them."
+        "Use 6-PUS with the matrix deformation, the simplest of three that fit equally well; largest error on 2 "
+        "held-back poses 9.0 µm, mean 4.0 µm. Accuracy requirements: none stated; to judge them "
+        "run an audit of this study."
     )
     told = make_results(lambda s: s.update(measurement_noise_um={"verification": 7.04}), variants=TWELVE, name="told")
     assert "mean 4.0 µm; the measurement's own noise is 7.0 µm rms." in state_headline(read_study(told))
@@ -61,7 +62,7 @@ def test_the_headline_says_what_to_use_and_how_good_it_is(make_results):
         summary["variants"]["stiffness/matrix"]["n_parameters"] = 12
 
     simple = read_study(make_results(simplify, variants=TWELVE, name="simple"))
-    assert state_headline(simple).startswith("Use stiffness with the matrix deformation, the simplest of three equals")
+    assert state_headline(simple).startswith("Use stiffness with the matrix deformation, the simplest of three")
     assert choose_model(simple) == "stiffness"
 
 

@@ -25,7 +25,7 @@ NUMBERED = 26  # columns with legible numbers
 WIDTH = 9.4
 
 
-def draw_contraction(values: Array, symbols: Sequence[str], legs: Sequence[int], free: Array) -> Figure:
+def draw_contraction(values: Array, symbols: Sequence[str], legs: Sequence[str], free: Array) -> Figure:
     """Return the contraction of every parameter: a row per symbol, a column per leg.
 
     Parameters
@@ -33,8 +33,8 @@ def draw_contraction(values: Array, symbols: Sequence[str], legs: Sequence[int],
     values : ndarray, shape (symbols, legs)
         NaN where there is no such parameter.
     symbols : sequence of str
-    legs : sequence of int
-        Zero for the machine's own parameters.
+    legs : sequence of str
+        As they are called.
     free : ndarray of bool, shape (symbols, legs)
         Outlined.
     """
@@ -42,7 +42,7 @@ def draw_contraction(values: Array, symbols: Sequence[str], legs: Sequence[int],
     figure = Figure(figsize=(width, 0.75 + CELL * len(symbols)))
     axes = figure.subplots()
     _draw(axes, values)
-    axes.set_xticks(range(len(legs)), [f"leg {leg}" if leg else "machine" for leg in legs])
+    axes.set_xticks(range(len(legs)), list(legs))
     axes.xaxis.tick_top()
     axes.set_yticks(range(len(symbols)), [set_mathematics(symbol) for symbol in symbols])
     for row, column in np.argwhere(free):

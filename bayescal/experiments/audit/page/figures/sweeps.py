@@ -58,7 +58,7 @@ def draw_sweeps(sweeps: pd.DataFrame, requirements: pd.DataFrame | None, plan: M
             axes.grid()
         _label_values(grid[-1, column], sorted(set(sweeps.loc[sweeps["sweep"] == kind, "value"])))
         grid[-1, column].set_xlabel(SWEEPS[kind])
-    grid[0, 0].set_ylabel("Left of the tolerance,\non the leg known least")
+    grid[0, 0].set_ylabel("Left of the tolerance,\nwhere known least")
     _add_legend(grid[0, -1])
     if requirements is not None:
         grid[1, 0].set_ylabel("Predicted sd\nin per cent of the limit")

@@ -1,0 +1,5 @@
+"""`python -m bayescal`."""
+
+from bayescal.cli import main
+
+main()

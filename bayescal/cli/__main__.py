@@ -1,5 +1,0 @@
-"""`python -m bayescal.cli`."""
-
-from bayescal.cli import main
-
-main()

@@ -1,0 +1,134 @@
+"""What an audit needs of a machine and a plan, whichever way poses are measured: rows, to first order."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import Any, Self
+
+import numpy as np
+
+from bayescal.experiments.audit.schema import AuditConfig, WhatIfConfig
+from bayescal.identifiability.calibration import Calibrations
+from bayescal.identifiability.directions import Direction
+from bayescal.identifiability.information import Information
+from bayescal.identifiability.requirements import Forecast, Requirement
+from bayescal.identifiability.ridges import Ridge
+from bayescal.identifiability.structure import Structure
+from bayescal.identifiability.units import Units
+from bayescal.numerics.geometry import Array
+
+
+class Planned(ABC):
+    """A machine, what is known of its n parameters, and a plan of measurement.
+
+    Attributes
+    ----------
+    config : AuditConfig
+    requirements : sequence of Requirement
+    units : Units
+        Those of tolerances, requirements and results.
+    """
+
+    config: AuditConfig
+    requirements: Sequence[Requirement]
+    units: Units
+
+    # --- the parameters --------------------------------------------------------------------------------------------
+
+    @property
+    @abstractmethod
+    def names(self) -> tuple[str, ...]:
+        """Names of the free parameters."""
+
+    @property
+    @abstractmethod
+    def parameter_units(self) -> tuple[str, ...]:
+        """Their inner units."""
+
+    @property
+    @abstractmethod
+    def sd(self) -> Array:
+        """Standard deviations of their priors, shape (n,)."""
+
+    @property
+    @abstractmethod
+    def nominal(self) -> Array:
+        """Their nominal values, shape (n,)."""
+
+    @property
+    def symbols(self) -> tuple[str, ...]:
+        """Their symbols."""
+        return tuple(name.partition("[")[0] for name in self.names)
+
+    @property
+    def frames(self) -> frozenset[str]:
+        """Symbols that rather define than describe a machine."""
+        return frozenset()
+
+    # --- the plan --------------------------------------------------------------------------------------------------
+
+    @property
+    @abstractmethod
+    def n_poses(self) -> int:
+        """Number of planned poses P."""
+
+    @property
+    @abstractmethod
+    def is_beyond_range(self) -> bool:
+        """Whether the actuators would have to reach further than they do."""
+
+    @abstractmethod
+    def inform(self) -> Information:
+        """Return what the plan tells of the parameters; InputError for a pose that the machine cannot take."""
+
+    @abstractmethod
+    def find_structure(self, rng: np.random.Generator) -> Structure:
+        """Return what no measurement of this kind sees, poses far beyond the plan's included."""
+
+    @abstractmethod
+    def forecast(self) -> Forecast:
+        """Return how what has to be accurate errs over the workspace."""
+
+    @abstractmethod
+    def describe(self, directions: Sequence[Direction]) -> list[Ridge]:
+        """Return the ridges among directions, in words."""
+
+    @property
+    @abstractmethod
+    def tool_units(self) -> tuple[str, ...]:
+        """Inner units of what has to be accurate."""
+
+    @abstractmethod
+    def name_workspace_pose(self, k: int) -> str:
+        """Return where a pose of the forecast is."""
+
+    @abstractmethod
+    def describe_variant(self) -> dict[str, Any]:
+        """Return what measures: ``title``, ``data`` and the number of equations."""
+
+    @abstractmethod
+    def summarise_plan(self) -> dict[str, Any]:
+        """Return machine and plan for ``summary.json``."""
+
+    # --- other plans, and checks -----------------------------------------------------------------------------------
+
+    @abstractmethod
+    def list_changes(self) -> list[WhatIfConfig]:
+        """Return the changes that are looked at where the config names none."""
+
+    @abstractmethod
+    def change(self, change: WhatIfConfig) -> Self:
+        """Return the same machine with a changed plan; InputError where there is none."""
+
+    @abstractmethod
+    def propose(self) -> tuple[str, Self] | None:
+        """Return a better plan with its name, if there is a way to find one; InputError where there is none."""
+
+    @abstractmethod
+    def simulate(self, n: int, rng: np.random.Generator, fitted: Sequence[int]) -> tuple[Calibrations, np.ndarray]:
+        """Return n simulated calibrations of some parameters, and how many keep each requirement."""
+
+    @abstractmethod
+    def average(self, n: int, rng: np.random.Generator) -> Array:
+        """Return the posterior covariance averaged over n machines of the priors, in units of the tolerances."""

@@ -1,0 +1,76 @@
+"""Parts of a page that stand outside the package: any experiment's config may name them."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+
+from bayescal.config.registry import find_class, is_file, list_sources
+from bayescal.config.trust import check_same, check_trust
+from bayescal.errors import InputError
+from bayescal.experiments.frame.results import Results
+from bayescal.report.blocks import Page, Section, make_section
+
+CODE = "code"
+"""Folder of the results that keeps the code of a kind and of blocks in files of their own."""
+
+SAID = {"KINDS": "kind of experiment", "BLOCKS": "block of a page"}
+
+
+class PageBlock(ABC):
+    """A part of a page, made from results alone: ``blocks = ["file.py:Class"]`` in a config adds it to the page.
+
+    Examples
+    --------
+    >>> class Poses(PageBlock):
+    ...     def show(self, results):
+    ...         found = results.tables.get("poses")
+    ...         return None if found is None else make_section("Poses", (f"{len(found)} poses.",))
+    """
+
+    @abstractmethod
+    def show(self, results: Results) -> Section | None:
+        """Return a section of the page; None where these results have nothing for it."""
+
+
+def find_blocks(names: Iterable[str], where: Path, folder: Path | None) -> list[PageBlock]:
+    """Return the blocks that a config names; InputError for what is none. See `registry.find_class`."""
+    base: type[PageBlock] = PageBlock  # type: ignore[type-abstract]  # only subclasses of it are found
+    return [find_class("BLOCKS", name, base, "blocks", where, folder)() for name in names]
+
+
+def add_blocks(page: Page, results: Results, blocks: Iterable[PageBlock]) -> Page:
+    """Return a page with what some blocks show of the results; of one that fails, why."""
+    shown = [_show(one, results) for one in blocks]
+    return replace(page, sections=(*page.sections, *(one for one in shown if one is not None)))
+
+
+def _show(block: PageBlock, results: Results) -> Section | None:
+    try:
+        return block.show(results)
+    except Exception as error:  # a page without it is better than hours of computing without a page
+        said = " ".join(str(error).split())
+        return make_section(type(block).__name__, (f"This block could not be shown: {type(error).__name__}: {said}",))
+
+
+def keep_code(folder: Path, kind: str, blocks: Iterable[str]) -> dict[str, str]:
+    """Return the files of a kind and of blocks in files of their own, as they are side by side, by names in results."""
+    kept: dict[str, str] = {}
+    for what, name in (("KINDS", kind), *(("BLOCKS", one) for one in blocks)):
+        files = [(folder / one).resolve() for one in list_sources(what, name, folder)]
+        for one in files:
+            place, text = f"{CODE}/{one.relative_to(files[0].parent).as_posix()}", one.read_text("utf-8")
+            if kept.setdefault(place, text) != text:
+                raise InputError(f"blocks: found two files {one.name}, expected files of different names")
+    return kept
+
+
+def find_kept(folder: Path, results: Results, what: str, name: str, trust: bool) -> str:
+    """Return where a class of one's own is in the code that results keep; InputError unless it may be run."""
+    check_trust(folder, f"{SAID[what]} {name!r}", trust)
+    if is_file(name):  # as the results keep it
+        name = name[name.rfind("/", 0, name.index(":")) + 1 :]
+        check_same(folder / CODE, list_sources(what, name, folder / CODE), results.hashes)
+    return name

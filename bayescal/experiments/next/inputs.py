@@ -1,0 +1,308 @@
+"""From the config to what is computed with: the variants, the workspace and the poses that may be measured."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from bayescal.calibrated.tables import list_columns, read_given, read_named, read_quantities
+from bayescal.data.actuators import read_moves
+from bayescal.errors import InputError
+from bayescal.experiments.frame.load import load
+from bayescal.experiments.frame.memory import check_arrays
+from bayescal.experiments.next.schema import CandidatesConfig, NextConfig
+from bayescal.experiments.next.state import Poses, Subject
+from bayescal.experiments.shared.design import REQUIRED, find_actuators, read_workspace
+from bayescal.experiments.shared.measured import MeasuredReadings, measure_variants
+from bayescal.experiments.shared.reading_slips import find_measured_slip
+from bayescal.experiments.shared.schema import WorkspaceConfig
+from bayescal.experiments.shared.slips import FoundSlip
+from bayescal.identifiability.design import Knowledge
+from bayescal.identifiability.pose_volume import PoseVolume
+from bayescal.identifiability.reading_rows import differentiate_poses, typical_given
+from bayescal.identifiability.requirements import COMPONENTS, Requirement
+from bayescal.identifiability.units import Units
+from bayescal.machines.readings import Given
+from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array
+from bayescal.pose_selection import (
+    ActuatorBox,
+    Candidates,
+    WorkspaceBox,
+    candidates_at,
+    candidates_at_actuators,
+    factorial_candidates,
+)
+
+CANDIDATES, WORKSPACE = 31, 32  # of the seeds
+N_WORKSPACE = 200
+SEEN, PLACED = 6, 4
+"""Arrays of all candidates by legs and parameters where they are placed and seen, and of their poses."""
+TRIES = 20
+"""Times so many poses are drawn to find those at which a machine can be."""
+
+
+@dataclass(frozen=True, eq=False)
+class NextInputs:
+    """What was measured so far, and what may come.
+
+    Attributes
+    ----------
+    config : NextConfig
+    origin : str
+        Of the data, in words.
+    subjects : dict of str to Subject
+        Those that may be right, with the poses measured so far.
+    n_candidates : int
+    units : dict of str to str
+        Of each requirement, as the config states it.
+    slip : FoundSlip or None
+        What would explain the data many times better than they are.
+    """
+
+    config: NextConfig
+    origin: str
+    subjects: dict[str, Subject]
+    n_candidates: int
+    units: dict[str, str]
+    slip: FoundSlip | None
+
+    @property
+    def requirements(self) -> list[Requirement]:
+        """What is required."""
+        return next(iter(self.subjects.values())).requirements
+
+
+def read_next(config: NextConfig, folder: Path) -> NextInputs:
+    """Return what was measured so far, read and checked.
+
+    Raises
+    ------
+    InputError
+        Where the file calibrates no machine, a variant is not there, the workspace is out of reach or no candidate is
+        left.
+    """
+    path = folder / config.study
+    found = measure_variants(*load(path), path, config.variants, config.with_model_error)
+    if config.aim == "variants" and len(found) < 2:
+        raise InputError(
+            f"{path}: found one variant and no requirements, expected --require NAME=VALUE or [requirements], "
+            "or two variants to distinguish"
+        )
+    first = next(iter(found.values()))
+    there = first.posterior.likelihood.data.n_poses
+    n = _take_first(config.first, there, config.study)
+    if first.legs is None:
+        _check_same_readings(found)
+        _check_redundant(first)
+        low, high = _read_bounds(config, first)
+        found = {name: replace(one, low=low, high=high) for name, one in found.items()}
+    so_far = {name: one if n == there else one.pick(np.arange(n)) for name, one in found.items()}
+    first = next(iter(so_far.values()))
+    workspace, candidates = (
+        _place_poses(config, folder, first) if first.legs is None else _place_legs(config, folder, first)
+    )
+    requirements, units = _read_requirements(config, first)
+    if requirements and first.legs is None:
+        _check_located(first, workspace.values)
+    subjects = {name: Subject(one, requirements, workspace, candidates) for name, one in so_far.items()}
+    origin = first.origin.partition(": study ")[0]
+    return NextInputs(config, origin, subjects, len(candidates.values), units, find_measured_slip(list(found.values())))
+
+
+def _take_first(n: int | None, there: int, path: str) -> int:
+    if n is not None and n > there:
+        raise InputError(f"first: found {n}, expected at most {there}, the calibration poses of {path}")
+    return there if n is None else n
+
+
+def _read_requirements(config: NextConfig, measured: MeasuredReadings) -> tuple[list[Requirement], dict[str, str]]:
+    """Return the largest errors that are allowed, mm and rad, and their units as stated.
+
+    Raises
+    ------
+    InputError
+        For another name than those known.
+    """
+    tool = measured.posterior.likelihood.model.tool_channels
+    components, kinds = (tuple(getattr(one, key) for one in tool) for key in ("name", "unit"))
+    known = (*components, "position") if "mm" in kinds else components
+    if measured.legs is not None:
+        components, known = COMPONENTS, REQUIRED
+    for name in config.requirements:
+        if name not in known:
+            raise InputError(f"requirements: found {name!r}, expected some of {', '.join(known)}")
+    units = Units(config.units.length, config.units.angle)
+    of = {"position": "mm", "rotation": "rad"} | dict(zip(components, kinds, strict=True))
+    wanted = {name: config.requirements[name] for name in known if name in config.requirements}
+    found = [Requirement(name, limit * units.factor(of[name]), components) for name, limit in wanted.items()]
+    return found, {name: units.name(of[name]) for name in wanted}
+
+
+# --- machines on legs ----------------------------------------------------------------------------------------------
+
+
+def _place_legs(config: NextConfig, folder: Path, measured: MeasuredReadings) -> tuple[Poses, Poses]:
+    """Return the poses of workspace and candidates of a study's machine, by its actuators."""
+    section, legs = config.workspace, measured.legs
+    assert legs is not None
+    if isinstance(section, dict):
+        raise InputError(
+            f"workspace: found {', '.join(section)} of a machine on legs, expected position_mm and rotation_deg"
+        )
+    if section is None and config.requirements:
+        raise InputError("workspace: found [requirements] without [workspace], expected both")
+    priors = legs.posterior.priors
+    means = {name: one.mean for name, one in priors.items()}
+    knowledge = Knowledge(legs.machine, {name: one.sd for name, one in priors.items()}, {**legs.fixed, **means})
+    volume = read_workspace(section)
+    candidates = read_candidates(config, folder, knowledge, volume).placed.actuators
+    workspace = find_actuators(knowledge, volume, config.seed, candidates)
+    return Poses(workspace, {}, commanded=True), Poses(candidates, {}, commanded=True)
+
+
+def _check_candidates(n: int, knowledge: Knowledge) -> None:
+    """Raise InputError where there is no memory to place so many candidates."""
+    n_legs, size = knowledge.machine.mechanism.n_legs, knowledge.machine.layout.size
+    held = [(SEEN, n, n_legs, size + n_legs), (PLACED, n, DEGREES_OF_FREEDOM, size)]
+    check_arrays({"candidates": n}, held, "fewer candidates")
+
+
+def read_candidates(config: NextConfig, folder: Path, knowledge: Knowledge, volume: PoseVolume | None) -> Candidates:
+    """Return the poses that may be measured."""
+    section, mechanism = config.candidates, knowledge.machine.mechanism
+    rng = np.random.default_rng([config.seed, CANDIDATES])
+    if section.configurations is None:
+        _check_candidates(section.count, knowledge)
+    redundant, half = mechanism.n_legs != DEGREES_OF_FREEDOM, section.half
+    if redundant and half is None:
+        half = None if volume is None else volume.half
+        if half is None or section.configurations is not None or section.range_mm is not None:
+            raise InputError(
+                f"candidates: found {mechanism.n_legs} legs, which do not close anywhere, expected position_mm and "
+                "rotation_deg there, or [workspace] and neither configurations nor range_mm"
+            )
+    if half is not None:
+        return factorial_candidates(WorkspaceBox(knowledge, half), section.count, rng)
+    domain = ActuatorBox(knowledge)
+    if section.configurations is not None:
+        moves = read_moves(folder / section.configurations, section.unit_mm, mechanism.n_legs)
+        _check_candidates(len(moves), knowledge)
+        return candidates_at_actuators(domain, mechanism.initial_actuator_positions + moves)
+    reach = mechanism.actuator_range if section.range_mm is None else section.range_mm
+    if reach > mechanism.actuator_range:
+        raise InputError(
+            f"candidates.range_mm: found {reach:g}, expected at most the actuator range of "
+            f"{mechanism.actuator_range:g} mm"
+        )
+    whole = factorial_candidates(domain, section.count, rng)
+    return candidates_at(domain, whole.shares * reach / mechanism.actuator_range)
+
+
+# --- machines of any readings --------------------------------------------------------------------------------------
+
+
+def _place_poses(config: NextConfig, folder: Path, measured: MeasuredReadings) -> tuple[Poses, Poses]:
+    """Return the poses of workspace and candidates of a calibration's machine, by its coordinates."""
+    workspace, rng = np.random.default_rng([config.seed, WORKSPACE]), np.random.default_rng([config.seed, CANDIDATES])
+    pose = _draw_poses(measured, N_WORKSPACE, workspace)
+    given = typical_given(measured.posterior.likelihood.data.given, len(pose))
+    return Poses(pose, given), Poses(*_list_candidates(config.candidates, folder, measured, rng))
+
+
+def _check_same_readings(found: Mapping[str, MeasuredReadings]) -> None:
+    """Raise InputError where variants have other readings, so that their evidences do not compare."""
+    (name, first), *others = found.items()
+    data = first.posterior.likelihood.data
+    for other, one in others:
+        theirs = one.posterior.likelihood
+        same = theirs.model.names == first.posterior.likelihood.model.names and theirs.data.poses == data.poses
+        if not same or not np.array_equal(theirs.data.present, data.present):
+            raise InputError(
+                f"variants: found other readings in {other!r} than in {name!r}, whose evidences then do not compare, "
+                "expected such that take in the same, listed in variants = [...]"
+            )
+
+
+def _check_redundant(measured: MeasuredReadings) -> None:
+    """Raise InputError where no pose says anything of the parameters, or the machine alone nothing of its tool."""
+    likelihood = measured.posterior.likelihood
+    read, q = likelihood.data.present.any(axis=0), len(likelihood.model.coordinates)
+    if read.sum() <= q:
+        raise InputError(
+            f"variants: found {read.sum()} channels that are read and {q} unknown coordinates of each pose, which take "
+            "all that is read: no pose says anything of the parameters; expected more channels"
+        )
+
+
+def _check_located(measured: MeasuredReadings, workspace: Array) -> None:
+    """Raise InputError where the machine's own channels do not determine its pose: its error then has no bound."""
+    posterior = measured.posterior
+    given = typical_given(posterior.likelihood.data.given, len(workspace))
+    expected = np.zeros(posterior.n_parameters)
+    seen = differentiate_poses(posterior, measured.half, expected, workspace, given).seen_by(measured.internal)
+    lost = ~np.isfinite(seen.tool).all(axis=(1, 2))
+    if lost.any():
+        names = posterior.likelihood.model.names
+        own = ", ".join(name for name, internal in zip(names, measured.internal, strict=True) if internal)
+        raise InputError(
+            f"requirements: found that the machine's own sensors ({own or 'none'}) do not determine its pose at "
+            f"{lost.sum()} of {len(lost)} poses of the workspace, so that its error there has no bound; expected own "
+            "sensors that do"
+        )
+
+
+def _read_bounds(config: NextConfig, measured: MeasuredReadings) -> tuple[Array, Array]:
+    """Return smallest and largest coordinates, (q,) each: the section's, otherwise those of the calibration."""
+    section, units = config.workspace, Units(config.units.length, config.units.angle)
+    low, high = measured.low.copy(), measured.high.copy()
+    coordinates = measured.posterior.likelihood.model.coordinates
+    names = [one.name for one in coordinates]
+    if isinstance(section, WorkspaceConfig):
+        raise InputError(
+            f"workspace: found position_mm of a machine that is no hexapod, expected bounds of {', '.join(names)}, "
+            f"such as {names[0]} = [-1.0, 1.0]"
+        )
+    for name, bounds in (section or {}).items():
+        if name not in names:
+            raise InputError(f"workspace: found {name!r}, expected some of {', '.join(names)}")
+        k = names.index(name)
+        if not bounds[0] < bounds[1]:
+            raise InputError(
+                f"workspace.{name}: found {bounds[0]:g} to {bounds[1]:g}, expected the smaller number first"
+            )
+        low[k], high[k] = (units.factor(coordinates[k].unit) * one for one in bounds)
+    return low, high
+
+
+def _draw_poses(measured: MeasuredReadings, n: int, rng: np.random.Generator) -> Array:
+    """Return n random poses of the workspace that the machine as expected can take, (n, q)."""
+    posterior = measured.posterior
+    model, found = posterior.likelihood.model, np.empty((0, len(measured.low)))
+    for _ in range(TRIES):
+        pose = rng.uniform(measured.low, measured.high, (n, len(measured.low)))
+        read = model.read(posterior.sampling.start, pose, typical_given(posterior.likelihood.data.given, n))
+        found = np.concatenate([found, pose[np.isfinite(read).all(axis=-1)]])
+        if len(found) >= n:
+            return found[:n]
+    raise InputError("workspace: found hardly a pose that the machine can take, expected a smaller workspace")
+
+
+def _list_candidates(
+    section: CandidatesConfig, folder: Path, measured: MeasuredReadings, rng: np.random.Generator
+) -> tuple[Array, Given]:
+    """Return the poses that may be measured, (C, q), and what is known of each: a table, or random ones."""
+    likelihood = measured.posterior.likelihood
+    for name in ("unit_mm", "range_mm", "position_mm", "rotation_deg"):
+        if name in section.model_fields_set:
+            raise InputError(f"candidates.{name}: found it of a machine without legs, expected count or configurations")
+    if section.configurations is not None:
+        model = likelihood.model
+        expected = [*(f"{one.name}_{one.unit}" for one in model.coordinates), *model.given]
+        known = [*list_columns(model.coordinates), *model.given]
+        table, _ = read_named(folder / section.configurations, known, expected)
+        return read_quantities(table, model.coordinates), read_given(table, model.given)
+    pose = _draw_poses(measured, section.count, rng)
+    return pose, typical_given(likelihood.data.given, len(pose))

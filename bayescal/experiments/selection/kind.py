@@ -1,0 +1,53 @@
+"""Pose selection as a kind of experiment."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from bayescal.experiments.frame.experiment import Experiment
+from bayescal.experiments.frame.memory import Need, estimate_arrays
+from bayescal.experiments.frame.parallel import Run
+from bayescal.experiments.frame.results import Results
+from bayescal.experiments.selection.compute import compute_selections
+from bayescal.experiments.selection.inputs import SelectionInputs, read_selection
+from bayescal.experiments.selection.page import build_page
+from bayescal.experiments.selection.published import check_published
+from bayescal.experiments.selection.schema import SelectionConfig
+from bayescal.numerics.geometry import DEGREES_OF_FREEDOM
+from bayescal.pose_selection.candidates import AT_ONCE
+from bayescal.report.blocks import Page
+
+COPIES, DERIVATIVES, PLACING = 3, 8, 12
+"""Arrays held of the rows of all candidates, of some candidates' derivatives, and where poses are placed."""
+
+
+class Selection(Experiment[SelectionConfig, SelectionInputs]):
+    """Which poses to measure, by criteria and methods set side by side."""
+
+    schema = SelectionConfig
+    digits = 12
+
+    def read(self, config: SelectionConfig, folder: Path) -> SelectionInputs:
+        """Return what the experiment computes with."""
+        inputs = read_selection(config, folder)
+        check_published(config, inputs.published)
+        return inputs
+
+    def estimate_memory(self, inputs: SelectionInputs) -> Need:
+        """Return what the rows of all candidates take."""
+        n, n_parameters = inputs.config.candidates.count, len(inputs.knowledge.names)
+        n_rows = max(DEGREES_OF_FREEDOM, inputs.knowledge.machine.mechanism.n_legs)
+        held = [
+            (COPIES, n, n_rows, n_parameters),
+            (DERIVATIVES, min(n, AT_ONCE), n_rows, n_parameters + n_rows),
+            (PLACING, n, n_rows, n_rows),
+        ]
+        return estimate_arrays({"candidates": n, "parameters": n_parameters}, held, "fewer candidates")
+
+    def compute(self, inputs: SelectionInputs, run: Run) -> Results:
+        """Return the selections and what they are worth."""
+        return compute_selections(inputs, run)
+
+    def page(self, results: Results) -> Page:
+        """Return the page."""
+        return build_page(self.config_of(results), results)

@@ -1,0 +1,209 @@
+"""The rules by which every page says what to use and how good it is: odds, convergence, accuracy, requirements.
+
+- Variants are compared within one set of data. Where two log-evidences differ by less than 1 nat, or by less than twice
+  the error of their estimates, the variants fit equally well, and the simplest of them is the one to use.
+- What did not converge is not used, not ranked and never called converged.
+- One variant by itself is not ranked.
+- A variant that is ruled out is not shown as the more accurate one without saying so.
+- An accuracy says whether it is a standard uncertainty or which coverage it has.
+- A requirement is met with a probability.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+from bayescal.report.blocks import Level, Statement
+from bayescal.report.numbers import format_fixed, format_odds, format_percent, format_significant, join_words
+
+NOT_DISTINGUISHABLE = 1.0
+"""Difference of log-evidences, nat, below which two variants fit equally well."""
+DECISIVE = 5.0
+"""The same from which on the worse variant is ruled out: odds of 150 to 1."""
+LIKELY = 0.9
+"""Probability from which on a requirement counts as safely met."""
+NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A variant among those of the same data.
+
+    Attributes
+    ----------
+    name, label : str
+        Of the results, and as the page calls it.
+    log_evidence, se : float
+        With the standard error of its estimate, nat.
+    converged : bool
+    size : tuple of int
+        What makes it simple, the first first: free parameters, then whatever else orders variants.
+    error : float
+        Of predictions, in any unit that all candidates share; NaN where none is known.
+    """
+
+    name: str
+    label: str
+    log_evidence: float
+    se: float = 0.0
+    converged: bool = True
+    size: tuple[int, ...] = ()
+    error: float = math.nan
+
+    def is_distinguishable(self, other: Candidate) -> bool:
+        """Whether two log-evidences differ by more than 1 nat and by more than twice the error of the estimates."""
+        gap = abs(self.log_evidence - other.log_evidence)
+        return gap > max(NOT_DISTINGUISHABLE, 2.0 * math.hypot(self.se, other.se))
+
+
+def group_candidates(candidates: Sequence[Candidate]) -> list[list[Candidate]]:
+    """Return candidates in groups by evidence, the best group first; none is distinguishable from its group's best.
+
+    Within a group they keep their order.
+    """
+    groups: list[list[Candidate]] = []
+    for one in sorted(candidates, key=lambda one: -one.log_evidence):
+        if groups and not groups[-1][0].is_distinguishable(one):
+            groups[-1].append(one)
+        else:
+            groups.append([one])
+    return [sorted(group, key=candidates.index) for group in groups]
+
+
+def choose_candidate(candidates: Sequence[Candidate]) -> Candidate:
+    """Return the one to use: the simplest that fits as well as the best, of those that converged where any did."""
+    sound = [one for one in candidates if one.converged]
+    return min(group_candidates(sound or candidates)[0], key=lambda one: one.size)
+
+
+def say_choice(candidates: Sequence[Candidate], label: str = "", careful: bool = False) -> str:
+    """Return ``Use X, the simplest of three that fit equally well``, or that none may be used yet.
+
+    Parameters
+    ----------
+    candidates : sequence of Candidate
+        Of the same data.
+    label : str
+        What to call the chosen one, where that is not its label.
+    careful : bool
+        Whether warnings speak against assumptions.
+    """
+    chosen = choose_candidate(candidates)
+    words = f"Use {label or chosen.label}"
+    if not chosen.converged:
+        return f"Use none yet: not converged (best so far: {label or chosen.label})"
+    alike = group_candidates([one for one in candidates if one.converged])[0]
+    if len(candidates) == 1:
+        words += ", the only variant"
+    elif len(alike) > 1:
+        words += f", the simplest of {say_count(len(alike))} that fit equally well"
+    if (failed := sum(not one.converged for one in candidates)) > 0:
+        words += f" ({say_count(failed)} of {len(candidates)} did not converge)"
+    return f"{words}, with care (see the warnings)" if careful else words
+
+
+def state_ruled_out(candidates: Sequence[Candidate], what: str) -> list[Statement]:
+    """Say which variants err less than the one to use although the data rule them out.
+
+    Parameters
+    ----------
+    candidates : sequence of Candidate
+    what : str
+        The error that is compared, ``the largest position error``.
+    """
+    chosen = choose_candidate(candidates)
+    less = [
+        f"{one.label} ({say_odds(chosen.log_evidence - one.log_evidence)} against it)"
+        for one in candidates
+        if one.error < chosen.error
+        and chosen.log_evidence - one.log_evidence > DECISIVE
+        and chosen.is_distinguishable(one)
+    ]
+    if not less:
+        return []
+    has, it = ("has", "it") if len(less) == 1 else ("have", "them")
+    text = f"{join_words(less)} {has} a smaller {what} than {chosen.label}, but the data rule {it} out."
+    return [Statement(text, "warning", "Accuracy")]
+
+
+# --- phrases ---------------------------------------------------------------------------------------------------------
+
+
+def say_count(number: int) -> str:
+    """Return a small number as a word."""
+    return NUMBERS[number] if number < len(NUMBERS) else str(number)
+
+
+def say_odds(nats: float) -> str:
+    """Return ``odds of 150 to 1``."""
+    return f"odds of {format_odds(nats)}"
+
+
+def say_probability(probability: float, decimals: int = 0) -> str:
+    """Return a probability as per cent, never as certain."""
+    least = 10.0 ** (-2 - decimals)
+    if probability > 1.0 - 0.5 * least:
+        return f"more than {format_percent(1.0 - least, decimals)}"
+    if probability < 0.5 * least:
+        return f"less than {format_percent(least, decimals)}"
+    return format_percent(probability, decimals)
+
+
+def say_accuracy(amounts: Mapping[str, str], coverage: float | None = None) -> str:
+    """Return ``x 0.013 mm, y 0.020 mm (standard uncertainty, k = 1)``.
+
+    Parameters
+    ----------
+    amounts : mapping of str to str
+        What is uncertain, with its uncertainty and unit.
+    coverage : float, optional
+        Probability of the interval, where the uncertainty is expanded.
+    """
+    words = ", ".join(f"{name} {amount}" for name, amount in amounts.items())
+    what = "standard uncertainty, k = 1" if coverage is None else f"{format_percent(coverage)} coverage"
+    return f"{words} ({what})"
+
+
+def say_requirements(probabilities: Mapping[str, float], subject: str = "the calibration") -> str:
+    """Return with which probability requirements are met, and which is least likely: never that they are met.
+
+    Parameters
+    ----------
+    probabilities : mapping of str to float
+        Of each requirement by its name; of one called ``""``, of all of them together.
+    subject : str
+        What meets them: the plan, the calibration.
+    """
+    each = {name: one for name, one in probabilities.items() if name}
+    together = probabilities.get("")
+    if not each:
+        return "Accuracy requirements: none stated"
+    least = min(each, key=lambda name: each[name])
+    if len(each) == 1:
+        return f"{least}: {subject} meets the requirement with {say_probability(each[least])} probability"
+    if together is not None and math.isfinite(together):
+        words = f"{subject} meets all {len(each)} requirements with {say_probability(together)} probability"
+    else:
+        words = f"{subject} meets {len(each)} requirements"
+    least_words = f"least likely is {least} with {say_probability(each[least])}"
+    return f"{words[0].upper()}{words[1:]}; {least_words}"
+
+
+def rate_probability(probability: float) -> Level:
+    """Return how good the news is that a requirement is met with a probability."""
+    return "good" if probability >= LIKELY else "warning" if probability >= 0.5 else "bad"
+
+
+def say_difference(nats: float, se: float = 0.0) -> str:
+    """Return a difference of log-evidences with its odds; that it distinguishes nothing where it is small."""
+    if abs(nats) <= max(NOT_DISTINGUISHABLE, 2.0 * se):
+        return f"{format_significant(abs(nats), 2)} nat, which distinguishes nothing"
+    return f"{format_fixed(abs(nats), 1)} nat ({say_odds(abs(nats))})"
+
+
+def write_headline(parts: Iterable[str]) -> str:
+    """Return sentences in one line: each begins with a capital letter and ends with a full stop."""
+    said = [one.strip().rstrip(".") for one in parts if one.strip()]
+    return " ".join(f"{one[0].upper()}{one[1:]}." for one in said)

@@ -1,0 +1,113 @@
+"""How accurate a machine is, what its readings do not determine and where to measure next, as blocks of any page."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import pandas as pd
+
+from bayescal.report.blocks import Cell, Column, Level, Section, Statement, make_section, make_table
+from bayescal.report.numbers import NOTHING, format_fixed, format_percent, format_significant
+from bayescal.report.reading import list_rows
+from bayescal.report.units import Asked, format_place, name_unit, shown_in
+
+VERDICT_LEVELS: dict[str, Level] = {"identifiable": "good", "weak": "warning", "not": "bad", "noise": "plain"}
+"""How good the news of a parameter's verdict is."""
+WORTHWHILE = 0.01  # of the mean squared error; what promises less is no advice
+SENSORS = {"all": "all", "own": "the machine's own"}
+
+
+def name_titles(tables: Mapping[str, pd.DataFrame]) -> dict[str, str]:
+    """Return what the variants are called by their names."""
+    return {str(row["variant"]): str(row["title"]) for row in list_rows(tables["variants"])}
+
+
+def show_accuracy(tables: Mapping[str, pd.DataFrame], asked: Asked = None) -> Section | None:
+    """Return how accurate each variant's tool is, or its coordinates where no tool is stated."""
+    if "accuracy" not in tables:
+        return None
+    titles, group = name_titles(tables), "rms over the workspace"
+    columns = [Column("Variant", kind="text"), Column("Tool", kind="text"), Column("Unit", kind="text")]
+    columns += [Column(one, group=group) for one in ("before", "after", "noise of one reading")]
+    columns += [Column("largest after"), Column("at", kind="text")]
+    rows: list[list[str | Cell]] = []
+    for row in list_rows(tables["accuracy"]):
+        factor, unit = shown_in(row["unit"], asked)
+        numbers = (format_significant(factor * row[name]) for name in ("before", "after", "noise"))
+        worst = format_significant(factor * row["worst"]) if "worst" in row else NOTHING
+        at = str(row.get("worst_at", NOTHING))
+        rows.append([titles[row["variant"]], str(row["coordinate"]), unit, *numbers, worst, at])
+    text = (
+        "Standard uncertainty (k = 1) of the tool as located by the machine's own sensors alone: before the "
+        "calibration by the tolerances (prior), after it by the posterior; the noise of one set of readings comes on "
+        "top. A dash: its own sensors do not determine it.",
+    )
+    table = make_table("Predicted standard uncertainty.", columns, rows)
+    return make_section("How accurate the machine is", text, (table,))
+
+
+def show_ridges(tables: Mapping[str, pd.DataFrame], variant: str) -> list[Section]:
+    """Return the combinations that a variant's readings leave undetermined; nothing where there are none."""
+    if "ridges" not in tables:
+        return []
+    mine = tables["ridges"][tables["ridges"]["variant"] == variant]
+    text = [
+        f"Contraction of this combination {format_fixed(row['contraction'], 2)}: {row['sentence']}"
+        for row in list_rows(mine)
+    ]
+    return [make_section("Undetermined combinations", text)] if text else []
+
+
+def reduce_error(gain: float) -> float:
+    """Return by what part the error falls where its mean square falls by a part ``gain``."""
+    return 1.0 - math.sqrt(max(0.0, 1.0 - gain))
+
+
+def _say_gain(gain: float) -> str:
+    return format_percent(reduce_error(gain), 1)
+
+
+def state_next(tables: Mapping[str, pd.DataFrame], variant: str, asked: Asked = None) -> list[Statement]:
+    """Return where to measure next with each set of sensors, where that promises something."""
+    if "next" not in tables:
+        return []
+    mine = tables["next"][tables["next"]["variant"] == variant]
+    found = []
+    for sensors, rows in mine.groupby("sensors", sort=False):
+        first = list_rows(rows)[0]
+        if first["gain"] < WORTHWHILE:
+            continue
+        place = [
+            f"{name.rpartition('_')[0]} = {format_place(name, value, asked)} {name_unit(name, asked)}"
+            for name, value in first.items()
+            if name not in ("variant", "sensors", "gain")
+        ]
+        text = f"Measure next, with {SENSORS[str(sensors)]} sensors, at {', '.join(place)}: best of the candidate poses"
+        found.append(Statement(f"{text}, expected to reduce the error by {_say_gain(first['gain'])}.", "plain", "Next"))
+    return found
+
+
+def show_next(tables: Mapping[str, pd.DataFrame], variant: str, asked: Asked = None) -> list[Section]:
+    """Return the candidate poses that reduce a variant's error most."""
+    if "next" not in tables:
+        return []
+    mine = tables["next"][tables["next"]["variant"] == variant].dropna(axis=1, how="all")
+    names = [str(name) for name in mine.columns if name not in ("variant", "sensors", "gain")]
+    columns = [Column("Sensors", kind="text")]
+    columns += [Column(name.rpartition("_")[0], name_unit(name, asked)) for name in names]
+    columns.append(Column("Error falls by"))
+    rows: list[list[str | Cell]] = [
+        [
+            SENSORS[str(row["sensors"])],
+            *(format_place(name, row[name], asked) for name in names),
+            _say_gain(row["gain"]),
+        ]
+        for row in list_rows(mine)
+    ]
+    text = (
+        "Random poses of the workspace; the error is the rms standard uncertainty of the tool over the workspace, as "
+        "it is expected after one more set of readings there.",
+    )
+    table = make_table("The best of the candidate poses.", columns, rows)
+    return [make_section("What to measure next", text, (table,))]

@@ -1,0 +1,461 @@
+"""The schema of a study: a machine, what was measured of it, variants; `data` decides how it is computed.
+
+A list of tables, ``[[data]]``, holds readings of channels of any machine. One table, ``[data]``, is an instrument that
+measures the pose of a platform on legs, whole or in part.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar, Literal, Self
+
+from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
+
+from bayescal.config.classes import ClassMark, label_class
+from bayescal.config.load import MEASURED
+from bayescal.config.sections import (
+    ExperimentConfig,
+    Factor,
+    InputFile,
+    Name,
+    Names,
+    NotNegative,
+    Number,
+    Positive,
+    Section,
+    check_once,
+)
+from bayescal.density.outliers import NORMAL, Contaminated, Outliers, StudentT
+from bayescal.density.priors import SharePrior
+from bayescal.density.schema import BlundersConfig, FixedConfig, KernelChoiceConfig, ModelErrorConfig, PriorConfig
+from bayescal.experiments.shared.readings.schema import (
+    BesideConfig,
+    ChannelConfig,
+    DataTableConfig,
+    ErrorTermConfig,
+    FreeConfig,
+    InstrumentConfig,
+    ModelErrorScaleConfig,
+    NextConfig,
+    OriginConfig,
+    ValidationConfig,
+    check_bounds,
+)
+from bayescal.experiments.shared.schema import DeformationConfig, FramesConfig, UnitsConfig
+from bayescal.inference.schema import EvidenceConfig, SamplerConfig
+from bayescal.numerics.units import choose_arcseconds
+
+TABLES = ("targets", "poses", "points")
+"""Kinds of measurement, and the keys of their tables."""
+
+
+class MeasuredConfig(Section):
+    """What all kinds of measurement have."""
+
+    gone: ClassVar[Mapping[str, str]] = {"origin": "the section [origin] with status and text"}
+
+    actuator_noise_um: NotNegative
+    """Standard deviation of an actuator's position about what it reads."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _check_tables(cls, value: Any) -> Any:
+        """Refuse the table of another measurement, before it is an unknown key."""
+        if isinstance(value, dict):
+            own = value.get("measurement", TABLES[0])
+            for other in TABLES:
+                if other in value and other != own and own in TABLES:
+                    raise ValueError(f"found a table of {other} beside measurement {own!r}, expected its own alone")
+        return value
+
+
+class TargetDataConfig(MeasuredConfig):
+    """Photogrammetry targets on base and platform and what is known of their noise."""
+
+    measurement: Literal["targets"] = Field(default="targets", exclude_if=lambda value: value == "targets")
+    """`"targets"`, which is what holds where nothing is said."""
+    targets: InputFile
+    """CSV file of measured targets."""
+    actuators: InputFile
+    """CSV file of actuator positions."""
+    reference: InputFile
+    """CSV file of where targets sit on their bodies."""
+    target_noise_um: Positive
+    """Standard deviation of a target's coordinates."""
+    pose_method: Literal["robust", "line", "least_squares"] = "robust"
+    """How a body's pose is found: `robust` (targets may be wrong), `line` (RR-8096) or `least_squares`."""
+
+
+class PoseDataConfig(MeasuredConfig):
+    """Poses that an instrument handed out, whole or in part; the table states its noise, or these keys do."""
+
+    measurement: Literal["poses"]
+    """`"poses"`."""
+    poses: InputFile
+    """CSV file of poses."""
+    actuators: InputFile | None = None
+    """CSV file of actuator positions, where the table of poses lacks them."""
+    position_um: Positive | None = None
+    """Standard deviation of a position, each axis, where the table does not state it."""
+    orientation_arcsec: Positive | None = None
+    """Standard deviation of a rotation, each axis, where the table does not state it."""
+    orientation_urad: Positive | None = Field(default=None, exclude_if=lambda value: value is None)
+    """The same in microradians, in place of arcseconds."""
+
+    @model_validator(mode="after")
+    def _check_one_unit(self) -> Self:
+        choose_arcseconds(self.orientation_arcsec, self.orientation_urad)
+        return self
+
+    @property
+    def arcseconds(self) -> float | None:
+        """The noise of a rotation in arcseconds, whichever unit states it."""
+        return choose_arcseconds(self.orientation_arcsec, self.orientation_urad)
+
+
+class PointDataConfig(MeasuredConfig):
+    """Points on the platform that stations tracked; the table states its noise, or these keys do."""
+
+    measurement: Literal["points"]
+    """`"points"`."""
+    points: InputFile
+    """CSV file of tracked points."""
+    probe: InputFile
+    """CSV file of where points sit on the platform."""
+    actuators: InputFile
+    """CSV file of actuator positions."""
+    stations: InputFile | None = None
+    """CSV file of where stations stand; one in the base frame without it."""
+    point_um: Positive | Annotated[list[Positive], Field(min_length=3, max_length=3)] | None = None
+    """Standard deviation of coordinates, one or per axis, where the table does not state it."""
+    range_um: NotNegative = 0.0
+    """Standard deviation of a range."""
+    range_ppm: NotNegative = 0.0
+    """What is added to it, in millionths of the range."""
+    azimuth_arcsec: Positive | None = None
+    """Standard deviation of an azimuth."""
+    elevation_arcsec: Positive | None = None
+    """Standard deviation of an elevation."""
+
+    @model_validator(mode="after")
+    def _check_noise(self) -> Self:
+        polar = (
+            self.range_um + self.range_ppm > 0.0,
+            self.azimuth_arcsec is not None,
+            self.elevation_arcsec is not None,
+        )
+        if any(polar) and not all(polar):
+            raise ValueError("expected range_um or range_ppm, azimuth_arcsec and elevation_arcsec together")
+        if any(polar) and self.point_um is not None:
+            raise ValueError("found point_um beside the noise of ranges and angles, expected either")
+        return self
+
+
+def _tag_data(value: Any) -> str:
+    found = value.get("measurement", "targets") if isinstance(value, dict) else getattr(value, "measurement", value)
+    return f"{MEASURED}{found}"
+
+
+type InstrumentDataConfig = Annotated[
+    Annotated[TargetDataConfig, Tag(f"{MEASURED}targets")]
+    | Annotated[PoseDataConfig, Tag(f"{MEASURED}poses")]
+    | Annotated[PointDataConfig, Tag(f"{MEASURED}points")],
+    Discriminator(_tag_data),
+]
+
+
+def _tag_route(value: Any) -> str:
+    return f"{MEASURED}{'tables' if isinstance(value, list) else 'instrument'}"
+
+
+type DataConfig = Annotated[
+    Annotated[Annotated[list[DataTableConfig], Field(min_length=1)], Tag(f"{MEASURED}tables")]
+    | Annotated[InstrumentDataConfig, Tag(f"{MEASURED}instrument")],
+    Discriminator(_tag_route),
+]
+
+
+def _tag_error(value: Any) -> str:
+    by_channel = isinstance(value, dict) and all(isinstance(one, dict | Section) for one in value.values())
+    return f"{MEASURED}{'channels' if by_channel else 'legs'}"
+
+
+type StudyErrorConfig = Annotated[
+    Annotated[dict[str, ModelErrorScaleConfig], Tag(f"{MEASURED}channels")]
+    | Annotated[ModelErrorConfig, Tag(f"{MEASURED}legs")],
+    Discriminator(_tag_error),
+]
+
+
+type VariantName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]+([ /][A-Za-z0-9_.-]+)*$")]
+
+
+class VariantConfig(KernelChoiceConfig, FreeConfig):
+    """A model of what was measured: what is free, which channels and errors it takes in; the others stay nominal.
+
+    A machine on legs has a kinematic model with a deformation, and is called after them, ``six_pus/none``, where it has
+    no name of its own; several free sets of one model and deformation, or several kernels of the model error, need
+    names. Kernels of several known lengths are variants, too: their evidences weigh the lengths.
+    """
+
+    model: Annotated[str, ClassMark("MODELS")] | None = None
+    """Kinematic model of a machine on legs; `bayescal list models` shows all."""
+    deformation: Annotated[str, ClassMark("DEFORMATIONS")] = "none"
+    """Deformation of its platform: `none`, `linear` or `matrix`, or one of your own."""
+    name: VariantName = Field(default_factory=lambda known: name_variant(known.get("model"), known.get("deformation")))
+    """What tables call the variant; `model/deformation` where nothing is said."""
+    title: str = Field(default_factory=lambda known: known.get("name", ""))
+    """What the page calls it; its name where nothing is said."""
+    sensors: Annotated[Names, Field(min_length=1)] | None = None
+    """Channels that it takes in; all where nothing is said."""
+    machine: InputFile | None = None
+    """Another machine's file for this variant."""
+    noise: Literal["unknown", "stated"] = "unknown"
+    """Noise as `stated`, or `unknown` as far as [unknown_noise] and [model_error] allow."""
+    errors: Names | None = Field(default=None, exclude_if=lambda value: value is None)
+    """Sections of [errors] that it has; all whose channels it takes in where nothing is said."""
+    robust: Annotated[float, Field(ge=1.0, le=100.0)] | None = None
+    """Degrees of freedom of a density that lets single poses be wrong; fewer forgive more [1]."""
+    outlier_share: Annotated[float, Field(gt=0.0, lt=0.5)] | None = Field(
+        default=None, exclude_if=lambda value: value is None
+    )
+    """Share of poses that are expected to be outliers, whose posterior is inferred; in place of `robust` [1]."""
+    poses_with: Names = Field(default=[])
+    """Keep to poses for which these columns are known."""
+    published: InputFile | None = None
+    """CSV file of printed values to compare with."""
+
+    @property
+    def outliers(self) -> Outliers:
+        """What poses are like that are wrong as a whole."""
+        if self.outlier_share is not None:
+            return Contaminated(SharePrior(self.outlier_share))
+        return NORMAL if self.robust is None else StudentT(self.robust)
+
+    @property
+    def seen(self) -> tuple[str, str]:
+        """Kinematic model and deformation of a machine on legs."""
+        assert self.model is not None
+        return self.model, self.deformation
+
+    @property
+    def has_own_name(self) -> bool:
+        """Whether the config names it."""
+        return self.name != name_variant(self.model, self.deformation)
+
+    @model_validator(mode="after")
+    def _check_name_and_outliers(self) -> Self:
+        if {"/", "."} & set(self.name) and self.has_own_name:
+            raise ValueError(f"name: found {self.name!r}, expected a name without slashes and dots")
+        if self.robust is not None and self.outlier_share is not None:
+            raise ValueError("found robust and outlier_share, expected one of them")
+        return self
+
+
+def name_variant(model: str | None, deformation: str | None) -> str:
+    """Return what a variant without a name of its own is called; of somebody else's classes their own names."""
+    return "calibrated" if model is None else f"{label_class(model)}/{label_class(deformation or 'none')}"
+
+
+def stem_of(variant: str) -> str:
+    """Return a variant's name as a part of file names."""
+    return variant.replace("/", "-").replace(" ", "_")
+
+
+TAU_SCALES = [1.0, 3.0, 10.0, 30.0, 100.0]
+
+
+class SensitivityConfig(Section):
+    """Factors on the widths of all priors, sd or half width, for which the evidence is computed anew.
+
+    The scale of the model error's prior is varied by itself, without computing anew.
+    """
+
+    factor: Annotated[list[Factor], Field(min_length=1), AfterValidator(check_once)] = Field(
+        default=[0.5, 1.0, 2.0, 5.0]
+    )
+    """Factors on the widths of all priors for which evidences are computed anew [1]."""
+    tau_scale_um: Annotated[list[Positive], Field(min_length=1), AfterValidator(check_once)] = Field(
+        default=TAU_SCALES, exclude_if=lambda value: value == TAU_SCALES
+    )
+    """Scales of the model error's prior, tried by reweighting."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _refuse_tolerance(cls, content: Any) -> Any:
+        if isinstance(content, dict) and "tolerance_mm" in content:
+            raise ValueError(
+                "tolerance_mm: replaced by factor, which multiplies the width of every prior, expected for example "
+                "factor = [0.5, 1.0, 2.0, 5.0]"
+            )
+        return content
+
+
+AS_STATED = SensitivityConfig(factor=[1.0])
+BY_INSTRUMENT = {"claims", "deformation", "frames", "blunders"}
+"""Sections that mean something of an instrument's poses alone; a mechanism's deformation does of tables, too."""
+BY_TABLES = {"instruments", "sensors", "units", "unknown_noise", "errors", "workspace", "validation", "beside", "next"}
+VARIANTS_BY_INSTRUMENT = {"model_error", "kernel_length", "kernel_length_spread", "published"}
+VARIANTS_BY_TABLES = {"common", "sensors", "machine", "noise", "errors", "robust", "outlier_share", "poses_with"}
+
+
+class StudyConfig(ExperimentConfig):
+    """A calibration: any machine, what was measured of it and how well, tolerances, variants to compare, effort."""
+
+    gone: ClassVar[Mapping[str, str]] = {"mechanism": "machine"}
+
+    kind: Literal["study"]
+    """`"study"`."""
+    origin: OriginConfig
+    """Where the data come from."""
+    machine: InputFile
+    """The machine's TOML file."""
+    claims: Annotated[str, ClassMark("CLAIMS")] | None = None
+    """Statements of a publication that are put to the results: their class, as `file.py:Class`."""
+    instruments: dict[Name, InstrumentConfig] = Field(default={}, exclude_if=lambda value: not value)
+    """By name: instruments beside the machine, which give it more channels."""
+    data: DataConfig
+    """What was measured: tables of readings, or one table of an instrument that sees a platform on legs."""
+    sensors: dict[str, ChannelConfig] = Field(default={}, exclude_if=lambda value: not value)
+    """Noise of each channel of tables of readings, or of all of a kind."""
+    units: UnitsConfig = UnitsConfig()
+    """Units of tolerances, requirements and results."""
+    deformation: DeformationConfig = DeformationConfig()
+    """Nominal deformation of the platform of a machine on legs."""
+    parameters: Annotated[dict[str, PriorConfig], Field(min_length=1)]
+    """Tolerance of each symbol."""
+    frames: FramesConfig = Field(default=FramesConfig(), exclude_if=lambda value: value == FramesConfig())
+    """Frames that are found with the machine, mm and degrees."""
+    unknown_noise: dict[str, Positive] = Field(default={}, exclude_if=lambda value: not value)
+    """By group of channels: standard deviation of the logarithm of a factor on its noise [1]."""
+    model_error: StudyErrorConfig = Field(
+        default_factory=lambda known: dict[str, ModelErrorScaleConfig]() if _is_tables(known) else ModelErrorConfig()
+    )
+    """Prior of what the models leave out: of the legs, or by channel or kind of tables of readings."""
+    errors: dict[Name, ErrorTermConfig] = Field(default={}, exclude_if=lambda value: not value)
+    """By name: errors common to all rows, such as functions of what is read, or those of a class of one's own."""
+    blunders: BlundersConfig | None = Field(default=None, exclude_if=lambda value: value is None)
+    """Whether single poses of an instrument may be wrong; a variant's `robust` lets those of tables be."""
+    workspace: dict[str, Annotated[list[Number], Field(min_length=2, max_length=2)]] = Field(
+        default={}, exclude_if=lambda value: not value
+    )
+    """By coordinate: smallest and largest value where accuracy counts; the machine's own where nothing is said [unit
+    of the coordinate].
+    """
+    variants: Annotated[list[VariantConfig], Field(min_length=1)]
+    """Models to compare."""
+    validation: ValidationConfig = ValidationConfig()
+    """Prediction of held-back readings."""
+    sensitivity: SensitivityConfig = Field(
+        default_factory=lambda known: AS_STATED if _is_tables(known) else SensitivityConfig()
+    )
+    """Other widths of the priors."""
+    beside: list[BesideConfig] = Field(default=[], exclude_if=lambda value: not value)
+    """Values from elsewhere that stay out of the fit."""
+    next: NextConfig = NextConfig()
+    """What to measure next."""
+    sampler: SamplerConfig = SamplerConfig()
+    """Effort of sampling."""
+    evidence: EvidenceConfig = EvidenceConfig()
+    """Effort of the evidence."""
+
+    @property
+    def by_tables(self) -> bool:
+        """Whether tables of readings were measured, and not poses by an instrument."""
+        return isinstance(self.data, list)
+
+    @property
+    def tables(self) -> list[DataTableConfig]:
+        """The tables of readings."""
+        assert isinstance(self.data, list)
+        return self.data
+
+    @property
+    def measured(self) -> TargetDataConfig | PoseDataConfig | PointDataConfig:
+        """What an instrument measured."""
+        assert not isinstance(self.data, list)
+        return self.data
+
+    def list_free(self, variant: VariantConfig) -> list[str]:
+        """Return what a variant frees, of its machine or not: all that has a prior where it says nothing."""
+        if variant.free is not None:
+            return variant.free
+        return [symbol for symbol, one in self.parameters.items() if not isinstance(one, FixedConfig)]
+
+    @property
+    def leg_error(self) -> ModelErrorConfig:
+        """Prior of the legs' model error."""
+        assert isinstance(self.model_error, ModelErrorConfig)
+        return self.model_error
+
+    @property
+    def channel_errors(self) -> dict[str, ModelErrorScaleConfig]:
+        """Priors of model errors by groups of channels."""
+        assert isinstance(self.model_error, dict)
+        return self.model_error
+
+    @model_validator(mode="after")
+    def _check_variants(self) -> Self:
+        if isinstance(self.data, TargetDataConfig) and self.frames != FramesConfig():
+            raise ValueError("found [frames] beside targets on the base, which stand for it, expected no [frames]")
+        _check_names([variant.name for variant in self.variants])
+        check_bounds(self.workspace)
+        self._check_route()
+        for variant in self.variants:
+            for symbol in variant.free or ():
+                prior = self.parameters.get(symbol.partition("[")[0])
+                if prior is None or isinstance(prior, FixedConfig):
+                    found = "no prior" if prior is None else "a fixed value"
+                    raise ValueError(
+                        f"variant {variant.name!r} frees {symbol!r}, which has {found} in [parameters], "
+                        "expected a normal or uniform prior"
+                    )
+        return self
+
+    def _check_route(self) -> None:
+        """Raise ValueError for what means nothing beside such data."""
+        data, meant = ("tables of readings", "[data]") if self.by_tables else ("an instrument's poses", "[[data]]")
+        elsewhere, of_variants = BY_TABLES, VARIANTS_BY_TABLES
+        if self.by_tables:
+            elsewhere, of_variants = BY_INSTRUMENT, VARIANTS_BY_INSTRUMENT
+            if any(one.model is not None for one in self.variants):
+                elsewhere = elsewhere - {"deformation"}
+        for name in sorted(_list_stated(self) & elsewhere):
+            raise ValueError(f"{name}: found beside {data}, where it means nothing, expected it beside {meant} alone")
+        for variant in self.variants:
+            for name in sorted(_list_stated(variant) & of_variants):
+                raise ValueError(
+                    f"variant {variant.name!r}: {name}: found with {data}, where it means nothing, expected it with "
+                    f"{meant} alone"
+                )
+            if variant.model is None and (not self.by_tables or variant.deformation != "none"):
+                raise ValueError(f"variant {variant.name!r}: model: missing, expected the kinematic model of the legs")
+        if self.by_tables and not self.sensors:
+            raise ValueError("sensors: missing, expected the noise of the channels")
+        if self.by_tables and self.sensitivity.tau_scale_um != TAU_SCALES:
+            raise ValueError("sensitivity.tau_scale_um: found with tables of readings, where it means nothing")
+        if isinstance(self.model_error, dict) is not self.by_tables:
+            expected = "[model_error.CHANNEL] with scale" if self.by_tables else "scale_um, per_leg"
+            raise ValueError(f"model_error: found that of other data, expected {expected} with {data}")
+
+
+def _is_tables(known: Mapping[str, Any]) -> bool:
+    return isinstance(known.get("data"), list)
+
+
+def _list_stated(section: Section) -> set[str]:
+    """Return the keys whose values are not what holds where nothing is said."""
+    return {key for key, one in type(section).model_fields.items() if getattr(section, key) != one.default}
+
+
+def _check_names(names: list[str]) -> None:
+    """Raise ValueError for variants of one name, or of names that no file system need tell apart."""
+    first: dict[str, str] = {}
+    for name in names:
+        other = first.setdefault(stem_of(name).lower(), name)
+        if names.count(name) > 1:
+            raise ValueError(
+                f"variant {name!r} stands twice, expected each variant once, or a name of its own for each free set"
+            )
+        if other != name:
+            raise ValueError(f"variants {other!r} and {name!r} would share their files, expected other names")

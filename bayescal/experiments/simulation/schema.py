@@ -1,0 +1,249 @@
+"""The schema of simulated measurements: readings of channels, photogrammetry, poses, tracked points."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, ClassVar, Literal, Self
+
+from pydantic import Field, model_validator
+
+from bayescal.config.classes import ClassMark
+from bayescal.config.sections import (
+    ExperimentConfig,
+    InputFile,
+    Name,
+    NotNegative,
+    Number,
+    PerLeg,
+    Positive,
+    Section,
+    Vector,
+)
+from bayescal.density.schema import PriorConfig
+from bayescal.experiments.shared.readings.schema import ChannelConfig, FreeConfig, InstrumentConfig, OriginConfig
+from bayescal.experiments.shared.schema import UnitsConfig
+from bayescal.machines.schema import TargetRingConfig
+from bayescal.numerics.units import choose_arcseconds
+
+
+class TruthConfig(Section):
+    """A given true machine, in place of one drawn within [parameters]: nominal plus offsets, or of a file."""
+
+    deformation_matrix: InputFile | None = None
+    """CSV file of the true deformation matrix K of a machine on legs; rigid without one."""
+    offsets: dict[str, PerLeg] | None = None
+    """True minus nominal value by symbol, one for all or one each [as tolerances]."""
+    parameters: InputFile | None = None
+    """CSV file of the true parameters, as a simulation writes it; in place of offsets."""
+
+    @model_validator(mode="after")
+    def _check_one(self) -> Self:
+        if (self.offsets is None) == (self.parameters is None):
+            raise ValueError("expected either offsets or parameters")
+        return self
+
+
+class PosesConfig(Section):
+    """Actuator configurations as CSV tables in units of ``unit_mm`` about the initial position."""
+
+    calibration: InputFile
+    """CSV file of actuator displacements to calibrate with, a row a pose."""
+    verification: InputFile
+    """CSV file of actuator displacements that are held back."""
+    unit_mm: Positive
+    """Unit of the numbers in both files."""
+
+
+class NoiseConfig(Section):
+    """Standard deviations."""
+
+    target_um: NotNegative | None = Field(default=None, exclude_if=lambda value: value is None)
+    """Standard deviation of a target's coordinates."""
+    actuator_um: NotNegative
+    """Standard deviation of an actuator's position about what it reads."""
+
+
+class TargetsConfig(Section):
+    """Targets on the rigid parts of both bodies and, where there are any, on the pads that carry the legs' joints."""
+
+    base: Annotated[list[TargetRingConfig], Field(min_length=1)]
+    """Circles of targets on the base."""
+    platform: Annotated[list[TargetRingConfig], Field(min_length=1)]
+    """Circles of targets on the rigid part of the platform."""
+    per_pad: Annotated[int, Field(ge=0, le=100)] = 0
+    """Targets on the pad of each leg's joint."""
+    pad_radius_mm: Positive | None = None
+    """Radius of the circle that the targets of a pad lie on."""
+
+    @model_validator(mode="after")
+    def _check_pads(self) -> Self:
+        if self.per_pad and self.pad_radius_mm is None:
+            raise ValueError(f"found per_pad {self.per_pad} without pad_radius_mm, expected both")
+        return self
+
+
+class MeasurementFrameConfig(Section):
+    """How far the measurement frame wanders from pose to pose."""
+
+    distance_mm: NotNegative
+    """Standard deviation of its origin, along each axis."""
+    angle_deg: NotNegative
+    """Standard deviation of its rotation, about each axis."""
+
+
+class FrameTruthConfig(Section):
+    """Where a frame truly lies, against where it should: displacement and rotation vector."""
+
+    position_mm: Vector = Field(default=[0.0, 0.0, 0.0])
+    """Displacement."""
+    rotation_deg: Vector = Field(default=[0.0, 0.0, 0.0])
+    """Rotation vector."""
+
+
+class FramesTruthConfig(Section):
+    """True frames of the instrument, one per station, and of the tool."""
+
+    base: list[FrameTruthConfig] = Field(default=[])
+    """True frames of the instrument against where they should be, one per station."""
+    tool: FrameTruthConfig = FrameTruthConfig()
+    """True frame of the probe on the platform."""
+
+
+class PoseInstrumentConfig(Section):
+    """An instrument that hands out poses, or their positions alone."""
+
+    kind: Literal["poses"]
+    """`"poses"`."""
+    position_um: Positive
+    """Standard deviation of a position, each axis."""
+    orientation_arcsec: Positive | None = None
+    """Standard deviation of a rotation, each axis; positions alone without it."""
+    orientation_urad: Positive | None = Field(default=None, exclude_if=lambda value: value is None)
+    """The same in microradians, in place of arcseconds."""
+    frames: FramesTruthConfig = FramesTruthConfig()
+    """True frames of instrument and probe."""
+
+    @model_validator(mode="after")
+    def _check_one_unit(self) -> Self:
+        choose_arcseconds(self.orientation_arcsec, self.orientation_urad)
+        return self
+
+    @property
+    def arcseconds(self) -> float | None:
+        """The noise of a rotation in arcseconds, whichever unit states it."""
+        return choose_arcseconds(self.orientation_arcsec, self.orientation_urad)
+
+
+class PointInstrumentConfig(Section):
+    """Stations that see points on the platform by range, azimuth and elevation, each missed now and then."""
+
+    kind: Literal["points"]
+    """`"points"`."""
+    probe: InputFile
+    """CSV file of the points on the platform."""
+    stations: InputFile | None = None
+    """CSV file of where stations stand; one in the base frame without it."""
+    range_um: NotNegative
+    """Standard deviation of a range."""
+    range_ppm: NotNegative = 0.0
+    """What is added to it, in millionths of the range."""
+    azimuth_arcsec: Positive
+    """Standard deviation of an azimuth."""
+    elevation_arcsec: Positive
+    """Standard deviation of an elevation."""
+    missed: Annotated[Number, Field(ge=0.0, lt=1.0)] = 0.0
+    """Share of points that are not seen [1]."""
+    frames: FramesTruthConfig = FramesTruthConfig()
+    """True frames of stations and probe."""
+
+
+type PlatformInstrumentConfig = Annotated[PoseInstrumentConfig | PointInstrumentConfig, Field(discriminator="kind")]
+
+
+class SimulatedOriginConfig(OriginConfig):
+    """What the files say of where the data come from: not measured."""
+
+    status: Literal["simulated", "reconstructed"]
+    """`simulated`, or `reconstructed` from what somebody printed."""
+
+
+OF_CHANNELS = ("sensors", "n_poses", "verification_poses", "instruments", "parameters", "workspace", "given")
+OF_PLATFORM = ("truth", "poses", "noise", "measurement_frame")
+"""Sections of readings, the first two needed, and of what an instrument sees, the first three needed."""
+
+
+class SimulationConfig(FreeConfig, ExperimentConfig):
+    """Simulated measurements of any machine: readings of its channels, or a platform on legs that an instrument sees.
+
+    [sensors] make readings at random poses of the workspace, of a machine drawn within [parameters] or of [truth].
+    [targets] or [instrument] make a survey of the platform, at actuator positions of tables.
+    """
+
+    gone: ClassVar[Mapping[str, str]] = {"mechanism": "machine"}
+
+    kind: Literal["simulation"]
+    """`"simulation"`."""
+    origin: SimulatedOriginConfig
+    """What is written into all files about where they come from."""
+    machine: InputFile
+    """The machine's TOML file, as nominal; a mechanism's is one."""
+    model: Annotated[str, ClassMark("MODELS")] | None = None
+    """Kinematic model that a mechanism is seen through; needed of a mechanism alone."""
+    units: UnitsConfig = UnitsConfig()
+    """Units of tolerances, of the truth's offsets and of the workspace."""
+    truth: TruthConfig | None = None
+    """A given true machine in place of a drawn one."""
+    instruments: dict[Name, InstrumentConfig] = Field(default={})
+    """By name: instruments beside the machine."""
+    sensors: dict[str, ChannelConfig] = Field(default={})
+    """Noise of each channel that is read, or of all of a kind."""
+    parameters: dict[str, PriorConfig] = Field(default={})
+    """Tolerance of each symbol, within which the true machine is drawn."""
+    workspace: dict[str, Annotated[list[Number], Field(min_length=2, max_length=2)]] = Field(default={})
+    """By coordinate: smallest and largest value of the poses [unit of the coordinate]."""
+    given: dict[str, Annotated[list[Number], Field(min_length=2, max_length=2)]] = Field(default={})
+    """By column: smallest and largest value of what the machine has to know of a row [unit of the column]."""
+    n_poses: Annotated[int, Field(ge=1, le=100_000)] | None = None
+    """Number of random poses to calibrate with."""
+    verification_poses: Annotated[int, Field(ge=0, le=100_000)] = 0
+    """Number of random poses that are held back."""
+    poses: PosesConfig | None = None
+    """At which actuator positions an instrument sees the platform."""
+    noise: NoiseConfig | None = None
+    """Noise of targets and actuators."""
+    targets: TargetsConfig | None = None
+    """Targets on the bodies of a machine on legs, for photogrammetry."""
+    measurement_frame: MeasurementFrameConfig | None = None
+    """How far the frame of photogrammetry wanders from pose to pose."""
+    instrument: PlatformInstrumentConfig | None = None
+    """An instrument that sees the platform of a machine on legs, in place of photogrammetry."""
+
+    @property
+    def sees_platform(self) -> bool:
+        """Whether an instrument sees the platform of a machine on legs."""
+        return self.targets is not None or self.instrument is not None
+
+    @model_validator(mode="after")
+    def _check_route(self) -> Self:
+        seen = "targets" if self.targets is not None else "instrument" if self.instrument is not None else ""
+        needed, strange = (OF_PLATFORM[:3], OF_CHANNELS) if seen else (OF_CHANNELS[:2], OF_PLATFORM[1:])
+        for name in needed:
+            if not getattr(self, name):
+                expected = "it" if seen else "it, or [targets] or [instrument] of a machine on legs"
+                raise ValueError(f"{name}: found none, expected {expected}")
+        for name in strange:
+            if name in self.model_fields_set:
+                raise ValueError(f"{name}: found beside {seen or 'sensors'}, expected either")
+        return self
+
+    @model_validator(mode="after")
+    def _check_photogrammetry(self) -> Self:
+        parts = {"measurement_frame": self.measurement_frame, "noise.target_um": self.noise and self.noise.target_um}
+        for name, value in parts.items():
+            if self.targets is not None and value is None:
+                raise ValueError(f"{name}: found none beside targets, expected it")
+            if self.instrument is not None and value is not None:
+                raise ValueError(f"{name}: found beside instrument, expected either")
+        if self.targets is not None and self.instrument is not None:
+            raise ValueError("instrument: found beside targets, expected either")
+        return self

@@ -1,0 +1,62 @@
+"""Look-up tables as a kind of experiment."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from bayescal.experiments.frame.memory import Need, estimate_arrays
+from bayescal.experiments.frame.parallel import Run
+from bayescal.experiments.frame.results import Results
+from bayescal.experiments.shared.estimate import KEPT_DRAWS
+from bayescal.experiments.shared.of_another import OfAnother
+from bayescal.experiments.shared.reading_slips import find_calibration_slip
+from bayescal.experiments.shared.readings.memory import list_variant
+from bayescal.experiments.shared.search_memory import list_sampling
+from bayescal.experiments.table.compute import compute_table
+from bayescal.experiments.table.inputs import TableInputs, read_table
+from bayescal.experiments.table.page import build_page
+from bayescal.experiments.table.schema import TableConfig
+from bayescal.report.blocks import Page
+
+RESPONSES, ELSEWHERE, SLOPES = 4, 64, 6
+"""Arrays of all draws' responses at all places, poses beside the table's, and arrays of derivatives at all places."""
+
+
+class LookUpTable(OfAnother[TableConfig, TableInputs]):
+    """What actuators have to do by elevation, temperature and the like."""
+
+    schema = TableConfig
+
+    def read(self, config: TableConfig, folder: Path) -> TableInputs:
+        """Return the study's variant and the places of the table."""
+        return read_table(config, folder)
+
+    def estimate_memory(self, inputs: TableInputs) -> Need:
+        """Return what every draw does at every place of the table, and what its study takes."""
+        variant, config = inputs.variant, inputs.study.config
+        n_places, n_parameters = len(inputs.cells), len(variant.priors)
+        width = len(inputs.actuators.channels) + len(inputs.pose)
+        return estimate_arrays(
+            {"places": n_places, "parameters": n_parameters, "poses": len(variant.start)},
+            [
+                (RESPONSES, KEPT_DRAWS, n_places, width),
+                (RESPONSES, ELSEWHERE, n_places, width),
+                (SLOPES, n_places, width, variant.whole.layout.size),
+                *list_variant(variant),
+                *list_sampling(config.sampler, config.evidence, n_parameters),
+            ],
+            "fewer values of its axes",
+        )
+
+    def doubt(self, inputs: TableInputs) -> list[str]:
+        """Return what may have happened to readings that no machine within its priors comes near."""
+        said = find_calibration_slip([inputs.variant.suspicion()])
+        return [] if said is None else [said.say()]
+
+    def compute(self, inputs: TableInputs, run: Run) -> Results:
+        """Return the table."""
+        return compute_table(inputs, run)
+
+    def page(self, results: Results) -> Page:
+        """Return the page."""
+        return build_page(results.tables, results.summary)

@@ -1,0 +1,112 @@
+"""One contract for every fit of a rigid body to its targets."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from bayescal.data.photogrammetry.least_squares_fit import fit_least_squares
+from bayescal.data.photogrammetry.line_fit import fit_line
+from bayescal.data.photogrammetry.rigid_fit import fit_rigid_body
+from bayescal.errors import InputError
+from bayescal.numerics.geometry import compute_pose_error
+
+NOISE = 0.005
+FITS = {"least squares": fit_least_squares, "line": fit_line, "robust": fit_rigid_body}
+
+
+@pytest.fixture(params=FITS)
+def fit_body(request):
+    """Return a fit."""
+    return FITS[request.param]
+
+
+def simulate(n_targets, n_poses, noise, rng):
+    """Return targets on a long body, poses, and the targets as measured; every fit takes such a body."""
+    angle = rng.uniform(0, 2 * np.pi, n_targets)
+    reference = np.stack([np.cos(angle), np.sin(angle), rng.uniform(0, 50, n_targets)], axis=-1)
+    rotation = Rotation.random(n_poses, rng=rng).as_matrix()
+    position = rng.uniform(-500, 500, (n_poses, 3))
+    measured = position[:, None] + reference @ rotation.swapaxes(-1, -2)
+    return reference, position, rotation, measured + noise * rng.standard_normal(measured.shape)
+
+
+def test_exact_without_noise(fit_body):
+    reference, position, rotation, measured = simulate(9, 200, 0.0, np.random.default_rng(1))
+    fit = fit_body(reference, measured, NOISE)
+    np.testing.assert_allclose(fit.position, position, atol=1e-8)
+    np.testing.assert_allclose(fit.rotation, rotation, atol=1e-9)
+    assert fit.converged.all()
+    assert np.all(fit.chi2 < 1e-12)
+
+
+@pytest.mark.parametrize("n_targets", [6, 12, 20])
+def test_errors_have_the_stated_covariance(fit_body, n_targets):
+    """Normalised squares of the pose errors have the mean of χ² with six degrees of freedom."""
+    n_poses = 2000
+    reference, position, rotation, measured = simulate(n_targets, n_poses, NOISE, np.random.default_rng(n_targets))
+    fit = fit_body(reference, measured, NOISE)
+    error = compute_pose_error(position, rotation, fit.position, fit.rotation)
+    square = np.einsum("pi,pij,pj->p", error, np.linalg.inv(fit.covariance), error)
+    assert abs(square.mean() - 6) < 3.5 * np.sqrt(12 / n_poses)
+    assert (fit.chi2.mean() >= fit.dof.mean() - 4 * np.sqrt(2 * fit.dof[0] / n_poses)).all()
+
+
+def test_unseen_targets_are_as_good_as_absent(fit_body):
+    reference, _, _, measured = simulate(10, 3, NOISE, np.random.default_rng(4))
+    keep = np.array([0, 1, 3, 4, 6, 7, 8, 9])
+    expected = fit_body(reference[keep], measured[:, keep], NOISE)
+    measured[:, 2] = np.nan
+    measured[:, 5, 1] = np.nan  # one missing coordinate makes the target unseen
+    fit = fit_body(reference, measured, NOISE)
+    np.testing.assert_allclose(fit.position, expected.position, atol=1e-9)
+    np.testing.assert_allclose(fit.rotation, expected.rotation, atol=1e-11)
+    np.testing.assert_allclose(fit.covariance, expected.covariance, rtol=1e-6, atol=1e-15)
+    np.testing.assert_allclose(fit.chi2, expected.chi2, rtol=1e-6)
+    assert np.all(fit.weights[:, [2, 5]] == 0)
+    assert np.all(fit.dof == 3 * 8 - 6)
+
+
+def test_poses_are_fitted_independently_of_their_batch(fit_body):
+    rng = np.random.default_rng(10)
+    reference, _, _, measured = simulate(15, 6, NOISE, rng)
+    measured[rng.random((6, 15)) < 0.2] = np.nan
+    batch = fit_body(reference, measured.reshape(2, 3, 15, 3), NOISE)
+    assert batch.covariance.shape == (2, 3, 6, 6)
+    assert batch.weights.shape == (2, 3, 15)
+    assert batch.chi2.shape == batch.dof.shape == (2, 3)
+    for k in range(6):
+        single = fit_body(reference, measured[k], NOISE)
+        assert single.position.shape == (3,)
+        assert single.converged.shape == ()
+        np.testing.assert_allclose(single.rotation, batch.rotation[k // 3, k % 3], atol=1e-12)
+
+
+def test_fit_follows_motions_of_both_frames(fit_body):
+    rng = np.random.default_rng(5)
+    reference, _, _, measured = simulate(10, 3, NOISE, rng)
+    turn, shift = Rotation.random(rng=rng).as_matrix(), rng.uniform(-100, 100, 3)
+    fit, moved = fit_body(reference, measured, NOISE), fit_body(reference, measured @ turn.T + shift, NOISE)
+    np.testing.assert_allclose(moved.rotation, turn @ fit.rotation, atol=1e-9)
+    np.testing.assert_allclose(moved.position, fit.position @ turn.T + shift, atol=1e-7)
+    both = np.kron(np.eye(2), turn)
+    np.testing.assert_allclose(moved.covariance, both @ fit.covariance @ both.T, rtol=1e-5, atol=1e-12)
+    other = fit_body(reference @ turn.T + shift, measured, NOISE)  # another body frame
+    np.testing.assert_allclose(other.rotation @ turn, fit.rotation, atol=1e-9)
+    np.testing.assert_allclose(other.position + other.rotation @ shift, fit.position, atol=1e-7)
+
+
+def test_what_is_no_fit_is_refused(fit_body):
+    reference, _, _, measured = simulate(6, 2, NOISE, np.random.default_rng(12))
+    two = measured.copy()
+    two[1, 2:] = np.nan
+    line = np.outer(np.linspace(0, 100, 6), [1.0, 2.0, 3.0])
+    for given, seen, noise, match in (
+        (reference, two, NOISE, "fit 1: found 2 seen targets, expected at least 3"),
+        (reference, measured[:, :5], NOISE, r"expected \(\.\.\., 6, 3\)"),
+        (reference, measured, 0.0, "noise"),
+        (line, line, NOISE, "of a line"),
+    ):
+        with pytest.raises(InputError, match=match):
+            fit_body(given, seen, noise)

@@ -1,0 +1,165 @@
+"""The command as a user gives it: what it says, what it writes, what it refuses."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pandas as pd
+import pytest
+import studies
+
+from bayescal.experiments.frame.identity import hash_identity, identify
+from bayescal.experiments.frame.load import load
+from bayescal.experiments.frame.run import compute_experiment
+
+pytestmark = pytest.mark.runs
+
+NEXT = """
+name = "tiny_next"
+title = "Tiny: the next pose"
+seed = 3
+study = "study.toml"
+variants = ["six_pus/matrix"]
+draws = 300
+ahead = 8
+
+[workspace]
+position_mm = [0.3, 0.3, 0.3]
+rotation_deg = [0.1, 0.1, 0.1]
+poses = 15
+
+[requirements]
+z = 0.02
+
+[candidates]
+count = 64
+range_mm = 1.2
+"""
+
+
+@pytest.fixture
+def question(tmp_path) -> Path:
+    studies.write_tiny_study(tmp_path)
+    path = tmp_path / "next.toml"
+    path.write_text(NEXT)
+    return path
+
+
+def test_it_says_what_to_measure_and_what_to_expect(question, call, no_pictures):
+    studies.edit(question, "z = 0.02", "z = 0.004")
+    studies.edit(question, "draws", "first = 4\ndraws")
+    out = question.parent / "out"
+    code, said, complaint = call("next", question, "--out", out)
+    assert (code, complaint) == (0, "")
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["decision"] == "measure"
+    assert summary["n_poses"] == 4
+    assert said.startswith(f"Measure one more pose, candidate {summary['next_candidate']}: after 4 poses")
+    poses, course = (pd.read_csv(out / f"{name}.csv") for name in ("next_poses", "course"))
+    first = poses.iloc[0]
+    moves = [first[f"displacement_{leg}_mm"] for leg in range(1, 7)]
+    assert max(map(abs, moves)) <= 1.2 + 1e-9
+    assert ", ".join(f"{move:.3f}".replace("-", "−") for move in moves) in said
+    assert list(course.loc[course["what"] == "measured", "poses"]) == [1, 2, 3, 4]
+    assert course.loc[course["what"] == "expected", "poses"].iloc[0] == 5
+    page = (out / "report.html").read_text()
+    assert "What it brings" in page
+    assert "Course" in page
+
+
+def test_it_stops_where_the_requirements_hold(question, call, no_pictures):
+    studies.edit(question, "z = 0.02", "z = 5.0")
+    code, said, _ = call("next", question, "--out", question.parent / "out")
+    assert code == 0
+    assert said.startswith("Stop: after 13 poses the requirements hold with more than 99.9 %, 95 % wanted.")
+    assert "If one went on: " in said
+
+
+def test_it_says_where_measuring_will_not_help(question):
+    studies.edit(question, "z = 0.02", "z = 0.0005")
+    results = compute_experiment(load(question)[1], question.parent)
+    assert results.summary["decision"] == "hopeless"
+    assert results.summary["requirements"]["at_best"] < 0.05
+
+
+def test_variants_are_told_apart(question):
+    studies.edit(question, 'variants = ["six_pus/matrix"]', 'aim = "variants"')
+    text = question.read_text()
+    question.write_text(re.sub(r"(?s)\[workspace\].*\[candidates\]", "[candidates]", text))
+    summary = compute_experiment(load(question)[1], question.parent).summary
+    assert summary["variant"] == "six_pus/matrix"
+    assert summary["variant_probability"] > 0.99
+    assert summary["decision"] == "stop"
+    assert summary["requirements"] is None
+
+
+def test_the_same_question_has_the_same_answer_to_the_last_digit(question):
+    one, other = (compute_experiment(load(question)[1], question.parent) for _ in range(2))
+    assert one.summary == other.summary
+    for name, table in one.tables.items():
+        pd.testing.assert_frame_equal(table, other.tables[name], check_exact=True)
+
+
+FAULTS = {
+    'study = "study.toml"': ('study = "simulate.toml"', "kind: found 'simulation', expected 'study'"),
+    'variants = ["six_pus/matrix"]': ('variants = ["six_pus/lienar"]', "unknown here, expected one of six_pus/none"),
+    "draws = 300": ("first = 99", "first: found 99, expected at most 13"),
+    "z = 0.02": ("", "found no [requirements], expected the largest errors allowed, or aim = 'variants'"),
+    "range_mm = 1.2": ("range_mm = 400.0", "candidates.range_mm: found 400, expected at most the actuator range"),
+    "count = 64": ("position_mm = [1.0, 1.0, 1.0]", "found one of position_mm and rotation_deg, expected both"),
+    "poses = 15": ("poses = 5", "workspace.poses: found 5"),
+    "position_mm = [0.3, 0.3, 0.3]": ("position_mm = [900.0, 1.0, 1.0]", "workspace: out of reach"),
+}
+
+
+@pytest.mark.parametrize("old", FAULTS)
+def test_faults_are_one_line_and_nothing_is_written(question, call, old):
+    new, fault = FAULTS[old]
+    studies.edit(question, old, new)
+    before = studies.snapshot(question.parent)
+    code, said, complaint = call("next", question, "--out", question.parent / "out")
+    assert (code, said) == (2, "")
+    assert complaint.count("\n") == 1
+    assert fault in complaint
+    assert studies.snapshot(question.parent) == before
+
+
+def test_a_study_is_asked_between_its_variants(question, call, no_pictures):
+    out = question.parent / "out"
+    code, said, complaint = call("next", question.with_name("study.toml"), "--out", out)
+    assert (code, complaint) == (0, "")
+    summary = json.loads((out / "summary.json").read_text())
+    assert (summary["name"], summary["aim"], summary["requirements"]) == ("tiny_next", "variants", None)
+    assert "is right with" in said
+
+
+def test_options_of_a_study_that_cannot_be_are_one_line(question, call):
+    study, before = question.with_name("study.toml"), studies.snapshot(question.parent)
+    for path, options, fault in (
+        (study, ["--variant", "six_pus/none"], "found one variant and no requirements, expected --require NAME=VALUE"),
+        (study, ["--require", "z"], "--require: found 'z', expected NAME=VALUE such as x=0.05"),
+        (study, ["--require", "z=0.02"], "workspace: found [requirements] without [workspace], expected both"),
+        (question, ["--require", "z=0.02"], "which asks a question itself, expected a study"),
+        (question.with_name("simulate.toml"), [], "kind: found 'simulation', expected 'study'"),
+    ):
+        code, said, complaint = call("next", path, *options, "--out", question.parent / "out")
+        assert (code, said, complaint.count("\n")) == (2, "", 1)
+        assert fault in complaint
+    assert studies.snapshot(question.parent) == before
+
+
+def test_the_shipped_question_is_of_the_shipped_study():
+    experiment, config = load(studies.EXPERIMENTS / "m2_hexapod" / "next.toml")
+    inputs = experiment.read(config, studies.EXPERIMENTS / "m2_hexapod")
+    assert list(inputs.subjects) == ["six_ups/none"]
+    assert inputs.subjects["six_ups/none"].n_poses == config.first
+
+
+def test_the_committed_results_are_those_of_the_shipped_question():
+    path = studies.EXPERIMENTS / "m2_hexapod" / "next.toml"
+    kind, config = load(path)
+    current = hash_identity(identify(config, path.parent, kind.files(config, path.parent)))
+    results = studies.EXPERIMENTS.parent / "results" / config.name
+    assert json.loads((results / "summary.json").read_text())["config_sha256"] == current

@@ -1,0 +1,371 @@
+"""Experiments on pose selection: shipped ones run tiny, what is written is right and repeats, faults are named."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import tomllib
+
+import numpy as np
+import pandas as pd
+import pytest
+import studies
+
+from bayescal.errors import InputError
+from bayescal.experiments.audit.audit import run_audit
+from bayescal.experiments.audit.changes import evaluate_plan, list_changes
+from bayescal.experiments.audit.i_optimal import plan_i_optimal, select_i_optimal
+from bayescal.experiments.audit.inputs import AuditInputs, read_inputs
+from bayescal.experiments.audit.load import load_audit
+from bayescal.experiments.audit.results import summarise
+from bayescal.experiments.frame.load import load_experiment
+from bayescal.experiments.frame.parallel import Run
+from bayescal.experiments.frame.results import read_results
+from bayescal.experiments.frame.run import find_results_kind, run_experiment, write_report
+from bayescal.experiments.selection.accuracy import judge_poses
+from bayescal.experiments.selection.inputs import read_selection
+from bayescal.experiments.selection.tables import tabulate_random_sets
+from bayescal.experiments.selection.tasks import run_tasks
+from bayescal.experiments.selection.verdict import Tables
+from bayescal.identifiability.requirements import find_limits
+from bayescal.identifiability.sensitivity import compute_sensitivity
+
+pytestmark = pytest.mark.runs
+
+FOLDER = studies.EXPERIMENTS / "pose_selection"
+SHIPPED = ("yu2023_table1", "rr8096_figure14", "hexapod_i_optimal")
+DETERMINISTIC = ("selections", "selection_summary", "poses", "traces", "random_sets", "published", "errors")
+
+
+def shrink(name: str):
+    """Return a shipped experiment with one number of poses, two repeats, few candidates and machines."""
+    config = load_experiment(FOLDER / f"{name}.toml")
+    few = {"repeats": 2, "iterations": 5, "n_sets": 20, "max_iterations": 5, "list_length": 10}
+    choices = []
+    for choice in config.selections:
+        at = {k: v for k, v in few.items() if k in type(choice).model_fields and getattr(choice, k) > v}
+        choices.append(choice.model_copy(update=at | {"n_poses": choice.n_poses[:1], "repeats": 2}))
+    update = {"selections": choices, "candidates": config.candidates.model_copy(update={"count": 150})}
+    if config.calibrations is not None:
+        update["calibrations"] = config.calibrations.model_copy(update={"machines": 4})
+        update["workspace"] = config.workspace.model_copy(update={"poses": 14})
+    return config.model_copy(update=update)
+
+
+@pytest.fixture(scope="module", params=SHIPPED)
+def result(request, tmp_path_factory):
+    config = shrink(request.param)
+    folder = tmp_path_factory.mktemp(request.param) / "out"
+    run_experiment(config, FOLDER, folder)
+    return config, folder
+
+
+def read(folder, name: str) -> pd.DataFrame:
+    return pd.read_csv(folder / f"{name}.csv")
+
+
+def test_shipped_experiment_writes_everything(result):
+    config, folder = result
+    selections = read(folder, "selections")
+    chosen = sum(len(c.criteria) * len(c.n_poses) * c.repeats for c in config.selections)
+    given = selections["criterion"] == "given"
+    assert (~given).sum() == chosen
+    assert given.sum() == 2 * len(config.designs)
+    poses = read(folder, "poses")
+    assert len(poses) == selections["n_poses"].sum()
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    assert config.title in page
+    verdict = json.loads((folder / "summary.json").read_text(encoding="utf-8"))["verdict"]
+    assert verdict
+    assert all(statement["lead"] in page for statement in verdict)
+    assert (folder / "errors.csv").is_file() is (config.calibrations is not None)
+
+
+def test_page_comes_from_the_files_alone(result):
+    """Whatever the config leaves out, what is read back of it is the same: rankings are by the same errors."""
+    config, folder = result
+    before, kind = studies.snapshot(folder), find_results_kind(folder)
+    results = read_results(folder)
+    found = kind.config_of(results)
+    assert found.model_dump() == config.model_dump()
+    required = config.name == "pose_selection_i_optimal"
+    assert Tables.of(found, results).metric == ("simulated_share_of_limits" if required else "mean_position_um")
+    write_report(folder)
+    assert studies.snapshot(folder) == before
+
+
+def test_written_values_are_those_of_the_poses(result):
+    config, folder = result
+    inputs = read_selection(config, FOLDER)
+    start = inputs.design.knowledge.machine.mechanism.initial_actuator_positions
+    poses, selections = read(folder, "poses"), read(folder, "selections")
+    keys = ["label", "criterion", "n_poses", "repeat"]
+    for key, rows in poses.groupby(keys, sort=False):
+        found = inputs.indices(start + rows[[f"drho_{k}_mm" for k in range(1, 7)]].to_numpy())
+        row = selections.set_index(keys).sort_index().loc[key]
+        for name, value in found.items():
+            assert row[name] == pytest.approx(value, rel=1e-6, abs=1e-15)
+        if key[1] in found:
+            assert row["value"] == pytest.approx(found[key[1]], rel=1e-6)
+
+
+def test_plans_are_read_by_audits(result):
+    config, folder = result
+    legs = len(read_selection(config, FOLDER).design.knowledge.machine.mechanism.leg_lengths)
+    plans = sorted((folder / "plans").glob("*.csv"))
+    ways = {(c.label or c.method, name, n) for c in config.selections for name in c.criteria for n in c.n_poses}
+    assert {path.stem for path in plans} == {f"{label}_{criterion}_{n}" for label, criterion, n in ways}
+    for path in plans:
+        moves = pd.read_csv(path, comment="#").to_numpy()
+        assert moves.shape == (int(path.stem.rpartition("_")[2]), legs)
+
+
+@pytest.mark.slow  # the contract of all kinds has the same of small ones
+def test_same_seed_gives_same_bytes_whatever_the_workers(tmp_path):
+    config = shrink("rr8096_figure14")
+    config = config.model_copy(update={"selections": config.selections[:2]})  # without the continuous ones, to be quick
+    for name, workers in (("one", 1), ("two", 2)):
+        run_experiment(config, FOLDER, tmp_path / name, workers)
+    for name in DETERMINISTIC:
+        paths = [tmp_path / run / f"{name}.csv" for run in ("one", "two")]
+        assert paths[0].is_file() == paths[1].is_file()
+        if paths[0].is_file():
+            assert paths[0].read_bytes() == paths[1].read_bytes()
+    run_experiment(config.model_copy(update={"seed": 1}), FOLDER, tmp_path / "other")
+    assert (tmp_path / "one/poses.csv").read_bytes() != (tmp_path / "other/poses.csv").read_bytes()
+
+
+def test_published_columns(result):
+    config, folder = result
+    if config.published is None or config.published.table is None:
+        assert not (folder / "published.csv").exists()
+        return
+    table = read(folder, "published").set_index(["label", "criterion", "n_poses"])
+    every = {(m, f"O{k}", 20) for m in ("detmax", "tabu") for k in range(1, 6)}
+    assert set(table.index) == every | {("tabu", "O2", 40)}  # which is tried more often than the others
+    assert table.loc[("tabu", "O1", 20), "published"] == 0.0357
+    assert table.loc[("detmax", "O4", 20), "published"] == 3.337e-7
+    np.testing.assert_allclose(table["ratio"], table["best"] / table["published"], rtol=1e-9)
+
+
+def test_random_sets_are_those_of_the_source():
+    """Mean and maximum of O1 of 1,000 random sets of 20: 0.0171 and 0.0220 within 3 %."""
+    config = load_experiment(FOLDER / "yu2023_table1.toml")
+    choices = [c.model_copy(update={"repeats": 2}) for c in config.selections if c.method == "random"]
+    inputs = read_selection(config.model_copy(update={"selections": choices}), FOLDER)
+    values = tabulate_random_sets(run_tasks(inputs, Run())).groupby("repeat")["value"]
+    assert len(values) == 2
+    np.testing.assert_allclose(values.mean(), 0.01713, rtol=0.03)
+    assert abs(values.max().iloc[0] / 0.02199 - 1.0) < 0.03
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('within = "actuators"', 'within = "nowhere"', r"found 'nowhere', expected one of 'workspace', 'actuators'"),
+        ("count = 1000", "count = 0", r"candidates\.count: found 0"),
+        ("count = 1000", "cuont = 1000", r"unknown key, did you mean 'count'\?"),
+        ('criteria = ["O1", "D", "A", "I"]', 'criteria = ["O6"]', r"found 'O6', expected"),
+        ('method = "exchange"', 'method = "random"', r"found 'random' twice for criterion O1 and 10 poses"),
+        ('sensors = ["laser_tracker"]', 'sensors = ["eye"]', r"found sensor 'eye', expected one of"),
+        ("camera_hexapod_mechanism", "camera", r"camera\.toml"),
+    ],
+)
+def test_faults_are_one_line(tmp_path, old, new, message):
+    text = (FOLDER / "hexapod_i_optimal.toml").read_text(encoding="utf-8")
+    assert old in text
+    audit = tmp_path / "audit"
+    audit.mkdir()
+    shutil.copy(studies.EXPERIMENTS / "audit/camera_hexapod_mechanism.toml", audit)
+    path = tmp_path / "selection" / "x.toml"
+    path.parent.mkdir()
+    path.write_text(text.replace(old, new), encoding="utf-8")
+    with pytest.raises(InputError, match=message) as error:
+        run_experiment(load_experiment(path), path.parent, tmp_path / "out")
+    assert "\n" not in str(error.value)
+    assert not (tmp_path / "out").exists()
+
+
+def test_i_needs_a_workspace(tmp_path):
+    text = (FOLDER / "hexapod_i_optimal.toml").read_text(encoding="utf-8")
+    path = tmp_path / "x.toml"
+    path.write_text(re.sub(r"\[workspace\].*?(?=\[requirements\])", "", text, flags=re.S), encoding="utf-8")
+    with pytest.raises(InputError, match=r"without \[workspace\], expected both"):
+        load_experiment(path)
+
+
+def test_measured_poses_count(tmp_path):
+    """Poses beside those measured already: the criterion is that of both together."""
+    config = shrink("rr8096_figure14")
+    table = {"configurations": "../telescope/calibration_configurations.csv", "unit_mm": 1.3}
+    section = type(config.designs[0]).__mro__[1](**table)
+    choice = next(c for c in config.selections if c.method == "exchange").model_copy(update={"n_poses": [1]})
+    config = config.model_copy(
+        update={"measured": section, "selections": [choice], "calibrations": None, "designs": []}
+    )
+    run_experiment(config, FOLDER, tmp_path / "out")
+    inputs = read_selection(config, FOLDER)
+    poses, selections = read(tmp_path / "out", "poses"), read(tmp_path / "out", "selections")
+    start = inputs.design.knowledge.machine.mechanism.initial_actuator_positions
+    own = start + poses[poses["repeat"] == 1][[f"drho_{k}_mm" for k in range(1, 7)]].to_numpy()
+    assert own.shape == (1, 6)
+    together = inputs.indices(np.concatenate([inputs.measured, own]))["O1"]
+    assert selections["value"].iloc[0] == pytest.approx(together, rel=1e-6)
+
+
+FLAT = """
+name = "struts that can lie flat"
+
+[base]
+points_mm = [[64, 77, 0], [34, 94, 0], [-98, 17, 0], [-98, -17, 0], [34, -94, 0], [64, -77, 0]]
+
+[platform]
+points_mm = [[79, 14, 0], [-27, 75, 0], [-51, 61, 0], [-51, -61, 0], [-27, -75, 0], [79, -14, 0]]
+
+[home]
+position_mm = [0.0, 0.0, 100.0]
+
+[legs]
+drive = "strut"
+actuator_range_mm = 118.0
+"""
+HEADER = "drho_1_mm,drho_2_mm,drho_3_mm,drho_4_mm,drho_5_mm,drho_6_mm"
+FLAT_BOX = 'within = "workspace"\nposition_mm = [50.0, 50.0, 100.0]\nrotation_deg = [1.0, 1.0, 1.0]'
+NARROW_BOX = 'within = "workspace"\nposition_mm = [5.0, 0.0, 0.0]\nrotation_deg = [0.0, 0.0, 0.0]'
+EVEN = 'spread = "even"\nlevels = 3'
+MEASURED = '[measured]\nconfigurations = "table.csv"\n\n[domain]'
+GIVEN = '[[designs]]\nname = "theirs"\nconfigurations = "table.csv"\n\n[domain]'
+BAD = {
+    "too few poses": (
+        {"n_poses = [10, 20, 40]": "n_poses = [10, 5]"},
+        r"poses: found 5, expected at least 7 for 42 parameters",
+    ),
+    "fewer candidates than poses": (
+        {"count = 1000": "count = 8"},
+        r"candidates: found 8 distinct poses among 8, expected at least the 40 to select",
+    ),
+    "too few distinct candidates": (
+        {'within = "actuators"': NARROW_BOX, 'spread = "random"': EVEN},
+        r"candidates: found 3 distinct poses among 1000, expected at least the 40 to select",
+    ),
+    "measured pose not finite": (
+        {"[domain]": MEASURED, "table.csv": "0,0,0,0,0,0\n0,nan,0,0,0,0"},
+        r"table\.csv, line 3: drho_2_mm: found nan, expected a finite number",
+    ),
+    "given pose not finite": (
+        {"[domain]": GIVEN, "table.csv": "0,0,0,0,0,inf"},
+        r"table\.csv, line 2: drho_6_mm: found inf, expected a finite number",
+    ),
+    "bounds not finite": (
+        {'within = "actuators"': NARROW_BOX.replace("5.0", "nan")},
+        r"domain\.workspace\.position_mm\.0: found nan, expected a finite number",
+    ),
+    "measured pose out of reach": (
+        {"[domain]": MEASURED, "table.csv": "0,5000,0,0,0,0"},
+        r"measured pose 1: found actuator positions without a pose, expected ones the machine can take",
+    ),
+    "singular candidate": (
+        {'within = "actuators"': FLAT_BOX, 'spread = "random"': EVEN, "mechanism": FLAT},
+        r"candidate \d+ \([^)]*z -100 mm[^)]*\): singular pose Jacobian J_1, expected poses away from singularities",
+    ),
+    "given pose that is singular": (
+        {"[domain]": GIVEN, "mechanism": FLAT, "table.csv": "0,0,0,0,0,0\n{flat}"},
+        r"designs: theirs: pose 2: found none at these displacements, expected poses the machine can take",
+    ),
+}
+
+
+def lie_flat() -> str:
+    """Return the displacements of the struts from home to where all joints lie in one plane, where J_1 is singular."""
+    points = tomllib.loads(FLAT)
+    base, platform = (np.array(points[body]["points_mm"], dtype=float) for body in ("base", "platform"))
+    home = np.linalg.norm(platform + np.array([0.0, 0.0, 100.0]) - base, axis=1)
+    return ",".join(f"{x:.9f}" for x in np.linalg.norm(platform - base, axis=1) - home)
+
+
+@pytest.mark.parametrize("fault", BAD)
+def test_bad_input_on_the_command_line(tmp_path, call, fault):
+    changes, message = BAD[fault]
+    text = (FOLDER / "hexapod_i_optimal.toml").read_text(encoding="utf-8")
+    text = re.sub(r"\[calibrations\].*", "", text, flags=re.S).replace('["O1", "D", "A", "I"]', '["O1"]')
+    for old, new in changes.items():
+        if old == "table.csv":
+            rows = new.replace("{flat}", lie_flat())
+            (tmp_path / old).write_text(f"{HEADER}\n{rows}\n", encoding="utf-8")
+        elif old == "mechanism":
+            (tmp_path / "mechanism.toml").write_text(new, encoding="utf-8")
+        else:
+            assert old in text
+            text = text.replace(old, new)
+    if "mechanism" not in changes:
+        shutil.copy(studies.EXPERIMENTS / "audit/camera_hexapod_mechanism.toml", tmp_path / "mechanism.toml")
+    path = tmp_path / "x.toml"
+    path.write_text(text.replace("../audit/camera_hexapod_mechanism", "mechanism"), encoding="utf-8")
+    code, _, complaint = call("run", path, "--out", tmp_path / "out", "--workers", 1)
+    assert code == 2
+    assert complaint.count("\n") == 1
+    assert complaint.startswith(f"bayescal: {path}")
+    assert re.search(message, complaint), complaint
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.fixture(scope="module")
+def camera():
+    folder = studies.EXPERIMENTS / "audit"
+    return read_inputs(load_audit(folder / "camera_hexapod.toml"), folder)
+
+
+def propose_few(inputs):
+    """Return I-optimal poses from the ends of the actuators' range alone, which is quicker."""
+    return plan_i_optimal(inputs, n_candidates=64)
+
+
+@pytest.mark.parametrize("design", ["telescope_six_pus_none", "camera_hexapod"])
+def test_audit_gains_by_i_optimal_poses(design):
+    folder = studies.EXPERIMENTS / "audit"
+    inputs = read_inputs(load_audit(folder / f"{design}.toml"), folder)
+    chosen = select_i_optimal(inputs, n_candidates=64)
+    plan = propose_few(inputs)
+    np.testing.assert_array_equal(plan.actuators, chosen.actuators)  # and so it is deterministic
+    assert plan.actuators.shape == inputs.plan.actuators.shape
+    assert plan.sensors == inputs.plan.sensors
+    mechanism = inputs.knowledge.machine.mechanism
+    moved = np.abs(plan.actuators - mechanism.initial_actuator_positions)
+    assert moved.max() <= mechanism.actuator_range * (1 + 1e-9)
+    workspace = compute_sensitivity(inputs.knowledge, inputs.workspace_actuators)
+    limits = find_limits(inputs.requirements, workspace.slope * inputs.knowledge.sd)
+    before, after = (
+        judge_poses(inputs, workspace, limits, actuators, 10, np.random.default_rng(3))
+        for actuators in (inputs.plan.actuators, plan.actuators)
+    )
+    assert after.predicted[2] < 0.9 * before.predicted[2]
+    assert after.predicted[2] ** 2 == pytest.approx(-chosen.value, rel=1e-6)
+    assert np.mean(after.simulated[:, 2] ** 2) < np.mean(before.simulated[:, 2] ** 2)
+
+
+def refuse(inputs):
+    raise InputError("found redundant legs without [workspace], expected it")
+
+
+def test_audit_lists_i_optimal_poses_among_its_changes(camera, monkeypatch):
+    """They keep the requirements better than the plan; everything else stays as it is without them."""
+    proposed = run_audit(camera, Run())
+    with monkeypatch.context() as patch:
+        patch.setattr(AuditInputs, "propose", refuse)
+        plain = run_audit(camera, Run())
+    change = proposed.what_ifs[-1]
+    assert [outcome.name for outcome in proposed.what_ifs[:-1]] == [outcome.name for outcome in plain.what_ifs]
+    assert (change.name, change.n_poses, change.beyond_range) == ("40 poses chosen I-optimally", 40, False)
+    said, before = summarise(proposed), summarise(plain)
+    assert {**said, "what_if": said["what_if"][:-1]} == before
+    planned = max(outlook.predicted_sd / outlook.requirement.limit for outlook in plain.outlooks)
+    after = max(change.required_sd[r.name] / r.limit for r in camera.requirements)
+    assert after < 0.9 * planned
+
+
+def test_audit_goes_without_poses_that_cannot_be_chosen(camera, monkeypatch):
+    monkeypatch.setattr(AuditInputs, "propose", refuse)
+    outcomes = run_audit(camera, Run()).what_ifs
+    assert [outcome.name for outcome in outcomes] == [change.name for change in list_changes(camera)]
+    assert evaluate_plan("as it is", camera, None).n_poses == 40

@@ -1,0 +1,83 @@
+"""The rules of headlines: what to use, how good it is, and what may not be said."""
+
+import pytest
+
+from bayescal.experiments.shared.headline import (
+    Candidate,
+    choose_candidate,
+    group_candidates,
+    say_accuracy,
+    say_choice,
+    say_difference,
+    say_probability,
+    say_requirements,
+    state_ruled_out,
+    write_headline,
+)
+
+RIGID = Candidate("rigid", "rigid", 10.0, size=(3,), error=2.0)
+SOFT = Candidate("soft", "soft", 10.6, size=(5,), error=1.0)
+WRONG = Candidate("wrong", "wrong", -125.9, size=(2,), error=0.5)
+
+
+def test_equally_good_variants_are_one_group_and_the_simplest_is_used() -> None:
+    candidates = [SOFT, RIGID, WRONG]
+    assert group_candidates(candidates) == [[SOFT, RIGID], [WRONG]]
+    assert choose_candidate(candidates) is RIGID
+    assert say_choice(candidates) == "Use rigid, the simplest of two that fit equally well"
+
+
+def test_an_uncertain_evidence_distinguishes_less() -> None:
+    sure, unsure = Candidate("a", "a", 0.0, 0.1), Candidate("b", "b", -2.0, 1.2)
+    assert not sure.is_distinguishable(unsure)
+    assert sure.is_distinguishable(Candidate("c", "c", -2.0, 0.1))
+
+
+def test_what_did_not_converge_is_not_used_nor_called_best_silently() -> None:
+    failed = Candidate("best", "best", 30.0, converged=False)
+    assert say_choice([failed, RIGID]) == "Use rigid (one of 2 did not converge)"
+    assert say_choice([failed]) == "Use none yet: not converged (best so far: best)"
+
+
+def test_a_single_variant_is_not_ranked() -> None:
+    assert say_choice([RIGID], "the arm", careful=True) == "Use the arm, the only variant, with care (see the warnings)"
+
+
+def test_a_variant_that_is_ruled_out_is_not_shown_as_more_accurate_in_silence() -> None:
+    (said,) = state_ruled_out([RIGID, SOFT, WRONG], "largest position error")
+    assert said.text == (
+        "wrong (odds of 10⁵⁹ to 1 against it) has a smaller largest position error than rigid, "
+        "but the data rule it out."
+    )
+    assert not state_ruled_out([RIGID, SOFT], "error")  # of variants that fit equally well the error may decide
+
+
+@pytest.mark.parametrize(
+    ("probability", "decimals", "said"),
+    [(0.744, 0, "74 %"), (1.0, 0, "more than 99 %"), (0.99996, 1, "more than 99.9 %"), (1e-5, 1, "less than 0.1 %")],
+)
+def test_nothing_is_certain(probability: float, decimals: int, said: str) -> None:
+    assert say_probability(probability, decimals) == said
+
+
+def test_requirements_are_met_with_a_probability() -> None:
+    assert say_requirements({}) == "Accuracy requirements: none stated"
+    assert say_requirements({"x": 0.744}) == "x: the calibration meets the requirement with 74 % probability"
+    several = {"x": 0.9, "y": 0.744, "": 0.7}
+    assert say_requirements(several, "the plan") == (
+        "The plan meets all 2 requirements with 70 % probability; least likely is y with 74 %"
+    )
+
+
+def test_uncertainties_say_their_coverage() -> None:
+    assert say_accuracy({"x": "13 µm"}) == "x 13 µm (standard uncertainty, k = 1)"
+    assert say_accuracy({"x": "26 µm"}, 0.95) == "x 26 µm (95 % coverage)"
+
+
+def test_small_differences_say_that_they_distinguish_nothing() -> None:
+    assert say_difference(0.4) == "0.40 nat, which distinguishes nothing"
+    assert say_difference(-6.0) == "6.0 nat (odds of 400 to 1)"
+
+
+def test_a_headline_is_made_of_sentences() -> None:
+    assert write_headline(["use a; x 1 mm.", "", "nothing required"]) == "Use a; x 1 mm. Nothing required."
