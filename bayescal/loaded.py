@@ -182,15 +182,14 @@ class StudyResult(LoadedResults):
 
         Evidences of different data do not compare: such variants follow those of the data that lead the report.
         """
-        table = self.tables["ranking"] if "ranking" in self.tables else self.tables["variants"]
-        return table.set_index("variant").loc[[name for group in self._rankings for name in group]]
+        table = self.tables["variants"].set_index("variant")
+        return table.loc[[name for group in self._rankings for name in group]]
 
     @property
     def _rankings(self) -> list[list[str]]:
         """Names of the variants, the best first, a list for each set of data, the largest set first."""
         rows = self.summary["variants"]
-        groups = self.summary.get("rankings") or [self.summary["ranking"]]
-        return sorted(groups, key=lambda names: (-rows[names[0]].get("n_equations", 0), -len(names)))
+        return sorted(self.summary["rankings"], key=lambda names: (-rows[names[0]].get("n_equations", 0), -len(names)))
 
     def list_shown(self) -> dict[str, pd.DataFrame]:
         """Return the ranking of variants that are compared, and the accuracy of the best one's tool."""
@@ -250,8 +249,7 @@ class StudyResult(LoadedResults):
         In prior standard deviations: 0 is nominal, an interval as long as ±1.6 has learnt nothing.
         """
         table = self.parameters[self.parameters["variant"] == self._check(variant)]
-        if "model_error" in table:
-            table = table[table["model_error"] == "free"]
+        table = table[table["model_error"] == "free"]
         table = table[np.isfinite(table["prior_sd"])]
         middle = (table["mean"] - table["nominal"]) / table["prior_sd"]
         ends = [((table[end] - table["mean"]) / table["prior_sd"]).abs() for end in ("q05", "q95")]

@@ -93,7 +93,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path)
     given = parser.parse_args()
     experiment, study = load(STUDY)
-    measured = experiment.measure(study, STUDY, experiment.list_variants(study)[VARIANT], False)
+    measured = experiment.measure(study, STUDY, [VARIANT], False)[VARIANT].legs
     demand = Demand(np.full(6, 1e-3 * given.shift_um), sessions=given.sessions)
     table = pd.DataFrame([try_twin(measured, demand, given.first + k) for k in range(given.twins)])
     if given.out is not None:

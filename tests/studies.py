@@ -6,9 +6,10 @@ import re
 import shutil
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from bayescal.experiments.frame.load import load_experiment
-from bayescal.experiments.frame.results import Results
+from bayescal.experiments.frame.results import Results, read_results
 from bayescal.experiments.frame.run import compute_experiment
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.load import load_inputs
@@ -238,3 +239,10 @@ def assert_same_text(found: str, expected: str, name: str = "") -> None:
         digits, _, exponent = other.partition("e")
         last = 10.0 ** (int(exponent or 0) - len(digits.partition(".")[2]))
         assert abs(float(one) - float(other)) <= max(STEP_TOLERANCE, 1.01 * last), f"{name}: {one}, expected {other}"
+
+
+def read_posterior(folder: Path, variant: str, setting: str = "free") -> dict[str, dict[str, Any]]:
+    """Return the rows of a variant's parameters in a results directory, by their names."""
+    table = read_results(folder).table("parameters")
+    mine = table[(table["variant"] == variant) & (table["model_error"] == setting)]
+    return {str(row["parameter"]): row for row in mine.to_dict("records")}

@@ -45,7 +45,7 @@ def audit():
 def test_a_study_has_variants_tables_and_predictions(study):
     assert isinstance(study, bayescal.StudyResult)
     assert len(study.variants) == 12
-    assert study.best.name == study.summary["ranking"][0]
+    assert study.best.name == study.summary["rankings"][0][0]
     assert study.ranking["log_evidence"].is_monotonic_decreasing
     assert {"variant", "pose"} <= set(study.predictions.columns)
     assert set(study.parameters["variant"]) == set(study.variants)

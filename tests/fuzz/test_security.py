@@ -23,7 +23,7 @@ HOSTILE = (
     "\"'><script>document.title='EXECUTED'</script><img src=x onerror=\"document.title='EXECUTED'\">${{7*7}}{{7*7}}"
 )
 PAGES = ("hangprinter", "hexapod_figure10", "pose_extraction", "telescope")
-NAMED = ("title", "data_origin", "origin", "platform", "python", "versions", "experiment", "machine", "source")
+NAMED = ("title", "text", "platform", "python", "versions", "experiment", "machine", "source")
 KEPT = {"kind", "prior", "of", "model", "deformation", "status", "drive", "setting", "level", "plan", "class", "noise"}
 """Texts that choose something and are no names."""
 

@@ -37,7 +37,10 @@ def compute_readings(inputs: ReadingAudit, run: Run) -> dict[str, pd.DataFrame]:
     every = [(inputs.variants[name], one) for name, one in found.items()]
     first = next(iter(inputs.variants.values()))
     tables = {
-        "accuracy": pd.concat([tabulate_accuracy(variant, one.knowledge) for variant, one in every], ignore_index=True),
+        "accuracy": pd.concat(
+            [tabulate_accuracy(variant, one.knowledge, inputs.config.units) for variant, one in every],
+            ignore_index=True,
+        ),
         "next": pd.DataFrame([row for variant, one in every for row in list_next(variant, one.knowledge)]),
         "selected": pd.DataFrame([row for one in every for row in _list_selected(*one)]),
         "pose_counts": pd.DataFrame([row for one in every for row in _list_counts(*one)]),

@@ -133,7 +133,7 @@ class ReadingPlan(Planned):
 
     def name_workspace_pose(self, k: int) -> str:
         """Return where a pose of the workspace is, coordinate by coordinate."""
-        return name_place(self.variant, self.around.pose[k])
+        return name_place(self.variant, self.around.pose[k], self.config.units)
 
     def inform(self) -> Information:
         """Return what the plan tells of the parameters."""

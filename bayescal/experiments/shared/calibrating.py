@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from bayescal.calibrated.exported import CALIBRATED, read_exported
 from bayescal.calibrated.machine import CalibratedMachine
@@ -17,6 +18,8 @@ from bayescal.files.atomic import read_json
 from bayescal.numerics.geometry import Array
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from bayescal.experiments.frame.results import Results, Writer
 
 KEPT = "machine"
@@ -142,6 +145,23 @@ def read_draws_of(results: Results, name: str) -> dict[str, Array] | None:
     assert results.folder is not None
     path = results.folder / name
     return read_draws(path) if path.is_file() else None
+
+
+def read_parameters(results: Results, variant: str) -> pd.DataFrame:
+    """Return a variant's posterior of its parameters, with its model error if it has any, by their names."""
+    rows = results.table("parameters")
+    return rows[(rows["variant"] == variant) & (rows["model_error"] == "free")].set_index("parameter")
+
+
+def read_means(results: Results, variant: str) -> dict[str, float]:
+    """Return the posterior means of the same parameters."""
+    rows = read_parameters(results, variant)
+    return {str(name): float(mean) for name, mean in rows["mean"].items()}
+
+
+def list_problems(fit: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return why a variant of a summary did not converge; nothing where it did."""
+    return () if fit["converged"] else tuple(str(fit["problems"] or "not converged").split("; "))
 
 
 def write_bytes(content: bytes) -> Writer:

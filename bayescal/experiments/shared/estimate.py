@@ -216,10 +216,20 @@ class Estimate:
             "log_evidence": self.log_evidence,
             "log_evidence_se": self.log_evidence_se,
             "log_evidence_importance": self.importance.log_evidence,
+            "log_evidence_importance_se": self.importance.standard_error,
             "log_evidence_bridge": self.bridge.log_evidence,
-            **({} if self.check is None else {"log_evidence_tempered": self.check.log_evidence}),
+            "log_evidence_bridge_se": self.bridge.standard_error,
+            "log_evidence_by": "importance" if self.is_importance_trusted else "bridge",
+            **({} if self.check is None else self._describe_check()),
             "efficiency": self.importance.efficiency,
             "pareto_k": self.importance.pareto_k,
+        }
+
+    def _describe_check(self) -> dict[str, Any]:
+        assert self.check is not None
+        return {
+            "log_evidence_tempered": self.check.log_evidence,
+            "log_evidence_tempered_se": self.check.standard_error,
         }
 
     def describe_chains(self) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from functools import partial
 
 import pandas as pd
@@ -31,7 +32,7 @@ NOTE = (
 )
 
 
-def show_functions(tables: dict[str, pd.DataFrame]) -> list[Section]:
+def show_functions(tables: Mapping[str, pd.DataFrame]) -> list[Section]:
     """Return the section on such errors; nothing where no variant has any."""
     if "functions" not in tables:
         return []
@@ -44,7 +45,7 @@ def show_functions(tables: dict[str, pd.DataFrame]) -> list[Section]:
     return [Section("Errors that are functions", tuple(blocks))]
 
 
-def judge_functions(tables: dict[str, pd.DataFrame]) -> list[Statement]:
+def judge_functions(tables: Mapping[str, pd.DataFrame]) -> list[Statement]:
     """Return in a sentence for each variant which sensors err by how much."""
     if "functions" not in tables:
         return []
@@ -81,14 +82,14 @@ def _format_chance(present: float) -> str:
     return f"probability {format_fixed(100.0 * present, 1)} %"
 
 
-def _list_titles(tables: dict[str, pd.DataFrame]) -> dict[str, str]:
+def _list_titles(tables: Mapping[str, pd.DataFrame]) -> dict[str, str]:
     """Return names and titles of the variants with such errors."""
     rows = tables["variants"]
     own = rows[rows["variant"].isin(tables["functions"]["variant"])]
     return dict(zip(own["variant"].astype(str), own["title"].astype(str), strict=True))
 
 
-def _tabulate(tables: dict[str, pd.DataFrame]) -> Block:
+def _tabulate(tables: Mapping[str, pd.DataFrame]) -> Block:
     titles = _list_titles(tables)
     columns = [Column("Variant", kind="text"), Column("Kernel", kind="text"), Column("Sensor", kind="text")]
     columns += [Column("Function of", kind="text")]

@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from bayescal.report.blocks import Level, Statement
 from bayescal.report.numbers import format_fixed, format_odds, format_percent, format_significant, join_words
@@ -78,6 +79,35 @@ def choose_candidate(candidates: Sequence[Candidate]) -> Candidate:
     return min(group_candidates(sound or candidates)[0], key=lambda one: one.size)
 
 
+def list_candidates(summary: Mapping[str, Any], setting: str = "free") -> list[Candidate]:
+    """Return the variants of the most data of a study's summary, of which one is to be used, in the study's order.
+
+    Parameters
+    ----------
+    summary : mapping
+        As ``summary.json`` has it.
+    setting : str
+        ``zero`` for the same variants without model error.
+    """
+    rows = summary["variants"]
+    ranking = max(summary["rankings"], key=lambda names: (rows[names[0]].get("n_equations", 0), len(names)))
+    chosen = [(name, row if setting == "free" else row["without_model_error"]) for name, row in rows.items()]
+    return [_describe_candidate(name, row) for name, row in chosen if name in ranking]
+
+
+def _describe_candidate(name: str, row: Mapping[str, Any]) -> Candidate:
+    title, evidence = str(row["title"]), (float(row["log_evidence"]), float(row["log_evidence_se"]))
+    errors = (row.get(f"{use}_position_error_max_mm") for use in ("verification", "calibration"))
+    error = next((float(one) for one in errors if one is not None), math.nan)
+    label = f"“{title}”" if " " in title else title
+    return Candidate(name, label, *evidence, bool(row["converged"]), (int(row["n_parameters"]),), error)
+
+
+def choose_best(summary: Mapping[str, Any]) -> str:
+    """Return the name of the variant to use."""
+    return choose_candidate(list_candidates(summary)).name
+
+
 def say_choice(candidates: Sequence[Candidate], label: str = "", careful: bool = False) -> str:
     """Return ``Use X, the simplest of three that fit equally well``, or that none may be used yet.
 
@@ -91,16 +121,20 @@ def say_choice(candidates: Sequence[Candidate], label: str = "", careful: bool =
         Whether warnings speak against assumptions.
     """
     chosen = choose_candidate(candidates)
-    words = f"Use {label or chosen.label}"
+    words, failed = f"Use {label or chosen.label}", [one for one in candidates if not one.converged]
     if not chosen.converged:
         return f"Use none yet: not converged (best so far: {label or chosen.label})"
+    rivals = [one for one in failed if one.log_evidence > chosen.log_evidence or not one.is_distinguishable(chosen)]
+    if rivals:
+        names = join_words([one.label for one in rivals])
+        return f"Use none yet: {names} did not converge and may be better (best so far: {label or chosen.label})"
     alike = group_candidates([one for one in candidates if one.converged])[0]
     if len(candidates) == 1:
         words += ", the only variant"
     elif len(alike) > 1:
         words += f", the simplest of {say_count(len(alike))} that fit equally well"
-    if (failed := sum(not one.converged for one in candidates)) > 0:
-        words += f" ({say_count(failed)} of {len(candidates)} did not converge)"
+    if failed:
+        words += f" ({say_count(len(failed))} of {len(candidates)} did not converge)"
     return f"{words}, with care (see the warnings)" if careful else words
 
 

@@ -48,8 +48,8 @@ def state_misfit(label: str, found: ChiSquare, without: str, too_small: str) -> 
 def state_pulls(label: str, found: ChiSquare, farthest: str = "", held: str = "") -> Statement:
     """Say that the machine lies farther from nominal than the tolerances let expect, or much closer."""
     where = (
-        f"{label} puts the machine {format_significant(found.factor, 2)} prior standard "
-        f"deviations (rms over the {format_fixed(found.dof, 0)} directions that were measured) from nominal"
+        f"{label}: deviations from nominal are {format_significant(found.factor, 2)} times the stated tolerances "
+        f"(rms over the {format_fixed(found.dof, 0)} directions that the data determine)"
     )
     if found.factor > 1:
         why = "the tolerances are stated too tight, a nominal value is wrong, or the model makes up for what it lacks"
@@ -100,7 +100,7 @@ def tabulate_power_scaling(own: pd.DataFrame, index: str = "leg") -> Table:
     Parameters
     ----------
     own : DataFrame
-        ``parameter``, ``prior`` and ``likelihood`` of one variant.
+        ``parameter``, ``prior_sensitivity`` and ``likelihood_sensitivity`` of one variant.
     index : str
         What the entries of a symbol are of.
     """
@@ -113,8 +113,9 @@ def tabulate_power_scaling(own: pd.DataFrame, index: str = "leg") -> Table:
         Column("measurements", "smallest to largest", "Sensitivity to"),
         Column("What it means", kind="text"),
     ]
+    sensitivities = ["prior_sensitivity", "likelihood_sensitivity"]
     rows: list[list[str | Cell]] = [
-        [str(symbol), _format_range(group["prior"]), _format_range(group["likelihood"]), _diagnose(group, index)]
+        [str(symbol), *(_format_range(group[one]) for one in sensitivities), _diagnose(group, index)]
         for symbol, group in own.groupby("symbol", sort=False)
     ]
     note = (
@@ -131,7 +132,7 @@ def _format_range(values: pd.Series) -> str:
 
 
 def _diagnose(group: pd.DataFrame, index: str) -> Cell:
-    prior, data = group["prior"] >= SENSITIVE, group["likelihood"] >= SENSITIVE
+    prior, data = (group[f"{one}_sensitivity"] >= SENSITIVE for one in ("prior", "likelihood"))
     words = []
     for chosen, text in ((prior & data, "prior and measurements pull apart"), (prior & ~data, "the prior decides")):
         legs = [str(leg) for leg in group.loc[chosen, "legs"] if leg]

@@ -14,6 +14,10 @@ from bayescal.report.units import Asked, format_place, name_unit, shown_in
 
 VERDICT_LEVELS: dict[str, Level] = {"identifiable": "good", "weak": "warning", "not": "bad", "noise": "plain"}
 """How good the news of a parameter's verdict is."""
+NO_TOOL = (
+    "The machine's class states no tool: its coordinates are reported instead. State tool_channels (names and units), "
+    "and tool() where the tool is something else than the coordinates."
+)
 WORTHWHILE = 0.01  # of the mean squared error; what promises less is no advice
 SENSORS = {"all": "all", "own": "the machine's own"}
 

@@ -12,7 +12,7 @@ STATUS = {
 
 def name_origin(origin: dict[str, str]) -> str:
     """Return where the data come from, in words: measured or not, source, licence."""
-    words = f"{STATUS[origin['status']]}: {origin['text']}"
+    words = f"{STATUS[origin['status']]}: {origin['text']}" if origin["status"] else origin["text"]
     for name in ("source", "licence"):
         words += f"; {name} {origin[name]}" if origin[name] else ""
     return words

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from rich.console import Console
-
 from bayescal.calibrated.machine import CalibratedMachine
 from bayescal.config.registry import find_class
 from bayescal.density.legs import LegPosterior
@@ -14,7 +12,6 @@ from bayescal.errors import InputError
 from bayescal.experiments.frame.memory import Need
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
-from bayescal.experiments.frame.terminal import print_text
 from bayescal.experiments.shared.measured import MeasuredReadings, MeasuredVariant, see_legs
 from bayescal.experiments.shared.origin import name_origin
 from bayescal.experiments.shared.study_schema import StudyConfig, VariantConfig
@@ -23,9 +20,7 @@ from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.load import load_inputs
 from bayescal.experiments.study.memory import estimate_study
 from bayescal.experiments.study.route import Route
-from bayescal.experiments.study.terminal import show_doubts, show_ranking
 from bayescal.numerics.units import MICROMETRE
-from bayescal.report.blocks import Page
 
 
 class ByInstrument(Route):
@@ -61,27 +56,6 @@ class ByInstrument(Route):
         from bayescal.experiments.study.compute import compute_study  # seconds to import, as its inputs are read first
 
         return compute_study(inputs, find_claims(inputs.config, inputs.folder), run)
-
-    def page(self, results: Results) -> Page:
-        """Return the page."""
-        from bayescal.experiments.study.page.build import build_page  # a second to import, while workers compute
-
-        return build_page(results)
-
-    def show(self, results: Results, page: Page, console: Console) -> None:
-        """Print what to use, the ranking, and what contradicts the stated noise and tolerances."""
-        print_text(console, page.headline)
-        show_ranking(results.summary, console)
-        show_doubts(page.verdict, console)
-
-    def list_comparable(self, results: Results) -> list[str]:
-        """Return all variants."""
-        return list(results.summary["variants"])
-
-    def has_converged(self, results: Results) -> bool:
-        """Return whether every posterior converged, with and without model error."""
-        variants = results.summary["variants"].values()
-        return all(v["converged"] and v["without_model_error"]["converged"] for v in variants)
 
     def calibrate(
         self, results: Results, config: StudyConfig, variant: str | None, experiment: Path | None, trust: bool

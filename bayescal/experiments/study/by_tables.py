@@ -5,15 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from rich.console import Console
-
 from bayescal.calibrated.machine import CalibratedMachine
 from bayescal.errors import name_faults
-from bayescal.experiments.calibration.page.verdict import NO_TOOL
 from bayescal.experiments.frame.memory import Need
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
-from bayescal.experiments.frame.terminal import show_verdict
+from bayescal.experiments.shared.knowledge_page import NO_TOOL
 from bayescal.experiments.shared.measured import MeasuredReadings
 from bayescal.experiments.shared.origin import name_origin
 from bayescal.experiments.shared.outlook import join_outlooks
@@ -22,7 +19,6 @@ from bayescal.experiments.shared.readings.inputs import ReadingInputs, read_inpu
 from bayescal.experiments.shared.readings.memory import estimate_calibration
 from bayescal.experiments.shared.study_schema import StudyConfig
 from bayescal.experiments.study.route import Route
-from bayescal.report.blocks import Page
 
 
 class ByTables(Route):
@@ -52,30 +48,6 @@ class ByTables(Route):
         from bayescal.experiments.study.compute_readings import compute_calibration
 
         return compute_calibration(inputs, run)
-
-    def page(self, results: Results) -> Page:
-        """Return the page."""
-        from bayescal.experiments.calibration.page.build import build_page
-
-        return build_page(results.tables, results.summary)
-
-    def show(self, results: Results, page: Page, console: Console) -> None:
-        """Print the verdict, then the variants."""
-        from bayescal.experiments.calibration.page.build import list_variants
-
-        show_verdict(page, console)
-        for line in list_variants(results.tables):
-            console.print(line, soft_wrap=True)
-
-    def list_comparable(self, results: Results) -> list[str]:
-        """Return the variants of the most readings."""
-        from bayescal.experiments.calibration.tables import list_candidates
-
-        return [one.name for one in list_candidates(results.summary)]
-
-    def has_converged(self, results: Results) -> bool:
-        """Return whether every posterior converged."""
-        return bool(results.summary["converged"])
 
     def calibrate(
         self, results: Results, config: StudyConfig, variant: str | None, experiment: Path | None, trust: bool

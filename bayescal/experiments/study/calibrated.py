@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from bayescal.calibrated.exported import (
     MATRIX,
@@ -26,7 +27,8 @@ from bayescal.config.trust import check_same, check_trust
 from bayescal.density.schema import FixedConfig
 from bayescal.errors import InputError
 from bayescal.experiments.frame.results import Results
-from bayescal.experiments.shared.calibrating import KEPT, read_draws_of
+from bayescal.experiments.shared.calibrating import KEPT, list_problems, read_draws_of, read_means, read_parameters
+from bayescal.experiments.shared.headline import choose_best
 from bayescal.experiments.shared.origin import name_origin
 from bayescal.experiments.shared.per_leg import spread_over_legs
 from bayescal.experiments.shared.study_schema import StudyConfig, VariantConfig, stem_of
@@ -92,18 +94,19 @@ def calibrate_study(
     else:
         machine, covariance = _load_nominal(config, chosen, experiment.parent)
     theta = _fix(config, machine.layout)
-    _set_named(theta, machine.layout, {name: one["mean"] for name, one in fit["parameters"].items()})
-    variance = _find_model_variance(fit["parameters"], machine)
+    parameters = read_parameters(results, name)
+    _set_named(theta, machine.layout, read_means(results, name))
+    variance = _find_model_variance(parameters, machine)
     errors = build_leg_errors(machine, theta, config.measured.actuator_noise_um * MICROMETRE, variance, covariance)
-    source = Source(config.name, name, name_origin(config.origin.model_dump()), tuple(fit["problems"]))
+    source = Source(config.name, name, name_origin(config.origin.model_dump()), list_problems(fit))
     draws = _read_draws(results, name, machine.layout, theta)
     return build_calibrated_legs(machine, theta, draws, errors, source, _read_measured(results, machine))
 
 
 def _choose(results: Results, config: StudyConfig, name: str | None) -> tuple[VariantConfig, str]:
     """Return the variant that is wanted, and what the results call it."""
-    known = results.summary["ranking"]
-    wanted = known[0] if name is None else name
+    known = list(results.summary["variants"])
+    wanted = choose_best(results.summary) if name is None else name
     for variant, content in zip(config.variants, results.config["variants"], strict=True):
         if content["name"] == wanted:
             return variant, wanted
@@ -178,10 +181,10 @@ def _set_named(theta: Array, layout: ParameterLayout, values: dict[str, Any]) ->
             theta[..., position[name]] = value
 
 
-def _find_model_variance(parameters: dict[str, Any], machine: Machine) -> Array:
+def _find_model_variance(parameters: pd.DataFrame, machine: Machine) -> Array:
     """Return the posterior mean of τ_i², shape (N,), mm²; zero without a model error."""
     n_legs = machine.mechanism.n_legs
-    square = {name: one["mean"] ** 2 + one["sd"] ** 2 for name, one in parameters.items()}
+    square = (parameters["mean"] ** 2 + parameters["sd"] ** 2).to_dict()
     return np.array([square.get(TAU, square.get(f"{TAU}[{leg}]", 0.0)) for leg in range(1, n_legs + 1)])
 
 

@@ -23,9 +23,16 @@ from bayescal.calibrated.machine import (
 from bayescal.config.registry import list_references, list_sources
 from bayescal.config.trust import check_same, check_trust
 from bayescal.errors import InputError
-from bayescal.experiments.calibration.tables import choose_best
 from bayescal.experiments.frame.results import Results, Writer
-from bayescal.experiments.shared.calibrating import KEPT, read_draws_of, write_bytes
+from bayescal.experiments.shared.calibrating import (
+    KEPT,
+    list_problems,
+    read_draws_of,
+    read_means,
+    read_parameters,
+    write_bytes,
+)
+from bayescal.experiments.shared.headline import choose_best
 from bayescal.experiments.shared.origin import name_origin
 from bayescal.experiments.shared.readings.inputs import ReadingInputs, Variant
 from bayescal.experiments.shared.readings.instruments import leave_instruments, read_model
@@ -154,7 +161,7 @@ def calibrate_machine(
     commands, given = _read_commands(results.folder / _name_commands(chosen.name), model)
     workspace = build_workspace(model, config.workspace, config.units)
     errors, noise = _build_errors(results, chosen.name, model), _find_noise(results, config, chosen.name, model)
-    source = Source(config.name, chosen.name, name_origin(config.origin.model_dump()), _list_problems(fit))
+    source = Source(config.name, chosen.name, name_origin(config.origin.model_dump()), list_problems(fit))
     if isinstance(model, Legs):  # a mechanism on legs is one whatever calibrated it
         machine, size = model.machine, model.machine.layout.size
         by_legs = LegErrors(errors.noise, errors.model_variance, machine, theta[:size])
@@ -179,9 +186,8 @@ def calibrate_machine(
 
 def _find_noise(results: Results, config: StudyConfig, variant: str, model: ReadingModel) -> Array:
     """Return the noise of each channel, stated and as found since, root mean square, (K,); NaN where none is stated."""
-    rows = results.table("parameters")
-    mine = rows[rows["variant"] == variant]
-    square = dict(zip(mine["parameter"], mine["mean"] ** 2 + mine["sd"] ** 2, strict=True))
+    mine = read_parameters(results, variant)
+    square = (mine["mean"] ** 2 + mine["sd"] ** 2).to_dict()
     groups = group_channels(config, model)
     factor = np.array([square.get(f"noise_factor({group})", 1.0) for group in groups])
     tau = np.array([square.get(f"model_error({group})", 0.0) for group in groups])
@@ -198,10 +204,6 @@ def _choose(results: Results, config: StudyConfig, name: str | None) -> VariantC
     raise InputError(f"{results.folder}: --variant: found {wanted!r}, expected one of {known}")
 
 
-def _list_problems(fit: Mapping[str, Any]) -> tuple[str, ...]:
-    return () if fit["converged"] else tuple(str(fit.get("problems") or "not converged").split("; "))
-
-
 def _read_posterior(
     results: Results, config: StudyConfig, variant: VariantConfig, model: ReadingModel
 ) -> tuple[Array, Array | None]:
@@ -212,10 +214,7 @@ def _read_posterior(
     for name, value in fixed.items():
         start[layout.names.index(name)] = value
     found = read_draws_of(results, name_file(variant.name))
-    rows = results.table("parameters")
-    mean = {
-        str(row["parameter"]): float(row["mean"]) for row in rows[rows["variant"] == variant.name].to_dict("records")
-    }
+    mean = read_means(results, variant.name)
 
     def place(values: Mapping[str, Any], theta: Array) -> Array:
         for name in priors:

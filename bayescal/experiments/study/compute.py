@@ -11,33 +11,29 @@ import numpy as np
 from bayescal.config.classes import label_class
 from bayescal.density.least_squares import LeastSquaresFit
 from bayescal.experiments.frame.parallel import Run
-from bayescal.experiments.frame.results import Results, Writer
+from bayescal.experiments.frame.results import Results
 from bayescal.experiments.shared.estimate import TREE, Fit
 from bayescal.experiments.shared.joints import tabulate_joints
-from bayescal.experiments.shared.origin import name_origin
 from bayescal.experiments.shared.prior_widths import WidthTask, begin_widths, tabulate_widths, weigh_widths
-from bayescal.experiments.shared.stacking import compare_variants
 from bayescal.experiments.shared.study_schema import StudyConfig
 from bayescal.experiments.shared.trees import write_packed
+from bayescal.experiments.shared.variant_tables import rank_variants
 from bayescal.experiments.study.calibrated import describe_nominal
 from bayescal.experiments.study.claims import Claims
 from bayescal.experiments.study.doubts import find_study_slip
 from bayescal.experiments.study.fit import Legs, Task, list_tasks, run_task
-from bayescal.experiments.study.held_out import describe_stacking, tabulate_left_out
+from bayescal.experiments.study.held_out import describe_stacking, tabulate_poses
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.kernels import has_kernels
 from bayescal.experiments.study.structured_table import tabulate_structured
-from bayescal.experiments.study.summary import rank_variants, summarise_fit
+from bayescal.experiments.study.summary import summarise_variants
 from bayescal.experiments.study.tables import (
     identify_variants,
-    tabulate_blunders,
+    tabulate_all_parameters,
     tabulate_deformation,
     tabulate_flexure,
     tabulate_least_squares,
-    tabulate_parameters,
-    tabulate_power_scaling,
-    tabulate_predictions,
-    tabulate_ranking,
+    tabulate_pose_errors,
     tabulate_ring,
     tabulate_tau_scale,
 )
@@ -64,17 +60,17 @@ def compute_study(inputs: StudyInputs, claims: Claims | None, run: Run) -> Resul
     free, factors = choose_free(inputs, posteriors), inputs.config.sensitivity.factor
     await_widths = begin_widths(weigh, inputs, free, factors, run)  # while workers compute them, all that needs none
     identified = run.once("least squares", identify_variants, inputs, (LeastSquaresFit,))
-    summary, files = _summarise(inputs, posteriors)
+    variants = summarise_variants(inputs, posteriors)
+    summary = _summarise(inputs, posteriors, variants.variants)
+    files = {f"posterior/{one.stem}.nc": partial(write_packed, fit.evaluated[TREE]) for one, fit in posteriors.items()}
     slip = find_study_slip(inputs)
     if slip is not None:
         summary["slip"] = slip.record()
     before = {
-        "ranking": tabulate_ranking(summary, compare_variants({name: fit.left_out for name, fit in free.items()})),
-        "parameters": tabulate_parameters(summary),
-        "predictions": tabulate_predictions(inputs, posteriors),
-        "left_out": tabulate_left_out(inputs, posteriors),
-        "power_scaling": tabulate_power_scaling(posteriors),
-        "blunders": tabulate_blunders(inputs, posteriors),
+        **variants.tables,
+        "parameters": tabulate_all_parameters(inputs, posteriors),
+        "pose_errors": tabulate_pose_errors(inputs, posteriors),
+        "poses": tabulate_poses(inputs, posteriors),
     }
     after = {
         "tau_scale": tabulate_tau_scale(inputs, posteriors),
@@ -118,36 +114,29 @@ def _judge(task: tuple[Claims, StudyInputs, dict[str, Any], dict[str, LeastSquar
     return claims.tabulate(inputs, summary, identified)
 
 
-def _summarise(inputs: StudyInputs, posteriors: dict[Task, Fit]) -> tuple[dict[str, Any], dict[str, Writer]]:
-    """Return the summary, and what writes the posteriors' draws."""
-    variants: dict[str, dict[str, Any]] = {}
-    files: dict[str, Writer] = {}
-    for task, fit in posteriors.items():
-        found = summarise_fit(inputs, task.variant, task.with_model_error, fit)
-        files[f"posterior/{task.stem}.nc"] = partial(write_packed, fit.evaluated[TREE])
-        if task.with_model_error:
-            variants[task.variant] = found
-        else:
-            variants[task.variant]["without_model_error"] = found
+def _summarise(inputs: StudyInputs, posteriors: dict[Task, Fit], variants: dict[str, dict[str, Any]]) -> dict[str, Any]:
+    """Return the results as JSON-ready numbers."""
     config, held = inputs.config, inputs.verification
     models = {label_class(variant.seen[0]): inputs.machine(variant).model.title for variant in config.variants}
-    summary = {
+    return {
         "experiment": config.name,
         "title": config.title,
-        "data_origin": name_origin(config.origin.model_dump()),
         "seed": config.seed,
+        "machine": config.machine,
+        "origin": config.origin.model_dump(),
+        "units": config.units.model_dump(),
+        "n_poses": {"calibration": int((~held).sum()), "verification": int(held.sum())},
+        "converged": all(one["converged"] and one["without_model_error"]["converged"] for one in variants.values()),
         "models": models,
         "drive": inputs.mechanism.drive,
-        "n_poses": {"calibration": int((~held).sum()), "verification": int(held.sum())},
         **inputs.measured.describe(),
         **_describe_noise(inputs),
         **_describe_names(config),
         **_describe_held(inputs),
         "variants": variants,
-        "ranking": rank_variants(variants),
+        "rankings": rank_variants(variants),
         **_stack(inputs, posteriors),
     }
-    return summary, files
 
 
 def _describe_held(inputs: StudyInputs) -> dict[str, dict[str, list[str]]]:

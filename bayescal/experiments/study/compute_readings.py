@@ -10,7 +10,6 @@ import numpy as np
 import pandas as pd
 
 from bayescal.density.calibration.likelihood import CalibrationPosterior
-from bayescal.experiments.calibration.tables import Findings, Residuals, summarise, tabulate
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results, Writer
 from bayescal.experiments.shared.estimate import TREE, Fit
@@ -21,6 +20,7 @@ from bayescal.experiments.shared.readings.inputs import ReadingInputs
 from bayescal.experiments.shared.readings.knowledge import Knowledge, assess
 from bayescal.experiments.shared.trees import name_file, write_packed
 from bayescal.experiments.study.calibrated_readings import ERRORS, keep_machine, tabulate_errors
+from bayescal.experiments.study.reading_tables import Findings, Residuals, summarise, tabulate
 from bayescal.experiments.study.validation import Held, hold_back, list_folds
 from bayescal.inference.importance import ImportanceEvidence
 from bayescal.inference.stages import stage

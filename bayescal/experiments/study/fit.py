@@ -16,6 +16,7 @@ from bayescal.experiments.shared.estimate import Arrays, Fit, Subject, fit_poste
 from bayescal.experiments.shared.soundness import find_misfit
 from bayescal.experiments.shared.study_schema import stem_of
 from bayescal.experiments.shared.trees import SAVED_DRAWS, limit_draws, spread
+from bayescal.experiments.shared.variant_tables import FREE, ZERO
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.pointwise import SomeDraws, evaluate_poses
 from bayescal.experiments.study.replicates import replicate_prior
@@ -41,6 +42,11 @@ class Task:
     def key(self) -> str:
         """A name that is also a file name."""
         return f"{stem_of(self.variant)}-tau-{'free' if self.with_model_error else 'zero'}"
+
+    @property
+    def setting(self) -> str:
+        """The setting of the model error, as tables call it."""
+        return FREE if self.with_model_error else ZERO
 
     @property
     def stem(self) -> str:

@@ -14,49 +14,36 @@ from bayescal.density.prediction import measure_length, summarise_misfit
 from bayescal.experiments.shared.estimate import Arrays, Fit
 from bayescal.experiments.shared.stacking import compare_variants, find_tied
 from bayescal.experiments.shared.trees import SAVED_DRAWS, spread
+from bayescal.experiments.shared.variant_tables import tabulate_left_out
 from bayescal.experiments.study.fit import Task, read_prediction
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.summary import summarise_errors
+from bayescal.limits import BLUNDER
 from bayescal.numerics.geometry import Array
 
-COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
+PITS = tuple(f"{name}_pit" for name in ("x", "y", "z", "rx", "ry", "rz", "position", "orientation"))
 
 
-def tabulate_left_out(inputs: StudyInputs, fits: Mapping[Task, Fit]) -> pd.DataFrame:
-    """Return one row per posterior and pose: the density it gives to a pose that it has not seen, and where this lies.
+def tabulate_poses(inputs: StudyInputs, fits: Mapping[Task, Fit]) -> pd.DataFrame:
+    """Return one row per posterior and pose: its density given the others, and where it lies in its prediction.
 
     The PIT of a measured pose, 0 to 1, says where in the predictive distribution it lies: by components, and by the
     sizes of both errors. A calibration pose is left out by Pareto-smoothed weights, or by a run where these fail; then
-    the PITs still rest on the weights. A verification pose is none that the posterior has seen.
+    the PITs still rest on the weights. A verification pose is none that the posterior has seen. Where poses may be
+    outliers, ``contradicting`` are those that probably are.
     """
     held = inputs.verification
     frames = []
     for task, fit in fits.items():
-        left_out, pits = fit.left_out, compute_pits(fit.evaluated, held)
-        flat = fit.evaluated["log_likelihood"].reshape(-1, len(held))
+        flat = fit.evaluated["log_likelihood"].reshape(-1, len(held))[:, held]
         elpd = logsumexp(flat, axis=0) - np.log(len(flat))
-        elpd[~held] = left_out.elpd
-        frame = pd.DataFrame(
-            {
-                "variant": task.variant,
-                "model_error": "free" if task.with_model_error else "zero",
-                "pose": inputs.names,
-                "use": np.where(held, "verification", "calibration"),
-                "elpd": elpd,
-                "pareto_k": _over_all(left_out.pareto_k, held, np.nan),
-                "refitted": _over_all(left_out.was_refitted, held, False).astype(bool),
-            }
-        )
-        names = [f"{name}_pit" for name in (*COMPONENTS, "position", "orientation")]
-        frames.append(pd.concat([frame, pd.DataFrame(pits, columns=names)], axis=1))
+        frame = tabulate_left_out(task.variant, fit, inputs.names, held, elpd, task.setting)
+        if "blunder_probability" in fit.evaluated:
+            outlier = fit.evaluated["blunder_probability"]
+            frame = frame.assign(outlier_probability=outlier, contradicting=outlier > BLUNDER)
+        pits = pd.DataFrame(compute_pits(fit.evaluated, held), columns=list(PITS))
+        frames.append(pd.concat([frame, pits], axis=1))
     return pd.concat(frames, ignore_index=True)
-
-
-def _over_all(values: Array, held: np.ndarray, elsewhere: float) -> Array:
-    """Return values of the calibration poses (P',) at all poses (P,)."""
-    spread_out = np.full(len(held), elsewhere)
-    spread_out[~held] = values
-    return spread_out
 
 
 def compute_pits(arrays: Arrays, held: np.ndarray) -> Array:
@@ -101,7 +88,8 @@ def describe_stacking(inputs: StudyInputs, fits: Mapping[str, Fit]) -> dict[str,
     found: dict[str, Any] = {"weights": chosen, "calibration": summarise_errors(prediction.select(~held))}
     if held.any():
         density = [_joint_density(fits[name], held) + np.log(max(w, TINY)) for name, w in chosen.items()]
-        found["verification"] = {**summarise_errors(prediction.select(held)), "elpd": float(logsumexp(density))}
+        found["verification"] = summarise_errors(prediction.select(held))
+        found["elpd"] = float(logsumexp(density))
     return found
 
 

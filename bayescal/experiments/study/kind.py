@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 from rich.console import Console
 
@@ -15,7 +14,9 @@ from bayescal.errors import InputError
 from bayescal.experiments.frame.memory import Need
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
+from bayescal.experiments.frame.terminal import show_verdict
 from bayescal.experiments.shared.calibrating import Calibrating, load_same
+from bayescal.experiments.shared.headline import list_candidates
 from bayescal.experiments.shared.measured import MeasuredReadings, Measuring
 from bayescal.experiments.shared.readings.inputs import ReadingInputs, list_machines
 from bayescal.experiments.shared.readings.machine_kind import MachineExperiment
@@ -25,7 +26,7 @@ from bayescal.experiments.study.by_tables import ByTables
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.look import list_file_faults
 from bayescal.experiments.study.route import Route
-from bayescal.experiments.study.terminal import show_comparison
+from bayescal.experiments.study.terminal import show_comparison, show_ranking
 from bayescal.report.blocks import Page
 
 type Inputs = StudyInputs | ReadingInputs
@@ -76,15 +77,18 @@ class Study(MachineExperiment[StudyConfig, Inputs], Measuring, Calibrating):
 
     def page(self, results: Results) -> Page:
         """Return the page."""
-        return route_of(results.config.get("data")).page(results)
+        from bayescal.experiments.study.page.build import build_page  # a second to import, while workers compute
+
+        return build_page(results)
 
     def show(self, results: Results, page: Page, console: Console) -> None:
         """Print what to use, the ranking, and what contradicts the stated noise and tolerances."""
-        route_of(results.config.get("data")).show(results, page, console)
+        show_verdict(page, console)
+        show_ranking(results.summary, console)
 
     def list_failures(self, results: Results) -> list[str]:
         """Return that a posterior did not converge."""
-        return [] if route_of(results.config.get("data")).has_converged(results) else ["not everything converged"]
+        return [] if results.summary["converged"] else ["not everything converged"]
 
     def measure(
         self, config: StudyConfig, path: Path, names: Sequence[str], with_model_error: bool
@@ -112,7 +116,7 @@ class Study(MachineExperiment[StudyConfig, Inputs], Measuring, Calibrating):
                 fits = one.summary["variants"]
                 rows += [
                     _describe_variant(name, variant, fits[variant])
-                    for variant in route_of(one.config.get("data")).list_comparable(one)
+                    for variant in (candidate.name for candidate in list_candidates(one.summary))
                 ]
             except (KeyError, TypeError, AttributeError) as error:
                 raise InputError(f"{name}: is no study's results directory, {error} is missing") from error
@@ -136,14 +140,13 @@ def _identify_data(provenance: Mapping[str, Any]) -> dict[str, object]:
 
 
 def _describe_variant(results: str, name: str, fit: Mapping[str, Any]) -> dict[str, object]:
-    held = fit.get("verification") or {}
     return {
         "results": results,
         "variant": name,
         "n_parameters": fit["n_parameters"],
         "log_evidence": float(fit["log_evidence"]),
         "se": float(fit["log_evidence_se"]),
-        "elpd_loo": float(fit.get("elpd_loo", np.nan)),
-        "elpd_verification": float(held.get("elpd", fit.get("elpd", np.nan))),
+        "elpd_loo": float(fit["elpd_loo"]),
+        "elpd_verification": float("nan" if fit["elpd"] is None else fit["elpd"]),
         "converged": "yes" if fit["converged"] else "NO",
     }

@@ -7,15 +7,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-
 from bayescal.calibrated.machine import CalibratedMachine
 from bayescal.experiments.frame.memory import Need
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.shared.measured import MeasuredReadings
 from bayescal.experiments.shared.study_schema import StudyConfig
-from bayescal.report.blocks import Page
 
 
 class Route(ABC):
@@ -40,22 +37,6 @@ class Route(ABC):
     @abstractmethod
     def compute(self, inputs: Any, run: Run) -> Results:
         """Return the results."""
-
-    @abstractmethod
-    def page(self, results: Results) -> Page:
-        """Return the page."""
-
-    @abstractmethod
-    def show(self, results: Results, page: Page, console: Console) -> None:
-        """Print the results on the terminal."""
-
-    @abstractmethod
-    def list_comparable(self, results: Results) -> list[str]:
-        """Return the variants of the same data, by whose evidence several studies are compared."""
-
-    @abstractmethod
-    def has_converged(self, results: Results) -> bool:
-        """Return whether every posterior converged."""
 
     @abstractmethod
     def calibrate(

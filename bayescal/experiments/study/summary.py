@@ -1,79 +1,94 @@
-"""What a study found, as numbers: the variants' summaries and their ranking."""
+"""What a study found, as numbers: every variant's row, in tables and in the summary."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
+from bayescal.config.classes import label_class
 from bayescal.density.prediction import Prediction, compute_elpd, compute_joint_elpd
 from bayescal.experiments.shared.estimate import Fit
-from bayescal.experiments.study.fit import read_prediction
+from bayescal.experiments.shared.readings.knowledge_tables import plain
+from bayescal.experiments.shared.stacking import tabulate_comparison
+from bayescal.experiments.shared.variant_tables import FREE, ZERO, describe_fit
+from bayescal.experiments.study.fit import Task, read_prediction
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.structured import describe_structured
-from bayescal.limits import AGREEMENT
 from bayescal.numerics.geometry import Array
-from bayescal.report.symbols import is_model_error
+from bayescal.report.symbols import is_model_error, split_name
+
+SETTINGS = {FREE: "variants", ZERO: "without_model_error"}
+"""Names of the variants' tables, by the setting of the model error."""
 
 
-def summarise_fit(inputs: StudyInputs, variant: str, with_model_error: bool, fit: Fit) -> dict[str, Any]:
-    """Return one posterior's summary; lengths in mm, angles in degrees."""
-    posterior = inputs.posterior(inputs.variant(variant), with_model_error)
-    importance, bridge, arrays = fit.importance, fit.bridge, fit.evaluated
-    problems, prediction = fit.list_problems(), read_prediction(fit)
-    held, left_out = inputs.verification, fit.left_out
-    elpd, elpd_se = left_out.summarise()
-    summary: dict[str, Any] = {
-        "n_parameters": posterior.n_parameters,
-        "log_evidence": fit.log_evidence,
-        "log_evidence_se": fit.log_evidence_se,
-        "log_evidence_methods": {"importance": importance.log_evidence, "bridge": bridge.log_evidence},
-        "log_evidence_method_se": {"importance": importance.standard_error, "bridge": bridge.standard_error},
-        "log_evidence_primary": "importance" if fit.is_importance_trusted else "bridge",
-        **_describe_check(fit),
-        "log_evidence_agrees": fit.gap <= AGREEMENT,
-        "importance": {name: getattr(importance, name) for name in ("efficiency", "pareto_k", "n_draws")},
-        "elpd_loo": elpd,
-        "elpd_loo_se": elpd_se,
-        "elpd_loo_pareto_k_max": float(left_out.pareto_k.max()),
-        "elpd_loo_n_refitted": int(left_out.was_refitted.sum()),
-        "elpd_loo_n_bad_k": int(left_out.is_doubtful.sum()),
-        **fit.describe_chains(),
-        "problems": problems,
+@dataclass(frozen=True, eq=False)
+class Summarised:
+    """Variants as tables have them and as the summary has them.
+
+    Attributes
+    ----------
+    tables : dict of str to DataFrame
+        ``variants`` and ``without_model_error``, a row each.
+    variants : dict of str to dict
+        Each variant's row with what no table has, and under ``without_model_error`` the same of that setting.
+    """
+
+    tables: dict[str, pd.DataFrame]
+    variants: dict[str, dict[str, Any]]
+
+
+def summarise_variants(inputs: StudyInputs, posteriors: Mapping[Task, Fit]) -> Summarised:
+    """Return what was found for all variants; lengths in mm, angles in degrees."""
+    tables, nested = {}, {}
+    for setting, name in SETTINGS.items():
+        fits = {task.variant: fit for task, fit in posteriors.items() if task.with_model_error == (setting == FREE)}
+        found = {variant: _describe(inputs, variant, fit) for variant, fit in fits.items()}
+        rows = pd.DataFrame([{"variant": variant, **row} for variant, (row, _) in found.items()])
+        table = tabulate_comparison(rows, {variant: fit.left_out for variant, fit in fits.items()}, "data")
+        own = {str(row.pop("variant")): plain(row) for row in table.to_dict("records")}
+        tables[name] = table
+        nested[setting] = {variant: own[variant] | more for variant, (_, more) in found.items()}
+    variants = {name: {**one, SETTINGS[ZERO]: nested[ZERO][name]} for name, one in nested[FREE].items()}
+    return Summarised(tables, variants)
+
+
+def _describe(inputs: StudyInputs, variant: str, fit: Fit) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return one posterior's row, and what of it no table has."""
+    config, held, prediction = inputs.variant(variant), inputs.verification, read_prediction(fit)
+    title = f"{inputs.machine(config).model.title}/{label_class(config.deformation)}"
+    errors = {"calibration": summarise_errors(prediction.select(~held))}
+    row = {
+        "title": variant if config.has_own_name else title,
+        "data": f"{int((~held).sum())} poses",
+        "n_poses": int((~held).sum()),
+        **describe_fit(fit),
         "acceptance": float(fit.acceptance.mean()),
-        "wall_seconds": fit.wall_seconds,
-        "calibration": summarise_errors(prediction.select(~held)),
-        "verification": summarise_errors(prediction.select(held)) if held.any() else None,
-        "parameters": _summarise_parameters(inputs, variant, fit),
+        "elpd": float("nan"),
+        "misfit": fit.misfit.factor,
     }
-    if fit.correction is not None:
-        names = ("standard_error", "efficiency", "pareto_k", "n_draws")
-        own = {name: float(getattr(fit.correction, name)) for name in names}
-        summary["exact_density"] = {"log_evidence_shift": fit.correction.log_ratio, **own}
+    more: dict[str, Any] = {"wall_seconds": fit.wall_seconds, "verification": None}
     if held.any():
-        pointwise = arrays["log_likelihood"][..., held].reshape(-1, held.sum())
-        together = arrays["joint_density"].reshape(-1, 1) if "joint_density" in arrays else pointwise
-        joint, monte_carlo = compute_joint_elpd(together)
-        summary["verification"] |= {
-            "elpd": joint,
-            "elpd_monte_carlo_se": monte_carlo,
-            "elpd_pose_by_pose": compute_elpd(pointwise),
-        }
-    if "structured_mean" in arrays:
-        summary["structured_error"] = describe_structured(inputs, variant, fit)
-    summary["distance_from_nominal"] = _measure_distance(summary["parameters"])
-    for key, found in (("misfit", fit.misfit), ("pulls", fit.pulls)):
-        summary[key] = {"chi2": found.value, "dof": found.dof}
-    return summary
-
-
-def _describe_check(fit: Fit) -> dict[str, Any]:
-    """Return what the check by tempering found; nothing where none was asked for."""
-    if fit.check is None:
-        return {}
-    value, se, settled = fit.check.log_evidence, fit.check.standard_error, fit.check.mixed
-    return {"log_evidence_check": {"method": "tempered", "log_evidence": value, "se": se, "settled": settled}}
+        pointwise = fit.evaluated["log_likelihood"][..., held].reshape(-1, held.sum())
+        joint = fit.evaluated["joint_density"].reshape(-1, 1) if "joint_density" in fit.evaluated else pointwise
+        row["elpd"], row["elpd_se"] = compute_joint_elpd(joint)
+        row["elpd_pose_by_pose"] = compute_elpd(pointwise)
+        errors["verification"] = summarise_errors(prediction.select(held))
+    for use, one in errors.items():
+        for what, unit in (("position", "mm"), ("orientation", "deg")):
+            row |= {f"{use}_{what}_error_{k}_{unit}": one[f"{what}_error_{unit}"][k] for k in ("mean", "max")}
+    row["distance_from_nominal_mm"] = _measure_distance(inputs, variant, fit)
+    row["distance_from_nominal_prior_sd"] = fit.pulls.factor
+    if fit.correction is not None:
+        row["exact_density_shift"], row["exact_density_se"] = fit.correction.log_ratio, fit.correction.standard_error
+        row["exact_density_efficiency"] = float(fit.correction.efficiency)
+        row["exact_density_pareto_k"] = float(fit.correction.pareto_k)
+    if "structured_mean" in fit.evaluated:
+        more["structured_error"] = describe_structured(inputs, variant, fit)
+    return row, more | errors
 
 
 def summarise_errors(prediction: Prediction) -> dict[str, Any]:
@@ -93,37 +108,16 @@ def _summarise_sizes(sizes: Array) -> dict[str, float | None]:
     return {"mean": float(known.mean()) if len(known) else None, "max": float(known.max()) if len(known) else None}
 
 
-def _summarise_parameters(inputs: StudyInputs, variant: str, fit: Fit) -> dict[str, dict[str, Any]]:
+def list_nominal(inputs: StudyInputs, variant: str, names: tuple[str, ...]) -> Array:
+    """Return nominal values of parameters, zero of what is none of the machine."""
     layout = inputs.likelihood(inputs.variant(variant), verification=False).layout
     nominal = dict(zip(layout.names, layout.nominal, strict=True))
-    return {
-        name: {
-            "nominal": float(nominal.get(name, 0.0)),
-            "unit": fit.units[k],
-            "mean": float(fit.mean[k]),
-            "sd": float(fit.sd[k]),
-            "q05": float(fit.q05[k]),
-            "q95": float(fit.q95[k]),
-            "prior_sd": float(fit.prior_sd[k]),
-            "rhat": float(fit.diagnostics.rhat[k]),
-            "ess_bulk": float(fit.diagnostics.ess_bulk[k]),
-            "ess_tail": float(fit.diagnostics.ess_tail[k]),
-        }
-        for k, name in enumerate(fit.names)
-    }
+    return np.array([float(nominal.get(name, 0.0)) for name in names])
 
 
-def _measure_distance(parameters: dict[str, dict[str, Any]]) -> dict[str, float]:
-    """Return how far the geometry moved from nominal: rms in mm of the lengths, rms of all in prior sds."""
-    geometry = {name: p for name, p in parameters.items() if not is_model_error(name)}
-    lengths = [p["mean"] - p["nominal"] for p in geometry.values() if p["unit"] == "mm"]
-    scaled = [(p["mean"] - p["nominal"]) / p["prior_sd"] for p in geometry.values()]
-    return {
-        "rms_mm": float(np.sqrt(np.mean(np.square(lengths)))) if lengths else 0.0,
-        "rms_prior_sd": float(np.sqrt(np.mean(np.square(scaled)))),
-    }
-
-
-def rank_variants(variants: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """Return the names of the variants, the largest log-evidence first; then those that did not converge."""
-    return sorted(variants, key=lambda name: (not variants[name]["converged"], -variants[name]["log_evidence"]))
+def _measure_distance(inputs: StudyInputs, variant: str, fit: Fit) -> float:
+    """Return how far the lengths moved from nominal, rms, mm."""
+    own = [not is_model_error(split_name(name)[0]) for name in fit.names]
+    lengths = np.array(own) & (np.array(fit.units) == "mm")
+    moved = (fit.mean - list_nominal(inputs, variant, fit.names))[lengths]
+    return float(np.sqrt(np.mean(moved**2))) if len(moved) else 0.0

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pandas as pd
 from scipy.special import logsumexp
@@ -11,9 +9,16 @@ from scipy.special import logsumexp
 from bayescal.density.least_squares import LeastSquaresFit, identify, list_identified
 from bayescal.experiments.shared.estimate import Fit
 from bayescal.experiments.shared.origin import name_origin
+from bayescal.experiments.shared.variant_tables import (
+    NOISE,
+    compute_contraction,
+    judge_contraction,
+    tabulate_parameters,
+)
 from bayescal.experiments.study.fit import Task, read_prediction
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.published import read_published
+from bayescal.experiments.study.summary import list_nominal
 from bayescal.files.csv_tables import format_table
 from bayescal.inference.importance import smooth_weights
 from bayescal.limits import PARETO_K_LIMIT
@@ -24,45 +29,6 @@ from bayescal.numerics.units import MICROMETRE
 
 BENDING, N_BENDINGS = 1.0, 51  # deg
 COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
-
-
-def tabulate_ranking(summary: dict[str, Any], differences: pd.DataFrame) -> pd.DataFrame:
-    """Return one row per variant, the best first.
-
-    Parameters
-    ----------
-    summary : dict
-    differences : DataFrame
-        Of elpd by leave-one-out from the best, with standard errors, by variant.
-    """
-    best = summary["variants"][summary["ranking"][0]]["log_evidence"]
-    rows = []
-    for rank, name in enumerate(summary["ranking"], start=1):
-        variant = summary["variants"][name]
-        held = variant["verification"] or {}
-        rows.append(
-            {
-                "rank": rank if variant["converged"] else np.nan,
-                "variant": name,
-                "n_parameters": variant["n_parameters"],
-                "log_evidence": variant["log_evidence"],
-                "log_evidence_se": variant["log_evidence_se"],
-                "log_evidence_difference": variant["log_evidence"] - best,
-                "log_evidence_without_model_error": variant["without_model_error"]["log_evidence"],
-                "elpd_loo": variant["elpd_loo"],
-                "elpd_loo_se": variant["elpd_loo_se"],
-                "elpd_loo_difference": differences["elpd_diff"][name],
-                "elpd_loo_difference_se": differences["dse"][name],
-                "elpd_verification": held.get("elpd", np.nan),
-                "elpd_verification_pose_by_pose": held.get("elpd_pose_by_pose", np.nan),
-                **_error_columns("calibration", variant["calibration"]),
-                **(_error_columns("verification", held) if held else {}),
-                "distance_from_nominal_mm": variant["distance_from_nominal"]["rms_mm"],
-                "distance_from_nominal_prior_sd": variant["distance_from_nominal"]["rms_prior_sd"],
-                "converged": variant["converged"],
-            }
-        )
-    return pd.DataFrame(rows)
 
 
 def tabulate_tau_scale(inputs: StudyInputs, posteriors: dict[Task, Fit]) -> pd.DataFrame:
@@ -97,26 +63,19 @@ def tabulate_tau_scale(inputs: StudyInputs, posteriors: dict[Task, Fit]) -> pd.D
     return table.sort_values(["tau_scale_um", "log_evidence"], ascending=[True, False], ignore_index=True)
 
 
-def _error_columns(use: str, errors: dict[str, Any]) -> dict[str, float]:
-    return {
-        f"{use}_position_error_mean_mm": errors["position_error_mm"]["mean"],
-        f"{use}_position_error_max_mm": errors["position_error_mm"]["max"],
-        f"{use}_orientation_error_mean_deg": errors["orientation_error_deg"]["mean"],
-        f"{use}_orientation_error_max_deg": errors["orientation_error_deg"]["max"],
-    }
-
-
-def tabulate_parameters(summary: dict[str, Any]) -> pd.DataFrame:
+def tabulate_all_parameters(inputs: StudyInputs, fits: dict[Task, Fit]) -> pd.DataFrame:
     """Return one row per variant, setting of the model error and parameter."""
-    rows = []
-    for name, variant in summary["variants"].items():
-        for setting, fit in (("free", variant), ("zero", variant["without_model_error"])):
-            for parameter, values in fit["parameters"].items():
-                rows.append({"variant": name, "model_error": setting, "parameter": parameter, **values})
-    return pd.DataFrame(rows)
+    frames = []
+    for task, fit in fits.items():
+        verdicts = judge_contraction(compute_contraction(fit.sd, fit.prior_sd))
+        known = inputs.likelihood(inputs.variant(task.variant), verification=False).layout.names
+        own = [v if name in known else NOISE for name, v in zip(fit.names, verdicts, strict=True)]
+        nominal = list(list_nominal(inputs, task.variant, fit.names))
+        frames.append(tabulate_parameters(task.variant, fit, nominal, own, task.setting))
+    return pd.concat(frames, ignore_index=True)
 
 
-def tabulate_predictions(inputs: StudyInputs, fits: dict[Task, Fit]) -> pd.DataFrame:
+def tabulate_pose_errors(inputs: StudyInputs, fits: dict[Task, Fit]) -> pd.DataFrame:
     """Return one row per variant, setting and pose: errors, predictive intervals and bounds (mm, degrees)."""
     scale = np.array([1.0, 1.0, 1.0, *[np.degrees(1.0)] * 3])
     units = ("mm", "mm", "mm", "deg", "deg", "deg")
@@ -127,7 +86,7 @@ def tabulate_predictions(inputs: StudyInputs, fits: dict[Task, Fit]) -> pd.DataF
         frame = pd.DataFrame(
             {
                 "variant": task.variant,
-                "model_error": "free" if task.with_model_error else "zero",
+                "model_error": task.setting,
                 "pose": inputs.names,
                 "use": np.where(inputs.verification, "verification", "calibration"),
                 "position_error_mm": prediction.position_error,
@@ -141,35 +100,6 @@ def tabulate_predictions(inputs: StudyInputs, fits: dict[Task, Fit]) -> pd.DataF
             frame[f"{component}_low_{unit}"] = low[:, k]
             frame[f"{component}_high_{unit}"] = high[:, k]
         frames.append(frame)
-    return pd.concat(frames, ignore_index=True)
-
-
-def tabulate_blunders(inputs: StudyInputs, fits: dict[Task, Fit]) -> pd.DataFrame:
-    """Return how probable it is that each pose is a blunder, by variant, setting and pose; no rows if none may be."""
-    frames = [
-        pd.DataFrame(
-            {
-                "variant": task.variant,
-                "model_error": "free" if task.with_model_error else "zero",
-                "pose": inputs.names,
-                "use": np.where(inputs.verification, "verification", "calibration"),
-                "probability": fit.evaluated["blunder_probability"],
-            }
-        )
-        for task, fit in fits.items()
-        if "blunder_probability" in fit.evaluated
-    ]
-    return pd.concat(frames, ignore_index=True) if frames else pd.DataFrame()
-
-
-def tabulate_power_scaling(posteriors: dict[Task, Fit]) -> pd.DataFrame:
-    """Return how much each parameter depends on its prior and on the measurements, model error free."""
-    frames = []
-    for task, fit in posteriors.items():
-        if task.with_model_error:
-            prior, likelihood = fit.power_scaling.T
-            columns = {"variant": task.variant, "parameter": fit.names, "prior": prior, "likelihood": likelihood}
-            frames.append(pd.DataFrame(columns))
     return pd.concat(frames, ignore_index=True)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import PurePath
 from typing import Any
 
@@ -10,11 +10,8 @@ import pandas as pd
 from rich.console import Console
 
 from bayescal.experiments.frame.terminal import Shown, print_table, print_text
-from bayescal.report.blocks import Statement
+from bayescal.experiments.shared.origin import name_origin
 from bayescal.report.numbers import MICROMETRES, format_estimate, format_fixed
-
-DOUBTS = ("Data", "Noise", "Tolerances", "Bounds")
-
 
 RANKING = (
     Shown("rank"),
@@ -22,7 +19,7 @@ RANKING = (
     Shown("log-evidence", 2),
     Shown("difference"),
     Shown("elpd LOO", 3),
-    Shown("elpd verif.", 4),
+    Shown("elpd held back", 4),
     Shown("position error"),
     Shown("converged"),
 )
@@ -39,50 +36,43 @@ COMPARED = (
 
 
 def show_ranking(summary: Mapping[str, Any], console: Console) -> None:
-    """Print the ranking of a study, and what did not converge."""
-    console.print(f"{summary['title']} ({summary['data_origin']})")
-    best = summary["variants"][summary["ranking"][0]]["log_evidence"]
+    """Print the variants of a study, those of one set of data together, and what did not converge."""
+    console.print(f"{summary['title']} ({name_origin(summary['origin'])})")
+    use = "verification" if summary["n_poses"]["verification"] else "calibration"
+    of_poses = any(use in fit for fit in summary["variants"].values())
+    shown = [one for one in RANKING if of_poses or one.title != "position error"]
     rows = []
-    for rank, name in enumerate(summary["ranking"], start=1):
-        fit = summary["variants"][name]
-        held = fit["verification"]
-        error = (held or fit["calibration"])["position_error_mm"]
-        rows.append(
-            (
+    for ranking in summary["rankings"]:
+        fits = {name: summary["variants"][name] for name in ranking}
+        for rank, (name, fit) in enumerate(fits.items(), start=1):
+            row = [
                 str(rank) if fit["converged"] else "not ranked",
                 name,
                 format_estimate(fit["log_evidence"], fit["log_evidence_se"], 2),
-                format_fixed(fit["log_evidence"] - best, 1),
+                format_fixed(fit["log_evidence"] - fits[ranking[0]]["log_evidence"], 1),
                 format_estimate(fit["elpd_loo"], fit["elpd_loo_se"], 1),
-                format_fixed(held["elpd"] if held else None, 1),
-                " / ".join(_format_size(error[which]) for which in ("mean", "max")) + " µm",
-                "yes" if fit["converged"] else "NO",
-            )
-        )
-    print_table(console, RANKING, rows)
-    use = "verification" if summary["n_poses"]["verification"] else "calibration"
-    print_text(console, f"position error: mean / largest on the {use} poses; log-evidence in nats")
-    for name in summary["ranking"]:
-        fit = summary["variants"][name]
-        for setting, one in (("", fit), (" without model error", fit["without_model_error"])):
-            if "log_evidence_check" in one:
+                format_fixed(fit["elpd"], 1),
+            ]
+            if of_poses:
+                error = fit[use]["position_error_mm"]
+                row.append(" / ".join(_format_size(error[which]) for which in ("mean", "max")) + " µm")
+            rows.append((*row, "yes" if fit["converged"] else "NO"))
+    print_table(console, tuple(shown), rows)
+    errors = f"position error: mean / largest on the {use} poses; " if of_poses else ""
+    print_text(console, f"{errors}log-evidence in nats")
+    for name, fit in summary["variants"].items():
+        for setting, one in (("", fit), (" without model error", fit.get("without_model_error"))):
+            if one is not None and one.get("log_evidence_tempered") is not None:
                 print_text(console, _describe_check(f"{name}{setting}", one))
-            for problem in one["problems"]:
-                print_text(console, f"NOT CONVERGED {name}{setting}: {problem}")
+            if one is not None and one["problems"]:
+                print_text(console, f"NOT CONVERGED {name}{setting}: {one['problems']}")
 
 
 def _describe_check(name: str, fit: Mapping[str, Any]) -> str:
     """Return both log-evidences of a posterior that was checked by tempering."""
     own = format_estimate(fit["log_evidence"], fit["log_evidence_se"], 3)
-    check = fit["log_evidence_check"]
-    return f"checked {name}: log-evidence {own}, by tempering {format_estimate(check['log_evidence'], check['se'], 3)}"
-
-
-def show_doubts(verdict: Sequence[Statement], console: Console) -> None:
-    """Print what contradicts the stated noise and tolerances."""
-    for statement in verdict:
-        if statement.lead in DOUBTS and statement.level in ("warning", "bad"):
-            print_text(console, f"{statement.lead.upper()}: {statement.text}")
+    check = format_estimate(fit["log_evidence_tempered"], fit["log_evidence_tempered_se"], 3)
+    return f"checked {name}: log-evidence {own}, by tempering {check}"
 
 
 def _format_size(size: float | None) -> str:

@@ -199,7 +199,7 @@ def matrix_nearest(evidence: ClaimEvidence) -> ClaimRows:
         return
     distance = {
         m: {
-            d: float(evidence.variants[f"{m}/{d}"]["distance_from_nominal"]["rms_mm"]) for d in evidence.deformations(m)
+            d: float(evidence.variants[f"{m}/{d}"]["distance_from_nominal_mm"]) for d in evidence.deformations(m)
         }
         for m in models
     }

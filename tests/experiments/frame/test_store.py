@@ -42,12 +42,12 @@ def fill(folder: Path, content: str) -> None:
     provenance = {"config_sha256": hash_identity(IDENTITY), **IDENTITY}
     (folder / PROVENANCE_FILE).write_text(json.dumps(provenance))
     (folder / "tables").mkdir()
-    for name in ("summary.json", "tables/ranking.csv"):
+    for name in ("summary.json", "tables/variants.csv"):
         (folder / name).write_text(content)
 
 
 def contents(folder: Path) -> set[str]:
-    return {(folder / name).read_text() for name in ("summary.json", "tables/ranking.csv")}
+    return {(folder / name).read_text() for name in ("summary.json", "tables/variants.csv")}
 
 
 def list_names(folder: Path) -> list[str]:
@@ -98,7 +98,7 @@ def test_kill_leaves_the_old_results_or_the_new(store, monkeypatch, step, exists
 
     with monkeypatch.context() as patched:
         if step == "stage":
-            (store.staged / "tables" / "ranking.csv").unlink()  # killed while writing: nothing is published
+            (store.staged / "tables" / "variants.csv").unlink()  # killed while writing: nothing is published
         elif step == "rename":
             patched.setattr(Path, "rename", kill)
             patched.setattr(store_module, "_exchange", kill)

@@ -34,8 +34,10 @@ def test_an_uncertain_evidence_distinguishes_less() -> None:
 
 
 def test_what_did_not_converge_is_not_used_nor_called_best_silently() -> None:
-    failed = Candidate("best", "best", 30.0, converged=False)
-    assert say_choice([failed, RIGID]) == "Use rigid (one of 2 did not converge)"
+    failed, worse = Candidate("best", "best", 30.0, converged=False), Candidate("worse", "worse", -9.0, converged=False)
+    assert say_choice([worse, RIGID]) == "Use rigid (one of 2 did not converge)"
+    text = "Use none yet: best did not converge and may be better (best so far: rigid)"
+    assert say_choice([failed, RIGID]) == text
     assert say_choice([failed]) == "Use none yet: not converged (best so far: best)"
 
 

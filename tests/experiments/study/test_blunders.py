@@ -45,19 +45,19 @@ def test_blunders_are_named_on_the_page(tmp_path, spoiled, no_pictures):
     if spoiled:
         spoil(path, pose)
     finished = run_experiment(load_experiment(path), tmp_path, tmp_path / "out")
-    table = finished.results.table("blunders")
-    best = table[(table["variant"] == finished.summary["ranking"][0]) & (table["model_error"] == "free")]
+    table = finished.results.table("poses")
+    best = table[(table["variant"] == finished.summary["rankings"][0][0]) & (table["model_error"] == "free")]
     assert len(best) == studies.N_CALIBRATION + studies.N_VERIFICATION
-    named = list(best[best["probability"] > 0.5]["pose"].astype(str))
+    named = list(best[best["contradicting"]]["pose"].astype(str))
     assert named == ([pose] if spoiled else [])
-    said = next(one.text for one in finished.page.verdict if one.lead == "Blunders")
-    assert said.startswith("Measure again or leave out: 1 of 16" if spoiled else "No pose is a blunder")
+    said = next(one.text for one in finished.page.verdict if one.lead == "Outliers")
+    assert said.startswith("Measure again or leave out: 1 of 16" if spoiled else "No pose is probably an outlier")
     assert (pose in said) == spoiled or not spoiled
     fit = finished.summary["variants"]["six_pus/matrix"]
-    assert "epsilon" in fit["parameters"]
-    assert fit["misfit"]["chi2"] < 2.0 * fit["misfit"]["dof"]
-    assert "exact_density" not in fit
-    assert write_report(tmp_path / "out").read_text().count("P(blunder)")
+    assert studies.read_posterior(tmp_path / "out", "six_pus/matrix")["epsilon"]["verdict"] == "noise"
+    assert fit["misfit_chi2"] < 2.0 * fit["misfit_dof"]
+    assert "exact_density_shift" not in fit
+    assert write_report(tmp_path / "out").read_text().count("P(outlier)")
 
 
 def test_a_study_without_them_says_nothing(tmp_path):

@@ -88,9 +88,9 @@ def test_exported_machine_predicts_as_the_posterior_mean_of_the_study(study, cal
     inputs = studies.load_study(study / "study.toml")
     machine = inputs.machine(inputs.variant(VARIANT))
     theta = machine.layout.nominal.copy()
-    fit = json.loads(Path("out/summary.json").read_text())["variants"][VARIANT]
+    parameters = studies.read_posterior(Path("out"), VARIANT)
     for k, name in enumerate(machine.layout.names):
-        theta[k] = fit["parameters"].get(name, {"mean": theta[k]})["mean"]
+        theta[k] = parameters.get(name, {"mean": theta[k]})["mean"]
     actuators = draw_actuators(50)
     expected = solve_forward_kinematics(machine, theta, actuators)
     for path in (folder, Path("out")):
@@ -180,7 +180,7 @@ def test_refusals(study, refuse, arguments, expected):
 
 
 def test_without_convergence_only_by_force_and_the_file_says_so(study, refuse, call):
-    change_summary(lambda fit: fit.update(problems=["R-hat 1.2, limit 1.01"], converged=False))
+    change_summary(lambda fit: fit.update(problems="R-hat 1.2, limit 1.01", converged=False))
     write_actuators(Path("actuators.csv"), draw_actuators(2))
     for arguments in (("export", "out"), ("predict", "out", "actuators.csv")):
         assert "variant 'six_pus/matrix' did not converge (R-hat 1.2, limit 1.01)" in refuse(*arguments)
@@ -218,8 +218,7 @@ def test_committed_hexapod_with_its_config():
     config = studies.EXPERIMENTS / "m2_hexapod" / "study.toml"
     found = load_calibrated(COMMITTED / "m2_hexapod", None, config)
     assert found.source.variant == "six_ups/none"
-    summary = json.loads((COMMITTED / "m2_hexapod" / "summary.json").read_text())
-    expected = summary["variants"]["six_ups/none"]["parameters"]
+    expected = studies.read_posterior(COMMITTED / "m2_hexapod", "six_ups/none")
     for name, value in zip(found.legs.layout.names, found.theta, strict=True):
         assert value == expected[name]["mean"]
 
@@ -266,7 +265,7 @@ def test_a_certificate_is_refused_in_a_line(study, refuse):
 
 
 def test_a_certificate_by_force_says_first_what_is_wrong(study, refuse, call):
-    change_summary(lambda fit: fit.update(problems=["R-hat 1.2, limit 1.01"], converged=False))
+    change_summary(lambda fit: fit.update(problems="R-hat 1.2, limit 1.01", converged=False))
     assert "did not converge" in refuse("certificate", "out")
     arguments = ("certificate", "out", "--force", "--out", "machine.html", "--poses", 16, "--cube", 0.2)
     assert call(*arguments)[0] == 0

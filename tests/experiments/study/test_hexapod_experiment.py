@@ -46,7 +46,9 @@ def read_fit(experiment: str, variant: str = VARIANT):
 
 def read_scores(twin: Twin, experiment: str) -> tuple[np.ndarray, np.ndarray]:
     """Return z-scores of the true geometry in committed results, and whether 90 % intervals hold it."""
-    parameters = {n: p for n, p in read_fit(experiment)["parameters"].items() if not n.startswith("tau")}
+    parameters = {
+        n: p for n, p in studies.read_posterior(RESULTS / experiment, VARIANT).items() if not n.startswith("tau")
+    }
     truth = np.array([twin.theta[twin.machine.layout.names.index(name)] for name in parameters])
     mean, sd, low, high = (np.array([p[key] for p in parameters.values()]) for key in ("mean", "sd", "q05", "q95"))
     return (mean - truth) / sd, (low <= truth) & (truth <= high)

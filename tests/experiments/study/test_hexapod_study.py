@@ -47,9 +47,9 @@ def test_rigid_twin_is_found_rigid(variants, results):
     assert gap > 50
 
 
-def test_posterior_holds_the_twin(variants):
+def test_posterior_holds_the_twin(results):
     """Of M2's fourth strut, which lies along x, only the sum of both is known: 1 / √2 of their prior sd remains."""
-    parameters = variants["six_ups/none"]["parameters"]
+    parameters = studies.read_posterior(results, "six_ups/none")
     for symbol, values in hexapods.TRUE_OFFSETS.items():
         for leg, offset in enumerate(values, start=1):
             found = parameters[f"{symbol}[{leg}]"]

@@ -81,7 +81,7 @@ def test_the_stacked_prediction_is_better_than_either(fits):
         assert found[use]["position_error_mm"]["mean"] < 0.002  # each by itself: 0.02
         assert found[use]["interval_90_coverage"] == 1.0
     joint = [held_out._joint_density(fits[name], Inputs.verification) for name in ("left", "right")]
-    assert min(joint) < found["verification"]["elpd"] < max(joint)
+    assert min(joint) < found["elpd"] < max(joint)
 
 
 def test_one_that_leads_alone_is_not_stacked(fits):

@@ -10,6 +10,8 @@ import pandas as pd
 
 from bayescal.experiments.shared.readings.inputs import Variant
 from bayescal.experiments.shared.readings.knowledge import Knowledge
+from bayescal.experiments.shared.schema import UnitsConfig
+from bayescal.identifiability.units import Units
 from bayescal.numerics.geometry import Array
 
 
@@ -19,8 +21,8 @@ def name_data(variant: Variant) -> str:
     return f"{' '.join(kinds)}, {variant.data.n_poses} poses, {int(variant.data.present.sum())} readings"
 
 
-def tabulate_accuracy(variant: Variant, known: Knowledge) -> pd.DataFrame:
-    """Return how well a variant knows where the machine stands, a coordinate a row."""
+def tabulate_accuracy(variant: Variant, known: Knowledge, units: UnitsConfig) -> pd.DataFrame:
+    """Return the standard uncertainty of a variant's tool, a coordinate a row; places in the config's units."""
     return pd.DataFrame(
         {
             "variant": variant.name,
@@ -30,15 +32,17 @@ def tabulate_accuracy(variant: Variant, known: Knowledge) -> pd.DataFrame:
             "after": known.after,
             "noise": known.noise,
             "worst": known.worst,
-            "worst_at": [name_place(variant, pose) for pose in known.worst_pose],
+            "worst_at": [name_place(variant, pose, units) for pose in known.worst_pose],
         }
     )
 
 
-def name_place(variant: Variant, pose: Array) -> str:
-    """Return where a pose is, coordinate by coordinate."""
+def name_place(variant: Variant, pose: Array, asked: UnitsConfig) -> str:
+    """Return where a pose is, coordinate by coordinate, in the units of a config."""
+    units = Units(asked.length, asked.angle)
     return ", ".join(
-        f"{one.name} = {value:.4g} {one.unit}" for one, value in zip(variant.model.coordinates, pose, strict=True)
+        f"{one.name} = {value / units.factor(one.unit):.4g} {units.name(one.unit)}"
+        for one, value in zip(variant.model.coordinates, pose, strict=True)
     )
 
 

@@ -9,7 +9,6 @@ from pydantic import Field, model_validator
 from bayescal.config.classes import ClassMark, OwnSection
 from bayescal.config.sections import (
     InputFile,
-    Name,
     Names,
     NotNegative,
     Positive,
@@ -126,17 +125,6 @@ class FreeConfig(Section):
     """Symbols, or lists of parameters, that deviate alike."""
 
 
-class SensorSetConfig(Section):
-    """Channels that a variant takes in, and what it is called."""
-
-    name: Name
-    """What tables call the variant."""
-    title: str = Field(default_factory=lambda known: known.get("name", ""))
-    """What the page calls it; its name where nothing is said."""
-    sensors: Annotated[Names, Field(min_length=1)] | None = None
-    """Channels that it takes in; all where nothing is said."""
-
-
 class ValidationConfig(Section):
     """Prediction of held-back readings: the poses for verification, or each of several folds of poses in turn."""
 
@@ -167,12 +155,6 @@ class NextConfig(Section):
     """How many random poses are tried; 0 for none."""
     shown: Annotated[int, Field(ge=1, le=50)] = 5
     """How many of them are shown."""
-
-
-def _check_once(names: list[str]) -> None:
-    for name in names:
-        if names.count(name) > 1:
-            raise ValueError(f"variants: found {name!r} twice, expected each name once")
 
 
 def check_bounds(workspace: dict[str, list[float]]) -> None:

@@ -35,9 +35,10 @@ def list_failures(results: StudyResults) -> list[Statement]:
     """Return everything that speaks against relying on the numbers, posterior by posterior."""
     failures = []
     for variant, setting, fit in results.fits():
-        where = f"{label_variant(results, variant)}, {SETTINGS[setting]}"
-        problems = [str(problem) for problem in fit["problems"]]
-        if not problems and not fit["log_evidence_agrees"]:
+        where = label_variant(results, variant)
+        where += f", {SETTINGS[setting]}" if len(results.settings) > 1 else ""
+        problems = [one for one in fit["problems"].split("; ") if one]
+        if not problems and measure_gap(fit) > AGREEMENT:
             problems = [f"the two log-evidences differ by {format_fixed(measure_gap(fit), 2)} nat, limit {AGREEMENT}"]
         if not problems and not fit["converged"]:
             problems = ["not converged"]
@@ -47,7 +48,7 @@ def list_failures(results: StudyResults) -> list[Statement]:
 
 def title_failures(results: StudyResults) -> str:
     """Return how far the failures reach: to the ranking, or only to posteriors without model error."""
-    if passes_with_model_error(results):
+    if len(results.settings) > 1 and passes_with_model_error(results):
         return (
             "Do not rely yet on the posteriors listed here, all without model error; the ranking with model error does "
             "not use them."
@@ -61,13 +62,12 @@ def passes_with_model_error(results: StudyResults) -> bool:
 
 
 def _passed(fit: Mapping[str, Any]) -> bool:
-    return bool(fit["converged"] and fit["log_evidence_agrees"] and not fit["problems"])
+    return bool(fit["converged"] and measure_gap(fit) <= AGREEMENT and not fit["problems"])
 
 
 def measure_gap(fit: Mapping[str, Any]) -> float:
     """Return how far the two log-evidences of a posterior lie apart."""
-    methods = fit["log_evidence_methods"]
-    return abs(float(methods["importance"] - methods["bridge"]))
+    return abs(float(fit["log_evidence_importance"] - fit["log_evidence_bridge"]))
 
 
 def name_or_count(words: list[str], total: int) -> str:
@@ -102,17 +102,19 @@ def state_convergence(results: StudyResults) -> Statement:
 
 def state_stability(results: StudyResults) -> list[Statement]:
     """Say whether the same variants lead with wider and narrower priors."""
+    if not results.has("sensitivity"):
+        return []
     wide = results.sensitivity_grid
     if len(results.ranking) == 1 or len(wide) == 1:
         return []
     statements = [_compare_widths(results, wide)]
-    found = results.sensitivity
+    found = results.table("sensitivity")
     best = found.groupby("factor")["log_evidence"].transform("max")
     matter = found[found["log_evidence"] > best - OUT_OF_QUESTION]
-    doubtful = int((matter["pareto_k"] > PARETO_K_LIMIT).sum())
-    if doubtful:
-        verb = "is" if doubtful == 1 else "are"
-        text = f"{doubtful} of {len(matter)} evidences near the best {verb} doubtful (importance sampling, Pareto k)."
+    unreliable = int((matter["pareto_k"] > PARETO_K_LIMIT).sum())
+    if unreliable:
+        verb = "is" if unreliable == 1 else "are"
+        text = f"{unreliable} of {len(matter)} evidences near the best {verb} unreliable (Pareto k)."
         statements.append(Statement(text, "warning", "Stability"))
     return statements
 
@@ -175,6 +177,8 @@ def _describe_reversals(results: StudyResults, wide: pd.DataFrame) -> str:
 
 def state_model_error(results: StudyResults) -> list[Statement]:
     """Say which variants the data want a model error for, and who leads without it."""
+    if "zero" not in results.settings:
+        return []
     gain = {name: measure_gain(results, name) for name in results.ranking}
     leaders = find_leaders(results)
     one = len(leaders) == 1
@@ -247,6 +251,8 @@ def measure_gain(results: StudyResults, name: str) -> float:
 
 def state_coverage(results: StudyResults) -> list[Statement]:
     """Say how often the 90 % predictive intervals hold the measurements, in both settings."""
+    if not results.has("pose_errors"):
+        return []
     statements = []
     n_poses = results.summary["n_poses"]["calibration"]
     for setting, words in SETTINGS.items():
@@ -258,7 +264,7 @@ def state_coverage(results: StudyResults) -> list[Statement]:
         )
         if narrow:
             shares = [f"{label_variant(results, name)} ({_cover_both(results, name, setting)})" for name in narrow]
-            text += ": too narrow, so the posteriors claim more than the data bear out, for "
+            text += ": intervals too narrow for "
             text += name_or_count(shares, len(coverage))
         statements.append(Statement(f"{text}.", "warning" if narrow else "plain", "Coverage"))
     best = results.ranking[0]
@@ -279,3 +285,9 @@ def _cover_both(results: StudyResults, variant: str, setting: str) -> str:
 def is_too_narrow(coverage: float, n_poses: int) -> bool:
     """Whether a coverage lies two standard errors below 90 %, counting a pose's six components as one trial."""
     return bool(coverage < INTERVAL - 2 * math.sqrt(INTERVAL * (1 - INTERVAL) / max(n_poses, 1)))
+
+
+def read_prior_scale(results: StudyResults) -> float | None:
+    """Return the scale of the model error's prior, µm, if the config states it."""
+    scale = results.config.get("model_error", {}).get("scale_um")
+    return None if scale is None else float(scale)

@@ -22,15 +22,16 @@ EXPLANATION = (
 
 def list_counts(results: StudyResults) -> list[tuple[str, tuple[Cell, ...]]]:
     """Return how many claims have each verdict, as marks: those of the publication, and findings of the project."""
-    if results.claims is None:
+    if not results.has("claims"):
         return []
-    own = results.claims["section"] == OWN
-    counted = [("Stated by the publication", results.claims[~own]), ("Found beyond it", results.claims[own])]
+    claims = results.table("claims")
+    own = claims["section"] == OWN
+    counted = [("Stated by the publication", claims[~own]), ("Found beyond it", claims[own])]
     return [(title, tuple(_count(rows))) for title, rows in counted if len(rows)]
 
 
 def _count(claims: pd.DataFrame) -> list[Cell]:
-    counts = {verdict: int((claims["verdict"] == verdict).sum()) for verdict in VERDICTS}
+    counts = {verdict: int((claims["verdict"] == verdict).sum()) for verdict in LEVELS}
     return [
         Cell(f"{n} {verdict if n == 1 else PLURAL[verdict]}", LEVELS[verdict], badge=True)
         for verdict, n in counts.items()
@@ -40,9 +41,9 @@ def _count(claims: pd.DataFrame) -> list[Cell]:
 
 def state_claims(results: StudyResults) -> list[Statement]:
     """Say in one sentence how the publication's claims fared."""
-    if results.claims is None:
+    if not results.has("claims"):
         return []
-    claims = results.claims[results.claims["section"] != OWN]
+    claims = results.table("claims")[results.table("claims")["section"] != OWN]
     if claims.empty:
         return []
     counts = join_words([cell.text for cell in _count(claims)])
@@ -52,12 +53,12 @@ def state_claims(results: StudyResults) -> list[Statement]:
 
 def show_claims(results: StudyResults) -> Section | None:
     """Return the section of the claims, counted and one by one; None where the study tests none."""
-    if results.claims is None or results.publication is None:
+    if not results.has("claims") or results.publication is None:
         return None
     counts = (Counts(title, marks) for title, marks in list_counts(results))
     return Section(
         f"Claims of {results.publication.source}",
-        (*counts, EXPLANATION, tabulate_claims(results.claims)),
+        (*counts, EXPLANATION, tabulate_claims(results.table("claims"))),
         anchor="claims",
         short="Claims",
     )

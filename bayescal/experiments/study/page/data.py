@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+from bayescal.experiments.shared.origin import name_origin
 from bayescal.experiments.study.page.results import StudyResults, get_number
-from bayescal.report.blocks import Statement, Table, make_pairs
+from bayescal.report.blocks import Section, Statement, Table, make_pairs
 from bayescal.report.numbers import format_fixed
 
 SHOWN_TARGETS = 20
@@ -20,11 +21,18 @@ POINTS = (
 )
 
 
+def show_data(study: StudyResults) -> Section | None:
+    """Return what was measured; None where the facts below the heading say it all."""
+    if "pose_extraction" not in study.summary and study.instrument is None:
+        return None
+    return Section("Data", (tabulate_data(study),), anchor="data")
+
+
 def tabulate_data(results: StudyResults) -> Table:
     """Return what was measured and how it became poses."""
     summary = results.summary
     rows = [
-        ["Origin", summary["data_origin"]],
+        ["Origin", name_origin(summary["origin"])],
         ["Calibration poses", str(summary["n_poses"]["calibration"])],
         ["Verification poses", str(summary["n_poses"]["verification"]) if results.n_verification else "none"],
     ]

@@ -1,4 +1,4 @@
-"""Deformation of the platform as the targets at its joints show it: κ and K, and what either leaves."""
+"""Deformation of the platform as the targets at its joints show it: κ and K, and the residuals of either."""
 
 from __future__ import annotations
 
@@ -7,20 +7,31 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
+from bayescal.experiments.study.page.illustrations import illustrate_deflections
 from bayescal.experiments.study.page.publication import cite_symbol
 from bayescal.experiments.study.page.results import StudyResults
-from bayescal.report.blocks import Column, Statement, Table, make_table
+from bayescal.report.blocks import Block, Column, Section, Statement, Table, make_table
 from bayescal.report.numbers import format_estimate, format_significant
 
 if TYPE_CHECKING:
     from bayescal.numerics.geometry import Array
 
 
+def show_deformation(study: StudyResults) -> Section | None:
+    """Return what targets at the joints show; None where there are none by design, on struts or of an instrument."""
+    without = study.has_struts or study.instrument is not None or not study.has("pose_errors")
+    if not study.has("ring") and without:
+        return None
+    tables, statements = tabulate_deformation(study)
+    blocks: list[Block] = [*statements, illustrate_deflections(study), *tables]
+    return Section("Deformation of the platform", tuple(blocks), anchor="deformation", short="Deformation")
+
+
 def tabulate_deformation(results: StudyResults) -> tuple[list[Table], list[Statement]]:
     """Return κ and K from the targets on the platform, and how well each describes the measured deflections."""
-    if results.deformation is None or results.ring is None:
+    if not results.has("deformation") or not results.has("ring"):
         return [], []
-    frame = results.deformation
+    frame = results.table("deformation")
     kappa = frame[frame["quantity"] == "kappa"].set_index("leg")
     matrix = frame[frame["quantity"] == "K"]
     legs = [int(leg) for leg in kappa.index]
@@ -42,11 +53,11 @@ def tabulate_deformation(results: StudyResults) -> tuple[list[Table], list[State
             )
         )
     matrix_1e3 = mean.to_numpy() if len(matrix) else None
-    return tables, _state_residuals(results.ring, kappa["mean_1e-3"].to_numpy(), matrix_1e3)
+    return tables, _state_residuals(results.table("ring"), kappa["mean_1e-3"].to_numpy(), matrix_1e3)
 
 
 def _state_residuals(ring: pd.DataFrame, kappa: Array, matrix: Array | None) -> list[Statement]:
-    """Say what κ and K, in 1e-3, leave of the deflections."""
+    """Say how large the residuals of κ and K, in 1e-3, are."""
     statements = []
     for use, rows in ring.groupby("use", sort=True):
         travel = rows.pivot(index="pose", columns="leg", values="actuator_displacement_mm").to_numpy()
@@ -55,7 +66,7 @@ def _state_residuals(ring: pd.DataFrame, kappa: Array, matrix: Array | None) -> 
         if matrix is not None:
             left["matrix"] = measured - travel @ matrix.T
         described = "; ".join(
-            f"the {name} description leaves {format_significant(float(np.mean(np.abs(r))), 2)} µm mean and "
+            f"residuals of the {name} description: {format_significant(float(np.mean(np.abs(r))), 2)} µm mean and "
             f"{format_significant(float(np.max(np.abs(r))), 2)} µm at most"
             for name, r in left.items()
         )

@@ -1,22 +1,44 @@
-"""Tables of the evidence: its two estimators, other priors, and the convergence of the posteriors."""
+"""The evidence: its two estimators, other priors, and the convergence of the posteriors."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any
 
-from bayescal.experiments.study.page.checks import measure_gap
+from bayescal.experiments.shared.judgement_page import tabulate_widths
+from bayescal.experiments.study.page.checks import list_failures, measure_gap
+from bayescal.experiments.study.page.illustrations import illustrate_sensitivity
+from bayescal.experiments.study.page.predictive_checks import fold_checks
 from bayescal.experiments.study.page.results import SHORT_SETTINGS, StudyResults
+from bayescal.experiments.study.page.tau_scale import show_tau_scale
 from bayescal.experiments.study.page.variants import VARIANT, label_variant
 from bayescal.limits import AGREEMENT, ESS_BULK_LIMIT, ESS_TAIL_LIMIT, MOVED_LIMIT, PARETO_K_LIMIT, RHAT_LIMIT
-from bayescal.report.blocks import Cell, Column, Table, make_table
-from bayescal.report.numbers import NOTHING, count_decimals, format_count, format_estimate, format_fixed
+from bayescal.report.blocks import Block, Cell, Column, Fold, Section, Table, make_table
+from bayescal.report.numbers import count_decimals, format_estimate, format_fixed
 
 EXACT = (
     "Both explore a density whose covariance is the nominal machine's and are corrected by the exact one, with the "
-    "covariance of every machine itself and the errors that all poses share: what it is worth, and how many of the "
-    "draws moved there count."
+    "covariance of every machine itself and the errors that all poses share: by how much, and how many of the draws "
+    "moved there count."
 )
+
+
+def show_evidence(study: StudyResults) -> Section:
+    """Return the evidence for other widths of the priors, and by both estimators."""
+    blocks: list[Block] = []
+    if study.has("sensitivity"):
+        labels = {name: label_variant(study, name) for name in study.names}
+        caption = "Log-evidence for wider and narrower priors."
+        blocks += [illustrate_sensitivity(study)] if len(study.ranking) > 1 and len(study.sensitivity_grid) > 1 else []
+        blocks.append(tabulate_widths(study.table("sensitivity"), labels, VARIANT, caption))
+    both = Fold("Both estimators of every log-evidence", (tabulate_evidence(study),))
+    return Section("Evidence", (*blocks, *show_tau_scale(study), both), anchor="evidence")
+
+
+def show_diagnostics(study: StudyResults) -> Section:
+    """Return the convergence of every posterior, open where something failed, and further checks."""
+    fold = Fold("Convergence of every posterior", (tabulate_diagnostics(study),), bool(list_failures(study)))
+    return Section("Numerical checks", (fold, *fold_checks(study)), anchor="diagnostics", short="Checks")
 
 
 def format_evidence(value: float, se: float) -> str:
@@ -24,94 +46,91 @@ def format_evidence(value: float, se: float) -> str:
     return format_estimate(value, se, min(3, max(2, count_decimals(se, 1))))
 
 
-def tabulate_evidence(results: StudyResults) -> Table:
+def _name(study: StudyResults, name: str, setting: str) -> list[tuple[Column, str | Cell]]:
+    """Return the columns that say which posterior a row is of."""
+    found: list[tuple[Column, str | Cell]] = [(VARIANT, label_variant(study, name))]
+    if len(study.settings) > 1:
+        found.append((Column("Model error", kind="text"), SHORT_SETTINGS[setting]))
+    return found
+
+
+def _make(caption: str, rows: list[list[tuple[Column, str | Cell]]]) -> Table:
+    return make_table(caption, [column for column, _ in rows[0]], [[cell for _, cell in row] for row in rows])
+
+
+def tabulate_evidence(study: StudyResults) -> Table:
     """Return both estimators of the log-evidence side by side."""
-    columns = [
-        VARIANT,
-        Column("Model error", kind="text"),
-        Column("importance", "nat", "Log-evidence by"),
-        Column("bridge", "nat", "Log-evidence by"),
-        Column("Difference", f"nat, limit {AGREEMENT}"),
-        Column("draws", "", "Importance sampling"),
-        Column("efficiency", "%", "Importance sampling"),
-        Column("Pareto k", f"limit {PARETO_K_LIMIT}", "Importance sampling"),
-        Column("worth", "nat", "Exact density"),
-        Column("draws kept", "%", "Exact density"),
-        Column("Reported", kind="text"),
-    ]
-    checked = any("log_evidence_check" in fit for _, _, fit in results.fits())
-    if checked:
-        columns.append(Column("tempering", "nat", "Checked by"))
+    fits = list(study.fits())
+    exact = any(fit.get("exact_density_shift") is not None for *_, fit in fits)
+    checked = any(fit.get("log_evidence_tempered") is not None for *_, fit in fits)
     rows = []
-    for name, setting, fit in results.fits():
-        methods, errors, quality = fit["log_evidence_methods"], fit["log_evidence_method_se"], fit["importance"]
-        rows.append(
-            [
-                label_variant(results, name),
-                SHORT_SETTINGS[setting],
-                format_evidence(methods["importance"], errors["importance"]),
-                format_evidence(methods["bridge"], errors["bridge"]),
-                Cell(format_fixed(measure_gap(fit), 3), "plain" if fit["log_evidence_agrees"] else "bad"),
-                format_count(quality["n_draws"]),
-                format_fixed(100 * quality["efficiency"], 0),
-                _limited(quality["pareto_k"], quality["pareto_k"] <= PARETO_K_LIMIT, 2),
-                *_describe_correction(fit.get("exact_density")),
-                fit["log_evidence_primary"],
-                *([_format_check(fit.get("log_evidence_check"))] if checked else []),
-            ]
-        )
+    for name, setting, fit in fits:
+        row = [*_name(study, name, setting), *(_estimate(fit, by) for by in ("importance", "bridge"))]
+        gap = Cell(format_fixed(measure_gap(fit), 3), "plain" if measure_gap(fit) <= AGREEMENT else "bad")
+        efficiency = format_fixed(100 * fit["efficiency"], 0)
+        row += [
+            (Column("Difference", f"nat, limit {AGREEMENT}"), gap),
+            (Column("efficiency", "%", "Importance sampling"), efficiency),
+            (
+                Column("Pareto k", f"limit {PARETO_K_LIMIT}", "Importance sampling"),
+                _limited(fit["pareto_k"], fit["pareto_k"] <= PARETO_K_LIMIT, 2),
+            ),
+        ]
+        row += _describe_correction(fit) if exact else []
+        row.append((Column("Reported", kind="text"), str(fit["log_evidence_by"])))
+        row += [_estimate(fit, "tempered")] if checked else []
+        rows.append(row)
     caption = "The log-evidence of every posterior by two independent estimators."
-    if any("exact_density" in fit for _, _, fit in results.fits()):
-        caption += f" {EXACT}"
-    return make_table(caption, columns, rows)
+    return _make(f"{caption} {EXACT}" if exact else caption, rows)
 
 
-def _describe_correction(exact: dict[str, float] | None) -> list[str | Cell]:
-    """Return what the exact density is worth and how many of the moved draws count, dashes without one."""
-    if exact is None:
-        return [NOTHING, NOTHING]
-    fine = exact["efficiency"] >= MOVED_LIMIT and exact["pareto_k"] <= PARETO_K_LIMIT
-    worth = format_evidence(exact["log_evidence_shift"], exact["standard_error"])
-    return [worth, _limited(100 * exact["efficiency"], fine, 0)]
+def _estimate(fit: Mapping[str, Any], by: str) -> tuple[Column, str | Cell]:
+    value, se = fit.get(f"log_evidence_{by}"), fit.get(f"log_evidence_{by}_se")
+    text = format_fixed(None, 2) if value is None or se is None else format_evidence(value, se)
+    return Column(by, "nat", "Log-evidence by"), text
 
 
-def _format_check(check: Mapping[str, Any] | None) -> str:
-    return NOTHING if check is None else format_evidence(check["log_evidence"], check["se"])
+def _describe_correction(fit: Mapping[str, Any]) -> list[tuple[Column, str | Cell]]:
+    """Return by how much the exact density changes the evidence and how many of the moved draws count."""
+    columns = Column("shift", "nat", "Exact density"), Column("draws that count", "%", "Exact density")
+    if fit.get("exact_density_shift") is None:
+        return [(column, format_fixed(None, 0)) for column in columns]
+    efficiency = fit["exact_density_efficiency"]
+    fine = efficiency >= MOVED_LIMIT and fit["exact_density_pareto_k"] <= PARETO_K_LIMIT
+    shift = format_evidence(fit["exact_density_shift"], fit["exact_density_se"])
+    return list(zip(columns, (shift, _limited(100 * efficiency, fine, 0)), strict=True))
 
 
 def _limited(value: float, fine: bool, decimals: int) -> Cell:
     return Cell(format_fixed(value, decimals), "plain" if fine else "bad")
 
 
-def tabulate_diagnostics(results: StudyResults) -> Table:
+def tabulate_diagnostics(study: StudyResults) -> Table:
     """Return convergence of every posterior."""
-    columns = [
-        VARIANT,
-        Column("Model error", kind="text"),
-        Column("R-hat", f"limit {RHAT_LIMIT}"),
-        Column("bulk", f"limit {format_fixed(ESS_BULK_LIMIT, 0)}", "Smallest ESS"),
-        Column("tail", f"limit {format_fixed(ESS_TAIL_LIMIT, 0)}", "Smallest ESS"),
-        Column("Acceptance", "%"),
-        Column("Largest LOO", "Pareto k"),
-        Column("Time", "s", kind="seconds"),
-        Column("Status", kind="text"),
-    ]
-    rows: list[list[str | Cell]] = []
-    for name, setting, fit in results.fits():
-        problems = "; ".join(str(p) for p in fit["problems"]) or "not converged"
-        k = fit["elpd_loo_pareto_k_max"]
-        rows.append(
-            [
-                label_variant(results, name),
-                SHORT_SETTINGS[setting],
-                _limited(fit["rhat_max"], fit["rhat_max"] < RHAT_LIMIT, 4),
-                _limited(fit["ess_bulk_min"], fit["ess_bulk_min"] > ESS_BULK_LIMIT, 0),
-                _limited(fit["ess_tail_min"], fit["ess_tail_min"] > ESS_TAIL_LIMIT, 0),
-                format_fixed(100 * fit["acceptance"], 0),
+    rows = []
+    for name, setting, fit in study.fits():
+        k, bulk, tail = fit["loo_pareto_k_max"], fit["ess_bulk_min"], fit["ess_tail_min"]
+        row = _name(study, name, setting)
+        row += [
+            (Column("R-hat", f"limit {RHAT_LIMIT}"), _limited(fit["rhat_max"], fit["rhat_max"] < RHAT_LIMIT, 4)),
+            (_limit("bulk", ESS_BULK_LIMIT), _limited(bulk, bulk > ESS_BULK_LIMIT, 0)),
+            (_limit("tail", ESS_TAIL_LIMIT), _limited(tail, tail > ESS_TAIL_LIMIT, 0)),
+        ]
+        if "acceptance" in fit:
+            row.append((Column("Acceptance", "%"), format_fixed(100 * fit["acceptance"], 0)))
+        row += [
+            (
+                Column("Largest LOO", "Pareto k"),
                 Cell(format_fixed(k, 2), "plain" if k <= PARETO_K_LIMIT else "warning"),
-                format_fixed(fit["wall_seconds"], 1),
-                Cell("converged") if fit["converged"] else Cell(problems, "bad"),
-            ]
-        )
-    caption = "Convergence of every posterior; R-hat is rank-normalised, a chain is one ensemble of walkers."
-    return make_table(caption, columns, rows)
+            ),
+            (Column("Poses sampled again without"), str(fit["loo_refitted"])),
+        ]
+        if "wall_seconds" in fit:
+            row.append((Column("Time", "s", kind="seconds"), format_fixed(fit["wall_seconds"], 1)))
+        status = Cell("converged") if fit["converged"] else Cell(fit["problems"] or "not converged", "bad")
+        rows.append([*row, (Column("Status", kind="text"), status)])
+    return _make("Convergence of every posterior; R-hat is rank-normalised, a chain is one ensemble of walkers.", rows)
+
+
+def _limit(title: str, limit: float) -> Column:
+    return Column(title, f"limit {format_fixed(limit, 0)}", "Smallest ESS")

@@ -3,58 +3,50 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 from functools import partial
 
 import pandas as pd
 
-from bayescal.experiments.shared.machine_scene import build_scene, read_joint_columns
+from bayescal.experiments.study.page.checks import read_prior_scale
 from bayescal.experiments.study.page.figures.deformation import draw_deflections
 from bayescal.experiments.study.page.figures.errors import draw_bounds, draw_error_bars
 from bayescal.experiments.study.page.figures.flexure import choose_flexure, draw_flexure
 from bayescal.experiments.study.page.figures.joints import draw_joints, find_magnification, has_joints, locate_joints
 from bayescal.experiments.study.page.figures.overview import draw_overview
 from bayescal.experiments.study.page.figures.parameters import draw_model_error, draw_parameters
-from bayescal.experiments.study.page.figures.ridges import draw_ridges
 from bayescal.experiments.study.page.figures.sensitivity import draw_sensitivity
-from bayescal.experiments.study.page.model_error import read_prior_scale
 from bayescal.experiments.study.page.publication import cite_figure
-from bayescal.experiments.study.page.results import FRAME, SETTINGS, StudyResults
-from bayescal.experiments.study.page.ridges import choose_leg, rank_pairs
+from bayescal.experiments.study.page.results import StudyResults
 from bayescal.experiments.study.page.styles import assign_styles
 from bayescal.experiments.study.page.variants import (
     choose_model,
-    choose_variant,
     find_variants,
     group_variants,
     label_model,
-    label_variant,
     list_deformations,
     list_models,
     read_evidence,
 )
 from bayescal.report.blocks import Figure
 from bayescal.report.numbers import format_plain
-from bayescal.report.scene import Scene
-from bayescal.report.symbols import MODEL_ERROR, split_name
+from bayescal.report.symbols import MODEL_ERROR
 from bayescal.report.variant_names import describe_deformation
 
 BARS = (
     "each bar is as high as the largest error, the line across it is the mean, both as numbers. Errors of the "
     "posterior mean prediction with model error"
 )
-NO_PAIRS = "Correlations within a leg."
 
 
 def illustrate_ranking(results: StudyResults) -> Figure:
     """Return evidence and pose errors of all variants."""
-    use = "verification" if results.n_verification else "calibration"
+    use = results.use
     groups = [sorted(group, key=results.ranking.index) for group in group_variants(results, results.ranking)]
     behind: dict[tuple[str, str], float] = {}
-    for setting in SETTINGS:
+    for setting in results.settings:
         best = max(read_evidence(results, name, setting) for name in results.ranking)
         behind |= {(name, setting): best - read_evidence(results, name, setting) for name in results.ranking}
-    bands = " A shared band joins variants that the evidence does not tell apart." if len(groups) > 1 else ""
+    bands = " A shared band joins variants that fit equally well." if len(groups) > 1 else ""
     caption = (
         "Left: how far each variant's log-evidence with model error lies below the best one, logarithmic beyond 1 nat. "
         f"Middle: errors of the posterior mean prediction on the {use} poses; full bar: mean, pale bar: "
@@ -62,7 +54,7 @@ def illustrate_ranking(results: StudyResults) -> Figure:
         f"{bands} Position error is the distance between measured and predicted origin of the platform, "
         "orientation error the angle between measured and predicted platform."
     )
-    draw = partial(draw_overview, groups, behind, results.predictions, use, assign_styles(results))
+    draw = partial(draw_overview, groups, behind, results.table("pose_errors"), use, assign_styles(results))
     return Figure("errors", caption, draw)
 
 
@@ -72,7 +64,7 @@ def illustrate_errors(results: StudyResults) -> list[Figure]:
     if len(list_models(results)) == 1:
         name = "errors_all"
         caption = f"{BARS[0].upper()}{BARS[1:]}{cite_figure(results.publication, name)}."
-        return [Figure(name, caption, partial(draw_error_bars, results.predictions, list(styles), styles, ""))]
+        return [Figure(name, caption, partial(draw_error_bars, results.table("pose_errors"), list(styles), styles, ""))]
     shown = []
     for k, deformation in enumerate(list_deformations(results), start=1):
         name = f"errors_{deformation if re.fullmatch(r'\w+', deformation, re.ASCII) else k}"
@@ -80,7 +72,7 @@ def illustrate_errors(results: StudyResults) -> list[Figure]:
         title = f"{words[0].upper()}{words[1:]}"
         after = cite_figure(results.publication, name)
         variants = find_variants(results, deformation=deformation)
-        draw = partial(draw_error_bars, results.predictions, variants, styles, title)
+        draw = partial(draw_error_bars, results.table("pose_errors"), variants, styles, title)
         shown.append(Figure(name, f"{title}{after}: {BARS}; the axes are the same for all deformations.", draw))
     return shown
 
@@ -92,7 +84,7 @@ def illustrate_bounds(results: StudyResults) -> Figure:
         "verification). One pose in twenty is expected beyond 1; many more, in red, mean a posterior that claims too "
         "much. The bound is the median over the poses."
     )
-    draw = partial(draw_bounds, results.predictions, results.ranking, assign_styles(results))
+    draw = partial(draw_bounds, results.table("pose_errors"), results.ranking, assign_styles(results))
     return Figure("bounds", caption, draw)
 
 
@@ -103,11 +95,12 @@ def illustrate_parameters(results: StudyResults) -> Figure:
     which = f" of the {label_model(results, model)} model, the study's first among the best," if several else ""
     caption = (
         f"Parameters{which} as offsets from nominal, with model error: posterior mean and 90 % interval of each "
-        "variant; the band is the prior's central 90 %. An interval as wide as the band has learnt nothing from the "
-        f"measurements.{' The other models: tables below.' if several else ''}"
+        "variant; the band is the prior's central 90 %. Where an interval is as wide as the band the measurements "
+        f"determine nothing.{' The other models: tables below.' if several else ''}"
     )
     shown = {name: styles[name] for name in find_variants(results, model)}
-    return Figure("parameters", caption, partial(draw_parameters, _choose_free(results), results.least_squares, shown))
+    published = results.table("least_squares")
+    return Figure("parameters", caption, partial(draw_parameters, _choose_free(results), published, shown))
 
 
 def illustrate_joints(results: StudyResults) -> Figure:
@@ -131,20 +124,6 @@ def illustrate_joints(results: StudyResults) -> Figure:
     return Figure(name, caption, partial(draw_joints, joints, variants, assign_styles(results)))
 
 
-def show_machine(results: StudyResults) -> list[Scene]:
-    """Return the machine in space with how far the best variant's joints were found from nominal."""
-    if results.joints is None:
-        return []
-    frame = _choose_free(results)
-    best = frame[frame["variant"] == choose_variant(results)]
-    moved = best.assign(offset=best["mean"] - best["nominal"])
-    offsets, spreads = read_joint_columns(moved, "offset"), read_joint_columns(moved, "sd")
-    scene = build_scene(results.joints, offsets, spreads)
-    if scene is None:
-        return []
-    return [replace(scene, caption=f"{scene.caption} Found by {label_variant(results, choose_variant(results))}.")]
-
-
 def illustrate_flexure(results: StudyResults, flexure: pd.DataFrame) -> Figure:
     """Return how the end of the longest flexure moves."""
     rows, name = choose_flexure(flexure), "flexure"
@@ -157,30 +136,6 @@ def illustrate_flexure(results: StudyResults, flexure: pd.DataFrame) -> Figure:
     return Figure(name, caption, partial(draw_flexure, rows))
 
 
-def illustrate_ridges(results: StudyResults) -> Figure:
-    """Return the correlations within a leg of the best variant."""
-    best, name = results.ranking[0], "ridges"
-    if best not in results.draws:
-        reason = f"it needs the draws of {label_variant(results, best)}, whose file is not there"
-        return Figure(name, NO_PAIRS, None, reason)
-    draws = {name: x for name, x in results.draws[best].items() if not FRAME.fullmatch(name)}
-    leg, pairs = choose_leg(rank_pairs(draws))
-    if not pairs:
-        return Figure(name, NO_PAIRS, None, "no leg has two parameters")
-    table = pd.DataFrame({split_name(n)[0]: x for n, x in draws.items() if split_name(n)[1] == leg})
-    if len(table.columns.drop(MODEL_ERROR, errors="ignore")) < 2:
-        return Figure(name, NO_PAIRS, None, "each leg has one parameter of its geometry")
-    frame = _choose_free(results)
-    one = frame[(frame["variant"] == best) & (frame["leg"] == leg)].set_index("symbol")
-    nominal = one["nominal"].where(one.index != MODEL_ERROR, 0.0)
-    caption = (
-        f"{label_variant(results, best)}, leg {leg} (the one with the most correlated pair): correlation of its "
-        "parameters (red +1, blue −1), and the draws of its most correlated pairs as offsets from nominal. A thin "
-        "slanting cloud is a ridge: the measurements fix only what lies across it."
-    )
-    return Figure(name, caption, partial(draw_ridges, table, nominal, one["unit"], pairs))
-
-
 def illustrate_deflections(results: StudyResults) -> Figure:
     """Return the measured deflections of the joints against the travel of the actuators."""
     name = "deflections"
@@ -190,10 +145,9 @@ def illustrate_deflections(results: StudyResults) -> Figure:
         "fit κ. Error bars (1 sd) are often smaller than the dots. Scatter beyond them is what κ cannot describe: the "
         "matrix K lets the other actuators in."
     )
-    ring, deformation = results.ring, results.deformation
-    if ring is None or deformation is None:
+    if not results.has("ring"):
         return Figure(name, caption, None, "the survey has no targets at the joints")
-    return Figure(name, caption, partial(draw_deflections, ring, deformation))
+    return Figure(name, caption, partial(draw_deflections, results.table("ring"), results.table("deformation")))
 
 
 def illustrate_model_error(results: StudyResults) -> Figure:
@@ -211,8 +165,8 @@ def illustrate_sensitivity(results: StudyResults) -> Figure:
     caption = (
         "Log-evidence with model error against a factor on the widths of all parameters' priors, which keep their "
         "ratios. Left: each variant below its own largest value; right: each variant below the best one at the same "
-        "factor, logarithmic beyond 1 nat. Models stand a little side by side at each factor, so that equal ones are "
-        "seen. "
+        "factor, logarithmic beyond 1 nat. Models are shifted a little at each factor, so that equal ones do not "
+        "overlap. "
         "The ranking is stable where no lines cross on the right (ranks: table below)."
     )
     return Figure("sensitivity", caption, partial(draw_sensitivity, results.sensitivity_grid, assign_styles(results)))

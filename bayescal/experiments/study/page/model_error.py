@@ -5,9 +5,10 @@ from __future__ import annotations
 import pandas as pd
 
 from bayescal.experiments.study.page.checks import measure_gain
+from bayescal.experiments.study.page.illustrations import illustrate_model_error
 from bayescal.experiments.study.page.results import StudyResults
 from bayescal.experiments.study.page.variants import VARIANT, group_variants, label_variant, name_variants
-from bayescal.report.blocks import Column, Statement, Table, make_table
+from bayescal.report.blocks import Block, Column, Fold, Section, Statement, Table, make_table
 from bayescal.report.numbers import (
     MICROMETRES,
     NOTHING,
@@ -18,6 +19,24 @@ from bayescal.report.numbers import (
 )
 from bayescal.report.symbols import MODEL_ERROR
 
+TEXT = (
+    "τ is the standard deviation of the model error along a leg, beyond the noise of {} and actuators. Where it is "
+    "near zero the model suffices; where it is large the posterior widens all intervals instead of attributing "
+    "the residuals to the geometry."
+)
+
+
+def show_model_error(study: StudyResults) -> Section | None:
+    """Return the model error of each leg; None where no variant was computed without any."""
+    if "zero" not in study.settings:
+        return None
+    table, statements = tabulate_model_error(study)
+    text = TEXT.format("targets" if study.instrument is None else "the instrument")
+    blocks: list[Block] = [text, *statements, illustrate_model_error(study)]
+    if table is not None:
+        blocks.append(Fold("τ of every leg, variant by variant", (table,)))
+    return Section("Model error", tuple(blocks), anchor="model-error")
+
 
 def tabulate_model_error(results: StudyResults) -> tuple[Table | None, list[Statement]]:
     """Return τ of each leg with its 90 % interval and what it adds to the evidence, and a sentence per group."""
@@ -27,13 +46,13 @@ def tabulate_model_error(results: StudyResults) -> tuple[Table | None, list[Stat
         return None, []
     legs = sorted(set(rows_free["leg"]))
     columns = [VARIANT, *(Column(f"leg {leg}" if leg else "all legs", "µm", "τ, mean [5 %, 95 %]") for leg in legs)]
-    columns.append(Column("Worth of τ", "nat"))
+    columns.append(Column("Benefit of τ", "nat"))
     rows = []
     for name in results.ranking:
         values = MICROMETRES * rows_free[rows_free["variant"] == name].set_index("leg")[["mean", "q05", "q95"]]
         cells = [_format_interval(values, leg) if leg in values.index else NOTHING for leg in legs]
         rows.append([label_variant(results, name), *cells, format_fixed(measure_gain(results, name), 1, sign=True)])
-    note = "Worth of τ: log-evidence with model error less that without; negative where the model suffices."
+    note = "Benefit of τ: log-evidence with model error less that without; negative where the model suffices."
     groups = group_variants(results, results.ranking)
     return (
         make_table("Model error of each leg.", columns, rows, [Statement(note)]),
@@ -54,11 +73,11 @@ def _state_group(results: StudyResults, rows: pd.DataFrame, names: list[str]) ->
     values = MICROMETRES * rows[rows["variant"].isin(names)]["mean"]
     span = " to ".join(dict.fromkeys(format_significant(float(x), 2) for x in (values.min(), values.max())))
     gains = [measure_gain(results, name) for name in names]
-    call = "call for it" if min(gains) > 0 else "do not call for it" if max(gains) <= 0 else "call for it in some"
+    call = "needed" if min(gains) > 0 else "not needed" if max(gains) <= 0 else "needed in some"
     level = "higher" if min(gains) > 0 else "lower" if max(gains) <= 0 else "higher or lower"
     worth = format_span([abs(x) for x in gains])
     return Statement(
-        f"{name_variants(results, names)}: τ is {span} µm; the measurements {call} (log-evidence {worth} nat {level} "
+        f"{name_variants(results, names)}: τ is {span} µm; it is {call} (log-evidence {worth} nat {level} "
         f"than with {_name_nothing(results, names)})."
     )
 
@@ -67,9 +86,3 @@ def _name_nothing(results: StudyResults, names: list[str]) -> str:
     """Return what variants without any model error have none of."""
     structured = any("structured_error" in results.fit(name, "free") for name in names)
     return "neither τ nor a structured error" if structured else "τ = 0"
-
-
-def read_prior_scale(results: StudyResults) -> float | None:
-    """Return the scale of the model error's prior, µm, if the config states it."""
-    scale = results.config.get("model_error", {}).get("scale_um")
-    return None if scale is None else float(scale)

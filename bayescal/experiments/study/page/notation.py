@@ -39,8 +39,10 @@ FRAMES: tuple[Symbol, ...] = (
 CAPTION = "Notation; subscripts x, y, z are components, a leg's number stands in the column's heading."
 
 
-def show_notation(results: StudyResults) -> Section:
-    """Return the section of the symbols; of a publication, also where it defines them."""
+def show_notation(results: StudyResults) -> Section | None:
+    """Return the symbols of a machine on legs; of a publication, also where it defines them."""
+    if not results.has("pose_errors"):
+        return None
     publication = results.publication
     columns = [Column("Symbol", kind="symbol"), Column("Meaning", kind="text")]
     rows = [[symbol, meaning] for symbol, meaning in list_symbols(results)]
@@ -59,6 +61,6 @@ def list_symbols(results: StudyResults) -> tuple[Symbol, ...]:
 def _list_machine(results: StudyResults) -> tuple[Symbol, ...]:
     if not results.has_struts:
         return SYMBOLS
-    there = {*list_deformations(results), *([] if results.ring is None else ["matrix"])}
+    there = {*list_deformations(results), *([] if not results.has("ring") else ["matrix"])}
     deformed = [(KAPPA, {"linear", "matrix"}), (MATRIX, {"matrix"})]
     return (*STRUTS, *(symbol for symbol, kinds in deformed if kinds & there), ("tau", ERROR.format("strut")))

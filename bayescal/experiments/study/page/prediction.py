@@ -10,14 +10,11 @@ from typing import Any
 import numpy as np
 
 from bayescal.experiments.study.page.checks import name_or_count
-from bayescal.experiments.study.page.results import StudyResults, get_number
+from bayescal.experiments.study.page.results import ErrorScale, StudyResults, get_number
 from bayescal.experiments.study.page.variants import VARIANT, find_leaders, is_told_apart, label_variant, name_variants
 from bayescal.limits import PARETO_K_LIMIT
 from bayescal.report.blocks import Column, Statement, Table, make_table
 from bayescal.report.numbers import (
-    MICROMETRES,
-    MILLIDEGREES,
-    NOTHING,
     format_estimate,
     format_fixed,
     format_pair,
@@ -40,14 +37,14 @@ def read_elpd(results: StudyResults, name: str, use: str, setting: str = "free")
 
 def read_verification_elpd(fit: dict[str, Any]) -> float:
     """Return the joint elpd of the poses held back, NaN without such poses."""
-    return get_number(fit.get("verification") or {}, "elpd")
+    return get_number(fit, "elpd")
 
 
 def measure_error(results: StudyResults, one: str, other: str, use: str, setting: str = "free") -> float:
     """Return the standard error of the difference of two variants' elpd, from the differences pose by pose."""
-    table = results.left_out
+    table = results.table("poses")
     chosen = table[(table["model_error"] == setting) & (table["use"] == use)]
-    pointwise = chosen.pivot(index="pose", columns="variant", values="elpd")
+    pointwise = chosen.pivot(index="pose", columns="variant", values="elpd_loo")
     difference = (pointwise[one] - pointwise[other]).to_numpy()
     return float(np.sqrt(len(difference) * np.var(difference)))
 
@@ -70,18 +67,20 @@ def state_prediction(results: StudyResults) -> list[Statement]:
     """Say whether cross-validation and the poses held back name the same variants as the evidence."""
     if len(results.ranking) == 1:
         return []
-    uses = [use for use in NAMES if use == "calibration" or results.n_verification]
-    statements = [_compare_order(results, use) for use in uses]
-    refitted = sum(int(results.fit(n, "free").get("elpd_loo_n_refitted", 0)) for n in results.ranking)
-    bad = {name: int(results.fit(name, "free")["elpd_loo_n_bad_k"]) for name in results.ranking}
-    doubtful = [f"{label_variant(results, name)} ({n} {'pose' if n == 1 else 'poses'})" for name, n in bad.items() if n]
-    if doubtful:
-        named = name_or_count(doubtful, len(bad))
+    by_pose = results.n_verification and results.has("pose_errors")
+    statements = [_compare_order(results, use) for use in NAMES if use == "calibration" or by_pose]
+    statements += [] if by_pose else _compare_held_back(results)
+    refitted = sum(int(results.fit(n)["loo_refitted"]) for n in results.ranking)
+    bad = {name: int(results.fit(name, "free")["loo_unreliable"]) for name in results.ranking}
+    poses = {name: f"{n} {'pose' if n == 1 else 'poses'}" for name, n in bad.items() if n}
+    unreliable = [f"{label_variant(results, name)} ({n})" for name, n in poses.items()]
+    if unreliable:
+        named = name_or_count(unreliable, len(bad))
         text = f"elpd LOO is approximate where Pareto k exceeds {PARETO_K_LIMIT} and no run left the pose out: {named}."
         statements.append(Statement(text, "warning", "Prediction"))
     elif refitted:
-        poses = "1 pose was" if refitted == 1 else f"{refitted} poses were"
-        text = f"{poses} left out by runs of their own, since Pareto k exceeded {PARETO_K_LIMIT} there."
+        were = "1 pose was" if refitted == 1 else f"{refitted} poses were"
+        text = f"{were} left out by runs of their own, since Pareto k exceeded {PARETO_K_LIMIT} there."
         statements.append(Statement(text, lead="Prediction"))
     return statements
 
@@ -108,6 +107,17 @@ def _compare_order(results: StudyResults, use: str) -> Statement:
     if clear:
         lead += _describe_rest(results, use)
     return _judge_order(name, verb, clear, True, lead)
+
+
+def _compare_held_back(results: StudyResults) -> list[Statement]:
+    """Say whether poses held back, in folds or for verification, are predicted best by another variant."""
+    elpd = {name: get_number(results.fit(name), "elpd") for name in results.ranking}
+    known = [name for name in elpd if math.isfinite(elpd[name])]
+    first = max(known, key=lambda name: elpd[name], default=None)
+    if first is None or first in find_leaders(results):
+        return []
+    text = f"Held-back readings are predicted best by {label_variant(results, first)}, which the evidence ranks lower."
+    return [Statement(text, "warning", "Prediction")]
 
 
 def _judge_order(name: str, verb: str, clear: bool, agrees: bool, lead: str) -> Statement:
@@ -147,18 +157,17 @@ def tabulate_stacking(results: StudyResults) -> Table | None:
     if stacked is None:
         return None
     weights: Mapping[str, float] = stacked["weights"]
-    uses = [use for use in NAMES if use in stacked]
+    uses, scales = [use for use in NAMES if use in stacked], results.error_scales
     columns = [
         VARIANT,
         Column("Weight", "%"),
         *([Column("verification", "nat", "elpd")] if "verification" in uses else []),
-        *(Column(use, "µm", "Position error, mean / max") for use in uses),
-        *(Column(use, "mdeg", "Orientation error, mean / max") for use in uses),
+        *(Column(use, one.unit, f"{one.what.capitalize()} error, mean / max") for one in scales for use in uses),
         *(Column(use, "%", "In 90 % intervals") for use in uses),
     ]
     order = sorted(weights, key=lambda name: -weights[name])
-    rows = [_describe_one(label_variant(results, n), weights[n], results.fit(n, "free"), uses) for n in order]
-    rows.append(_describe_one("all, stacked", 1.0, stacked, uses))
+    rows = [_describe_one(label_variant(results, n), weights[n], results.fit(n), uses, scales) for n in order]
+    rows.append(_describe_one("all, stacked", 1.0, stacked, uses, scales))
     note = (
         "Variants whose elpd LOO lies within two standard errors of the best one's predict alike as far as the "
         "calibration poses can tell. Stacking weighs them so that the mixture predicts left-out poses best; a small "
@@ -168,12 +177,12 @@ def tabulate_stacking(results: StudyResults) -> Table | None:
     return make_table(caption, columns, rows, [Statement(note)])
 
 
-def _describe_one(title: str, weight: float, fit: Mapping[str, Any], uses: list[str]) -> list[str]:
+def _describe_one(
+    title: str, weight: float, fit: Mapping[str, Any], uses: list[str], scales: tuple[ErrorScale, ...]
+) -> list[str]:
     row = [title, format_percent(weight).rstrip(" %")]
     if "verification" in uses:
         row.append(format_fixed(read_verification_elpd(dict(fit)), 1))
-    for key, factor in (("position_error_mm", MICROMETRES), ("orientation_error_deg", MILLIDEGREES)):
-        for use in uses:
-            sizes = [factor * get_number(fit[use][key], which) for which in ("mean", "max")]
-            row.append(format_pair(sizes[0], sizes[1], 2) if fit.get(use) else NOTHING)
+    for scale in scales:
+        row += [format_pair(scale.read(fit.get(use), "mean"), scale.read(fit.get(use), "max"), 2) for use in uses]
     return row + [format_percent(fit[use]["interval_90_coverage"]).rstrip(" %") for use in uses]

@@ -19,20 +19,19 @@ COMPONENT_PITS = ("x_pit", "y_pit", "z_pit", "rx_pit", "ry_pit", "rz_pit")
 
 def fold_checks(results: StudyResults) -> list[Block]:
     """Return the checks of the best variant, and those of all, each behind a line."""
-    best = label_variant(results, results.ranking[0])
-    folds: list[Block] = [
-        Fold(f"Poses left out: where they lie in the predictions of {best} (LOO-PIT)", (_illustrate_pits(results),)),
-        Fold(
-            f"Errors of poses and of their replicates, {best} (posterior predictive check)",
-            (_illustrate_replicates(results),),
-        ),
-        Fold("Pareto k of every pose left out", (_illustrate_pareto_k(results),)),
-        Fold(f"Chains of {best} (rank plot)", (_illustrate_ranks(results),)),
-    ]
-    if results.power_scaling is not None:
-        own = results.power_scaling[results.power_scaling["variant"] == results.ranking[0]]
-        table = tabulate_power_scaling(own)
-        folds.append(Fold(f"What prior and measurements do to {best} (power scaling)", (table,)))
+    best = label_variant(results, results.best_name)
+    folds: list[Block] = []
+    if "x_pit" in results.table("poses"):
+        title = f"Poses left out: where they lie in the predictions of {best} (LOO-PIT)"
+        folds.append(Fold(title, (_illustrate_pits(results),)))
+        title = f"Errors of poses and of their replicates, {best} (posterior predictive check)"
+        folds.append(Fold(title, (_illustrate_replicates(results),)))
+    folds.append(Fold("Pareto k of every pose left out", (_illustrate_pareto_k(results),)))
+    folds.append(Fold(f"Chains of {best} (rank plot)", (_illustrate_ranks(results),)))
+    own = results.table("parameters", results.best_name)
+    own = own[(own["model_error"] == "free") & own["prior_sensitivity"].notna()]
+    if len(own):
+        folds.append(Fold(f"Sensitivity of {best} to prior and data (power scaling)", (tabulate_power_scaling(own),)))
     return folds
 
 
@@ -43,11 +42,11 @@ def _illustrate_ranks(results: StudyResults) -> Figure:
         "Band: 95 % of as many independent draws as the smallest bulk ESS says, one parameter at a time. A chain that "
         "leaves it together with others of its colour has not seen what the others have."
     )
-    if best not in results.draws or results.replicates is None:
+    if best not in results.draws:
         return Figure(name, caption, None, _say_missing(results))
     n_draws = len(next(iter(results.draws[best].values())))
     effective = min(float(results.best["ess_bulk_min"]), float(n_draws))
-    return Figure(name, caption, partial(draw_ranks, results.draws[best], results.replicates.n_chains, effective))
+    return Figure(name, caption, partial(draw_ranks, results.draws[best], results.n_chains, effective))
 
 
 def _say_missing(results: StudyResults) -> str:
@@ -61,7 +60,7 @@ def _illustrate_pits(results: StudyResults) -> Figure:
         "independent uniform numbers. An S that falls first and rises then means predictions too wide, the other way "
         "round too narrow, a hump to one side a bias."
     )
-    table = results.left_out[results.left_out["use"] == "calibration"]
+    table = results.table("poses")[results.table("poses")["use"] == "calibration"]
     pits = {}
     for setting, words in SETTINGS.items():
         chosen = table[(table["variant"] == results.ranking[0]) & (table["model_error"] == setting)]
@@ -91,7 +90,7 @@ def _illustrate_pareto_k(results: StudyResults) -> Figure:
         f"({PARETO_K_LIMIT}) the weights fail; such a pose (open) was left out by a run of its own, unless more than "
         "ten poses of a posterior are as bad."
     )
-    table = results.left_out
+    table = results.table("poses")
     chosen = table[(table["model_error"] == "free") & (table["use"] == "calibration")]
     draw = partial(draw_pareto_k, chosen, results.ranking, assign_styles(results))
     return Figure("pareto_k", caption, draw)

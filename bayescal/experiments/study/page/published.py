@@ -49,17 +49,18 @@ class Published:
 
 def has_published(results: StudyResults, variant: str | None = None) -> bool:
     """Whether any value was published, for one variant or at all."""
-    rows = results.least_squares
+    rows = results.table("least_squares")
     rows = rows if variant is None else rows[rows["variant"] == variant]
     return bool(rows["published_offset"].notna().any())
 
 
 def compare_published(results: StudyResults, variant: str) -> Published:
     """Compare one variant's least squares and posterior (model error free) with the published values."""
-    rows = results.least_squares[results.least_squares["variant"] == variant]
+    rows = results.table("least_squares")[results.table("least_squares")["variant"] == variant]
     lengths = rows[(rows["unit"] == LENGTH) & rows["difference"].notna()]["difference"]
     known = rows[rows["published_offset"].notna()]
-    parameters = results.fit(variant, "free")["parameters"]
+    free = [row for row in results.rows("parameters", variant) if row["model_error"] == "free"]
+    parameters = {str(row["parameter"]): row for row in free}
     inside = n = 0
     for row in known.itertuples():
         one = parameters.get(f"{row.parameter}[{row.leg}]") or parameters.get(str(row.parameter))
@@ -88,7 +89,7 @@ def tabulate_published(results: StudyResults) -> Table | None:
     """Return the rms difference between least squares and the published tables: a row per model."""
     if not has_published(results):
         return None
-    frame = results.least_squares[results.least_squares["difference"].notna()]
+    frame = results.table("least_squares")[results.table("least_squares")["difference"].notna()]
     columns, keys = [Column("Model", kind="text")], []
     for deformation in list_deformations(results):
         names = find_variants(results, deformation=deformation)
@@ -129,7 +130,7 @@ def _list_columns(rows: pd.DataFrame) -> list[tuple[str, list[str]]]:
 
 def list_remarks(results: StudyResults) -> list[Statement]:
     """Return published rows that are far smaller than those of all other models, as misprints would be."""
-    frame = results.least_squares[results.least_squares["published_offset"].notna()]
+    frame = results.table("least_squares")[results.table("least_squares")["published_offset"].notna()]
     grouped = frame.groupby(["variant", "parameter"])["published_offset"]
     sizes = {(str(name), str(symbol)): measure_rms(values) for (name, symbol), values in grouped}
     remarks = []

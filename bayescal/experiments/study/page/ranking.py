@@ -1,11 +1,12 @@
-"""Tables of the ranking, and what deformation and model are worth, each by itself."""
+"""The ranking of the variants, and what deformation and model add, each by itself."""
 
 from __future__ import annotations
 
 from typing import Any
 
 from bayescal.experiments.study.page.evidence import format_evidence
-from bayescal.experiments.study.page.prediction import measure_error, read_verification_elpd
+from bayescal.experiments.study.page.illustrations import illustrate_ranking
+from bayescal.experiments.study.page.prediction import tabulate_stacking
 from bayescal.experiments.study.page.results import USES, StudyResults, get_number
 from bayescal.experiments.study.page.variants import (
     VARIANT,
@@ -20,78 +21,114 @@ from bayescal.experiments.study.page.variants import (
     split_variant,
 )
 from bayescal.limits import PARETO_K_LIMIT
-from bayescal.report.blocks import Cell, Column, Statement, Table, make_table
+from bayescal.report.blocks import Block, Cell, Column, Fold, Section, Statement, Table, make_table
 from bayescal.report.numbers import (
-    MICROMETRES,
-    MILLIDEGREES,
     NOTHING,
     format_estimate,
     format_fixed,
     format_pair,
+    format_percent,
     format_significant,
     join_words,
 )
 
+TEXT = (
+    "Log-evidence in nats: a difference of 1 nat is odds of 2.7 to 1, 5 nats of 150 to 1; it is compared between "
+    "variants of the same data. elpd is the log density that the posterior gives to poses it has not seen: each pose "
+    "left out in turn (LOO), or poses held back."
+)
+NOMINAL = (
+    " “From nominal” is how far the identified geometry moved: rms of all lengths, and rms in units of the stated "
+    "tolerances along the directions that the data determine."
+)
 
-def tabulate_ranking(results: StudyResults, setting: str) -> Table:
-    """Return the ranking of one setting of the model error, the largest evidence first."""
-    names = sorted(
-        results.ranking,
-        key=lambda name: (not results.fit(name, setting)["converged"], -results.fit(name, setting)["log_evidence"]),
-    )
-    best = results.fit(names[0], setting)["log_evidence"]
-    uses = USES if results.n_verification else USES[:1]
-    columns = [
-        Column("Rank"),
-        VARIANT,
-        Column("Free"),
-        Column("Log-evidence", "nat"),
-        Column("Difference", "nat"),
-        Column("LOO", "nat", "elpd"),
-        Column("difference", "nat", "elpd"),
-        Column("verification", "nat", "elpd"),
-        *(Column(use, "µm", "Position error, mean / max") for use in uses),
-        *(Column(use, "mdeg", "Orientation error, mean / max") for use in uses),
-        Column("rms", "mm", "From nominal"),
-        Column("rms", "prior sd", "From nominal"),
-        Column("Checks", kind="text"),
-    ]
+
+def show_ranking(study: StudyResults) -> Section:
+    """Return the variants, the best first, with what they add to each other."""
+    blocks: list[Block] = [TEXT + (NOMINAL if study.has("pose_errors") else "")]
+    if study.has("pose_errors"):
+        blocks.append(illustrate_ranking(study))
+    blocks.append(tabulate_ranking(study, "free"))
+    blocks += [table for table in (tabulate_effects(study), tabulate_stacking(study)) if table is not None]
+    if "zero" in study.settings:
+        blocks.append(Fold("The same ranking without model error (τ = 0)", (tabulate_ranking(study, "zero"),)))
+    title = "Ranking" if len(study.names) > 1 else "The variant"
+    return Section(title, tuple(blocks), anchor="ranking", short="Ranking")
+
+
+def tabulate_ranking(study: StudyResults, setting: str) -> Table:
+    """Return the variants in one setting of the model error, the largest evidence first, by the data they take."""
     rows: list[list[str | Cell]] = []
-    for rank, name in enumerate(names, start=1):
-        fit = results.fit(name, setting)
-        rows.append(
-            [
-                str(rank) if fit["converged"] else "not ranked",
-                label_variant(results, name),
-                str(fit["n_parameters"]),
-                format_evidence(fit["log_evidence"], fit["log_evidence_se"]),
-                format_fixed(fit["log_evidence"] - best, 1),
-                _format_loo(fit),
-                _format_loo_difference(results, name, setting),
-                format_fixed(read_verification_elpd(fit), 1),
-                *(_format_errors(fit[use], "position_error_mm", MICROMETRES) for use in uses),
-                *(_format_errors(fit[use], "orientation_error_deg", MILLIDEGREES) for use in uses),
-                format_significant(fit["distance_from_nominal"]["rms_mm"]),
-                format_significant(fit["distance_from_nominal"]["rms_prior_sd"]),
-                Cell("passed") if fit["converged"] else Cell("FAILED", "bad"),
-            ]
-        )
+    columns, several = list[Column](), len(study.names) > 1
+    for names in study.summary["rankings"]:
+        fits = {name: study.fit(name, setting) for name in names}
+        order = sorted(fits, key=lambda name: (not fits[name]["converged"], -fits[name]["log_evidence"]))
+        best = max(one["elpd_loo"] for one in fits.values())
+        for rank, name in enumerate(order, start=1):
+            behind = fits[name]["log_evidence"] - fits[order[0]]["log_evidence"]
+            found = [*_compare(fits[name], rank, behind, best)] if several else []
+            found += [*_describe(study, name, fits[name])]
+            columns = [column for column, _ in found]
+            rows.append([cell for _, cell in found])
     title = {"free": "with model error τ", "zero": "without model error (τ = 0)"}[setting]
+    caption = f"Variants {title}." if "zero" in study.settings else "Variants, best first." if several else "Variant."
     notes = []
-    if any(results.fit(name, setting)["elpd_loo_n_bad_k"] for name in names):
-        notes.append(
-            Statement(
-                f"(n) n poses with Pareto k above {PARETO_K_LIMIT} that no run left out: elpd LOO is doubtful.",
-                "warning",
-            )
-        )
+    if any(study.fit(name, setting)["loo_unreliable"] for name in study.names):
+        text = f"(n) n poses with Pareto k above {PARETO_K_LIMIT} that no run left out: elpd LOO is unreliable."
+        notes.append(Statement(text, "warning"))
     if setting == "free":
-        notes += _state_names(results)
-    return make_table(f"Ranking {title}.", columns, rows, notes, "wide")
+        notes += _state_names(study)
+    return make_table(caption, columns, rows, notes, "wide")
+
+
+type Found = list[tuple[Column, str | Cell]]
+
+
+def _compare(fit: dict[str, Any], rank: int, behind: float, best: float) -> Found:
+    """Return what only several variants have: rank, and how far each is behind the best."""
+    error = fit["elpd_loo_difference_se"]
+    loo = format_fixed(0.0, 1) if fit["elpd_loo"] == best else format_estimate(fit["elpd_loo"] - best, error, 1)
+    weight = format_percent(fit["stacking_weight"]).rstrip(" %")
+    return [
+        (Column("Rank"), str(rank) if fit["converged"] else "not ranked"),
+        (Column("Behind the best", "nat", "Log-evidence"), format_fixed(behind, 1)),
+        (Column("behind the best", "nat", "elpd LOO"), loo),
+        (Column("weight when stacked", "%", "elpd LOO"), weight),
+    ]
+
+
+def _describe(study: StudyResults, name: str, fit: dict[str, Any]) -> Found:
+    """Return what one variant has, whatever the others."""
+    bad = int(fit["loo_unreliable"])
+    loo = format_estimate(fit["elpd_loo"], fit["elpd_loo_se"], 1)
+    found: Found = [(VARIANT, label_variant(study, name))]
+    if len(study.summary["rankings"]) > 1:
+        found.append((Column("Readings", kind="text"), str(fit["data"])))
+    found += [
+        (Column("Free"), str(fit["n_parameters"])),
+        (Column("Log-evidence", "nat"), format_evidence(fit["log_evidence"], fit["log_evidence_se"])),
+        (Column("elpd LOO", "nat"), Cell(f"{loo} ({bad})", "warning") if bad else Cell(loo)),
+    ]
+    if any(get_number(one, "elpd") == get_number(one, "elpd") for _, _, one in study.fits()):
+        found.append((Column("elpd held back", "nat"), format_fixed(get_number(fit, "elpd"), 1)))
+    found.append((Column("Residual / noise"), format_significant(get_number(fit, "misfit"), 2)))
+    for scale in study.error_scales:
+        for use in USES if study.n_verification else USES[:1]:
+            column = Column(use, scale.unit, f"{scale.what.capitalize()} error, mean / max")
+            found.append((column, format_pair(scale.read(fit[use], "mean"), scale.read(fit[use], "max"), 2)))
+    if "distance_from_nominal_mm" in fit:
+        length = format_significant(fit["distance_from_nominal_mm"])
+        tolerances = format_significant(get_number(fit, "distance_from_nominal_prior_sd"), 2)
+        group = "From nominal, rms"
+        found += [(Column("", "mm", group), length), (Column("", "tolerances", group), tolerances)]
+    passed = Cell("passed") if fit["converged"] else Cell("FAILED", "bad")
+    return [*found, (Column("Checks", kind="text"), passed)]
 
 
 def _state_names(results: StudyResults) -> list[Statement]:
     """Say how models are called in config and results, where the report writes them otherwise."""
+    if "models" not in results.summary:
+        return []
     other = [
         f"{label_model(results, model)} is {model}"
         for model in list_models(results)
@@ -145,25 +182,3 @@ def tabulate_effects(results: StudyResults) -> Table | None:
 def _format_difference(value: dict[str, float], one: str, reference: dict[str, float], other: str) -> str:
     there = one in value and other in reference
     return format_fixed(value[one] - reference[other], 1, sign=True) if there else NOTHING
-
-
-def _format_loo(fit: dict[str, Any]) -> Cell:
-    text = format_estimate(fit["elpd_loo"], fit["elpd_loo_se"], 1)
-    bad = int(fit["elpd_loo_n_bad_k"])
-    return Cell(f"{text} ({bad})", "warning") if bad else Cell(text)
-
-
-def _format_loo_difference(results: StudyResults, name: str, setting: str) -> str:
-    """Return how far a variant's elpd lies below the best one's, with the standard error of the difference."""
-    best = max(results.ranking, key=lambda other: results.fit(other, setting)["elpd_loo"])
-    if name == best:
-        return format_fixed(0.0, 1)
-    gap = results.fit(name, setting)["elpd_loo"] - results.fit(best, setting)["elpd_loo"]
-    return format_estimate(gap, measure_error(results, name, best, "calibration", setting), 1)
-
-
-def _format_errors(errors: dict[str, Any] | None, key: str, factor: float) -> str:
-    if errors is None:
-        return NOTHING
-    mean, largest = (factor * get_number(errors[key], which) for which in ("mean", "max"))
-    return format_pair(mean, largest, 2)

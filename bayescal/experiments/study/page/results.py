@@ -1,25 +1,26 @@
-"""What a study found, checked as far as its page leans on it."""
+"""What a study found, of whatever machine, checked as far as its page depends on it."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import pandas as pd
 
 from bayescal.errors import InputError
 from bayescal.experiments.frame.results import SUMMARY_FILE, Results
-from bayescal.experiments.shared.joints import COLUMNS as JOINT_COLUMNS
+from bayescal.experiments.shared.headline import Candidate, choose_best, list_candidates
 from bayescal.experiments.study.page.posterior_files import Replicates, read_posteriors, read_replicates
 from bayescal.experiments.study.page.publication import Publication, read_publication
-from bayescal.report.reading import NUMBER, Kinds, check_keys
+from bayescal.report.numbers import MICROMETRES
+from bayescal.report.reading import NUMBER, Kinds, Row, check_keys, list_rows
 from bayescal.report.symbols import OF_KERNELS, split_name
+from bayescal.report.units import Asked, shown_in
 
 if TYPE_CHECKING:
     from bayescal.numerics.geometry import Array
@@ -27,101 +28,92 @@ if TYPE_CHECKING:
 SETTINGS = {"free": "with model error", "zero": "without model error (τ = 0)"}
 SHORT_SETTINGS = {"free": "free", "zero": "τ = 0"}
 USES = ("calibration", "verification")
-TEXT_COLUMNS = (
-    *("variant", "model_error", "joint", "pose", "use", "parameter", "unit", "quantity"),
-    *("claim", "section", "statement", "expected", "found", "verdict", "why"),
-)
+NOISE = "noise"
+"""Verdict on parameters that are none of the machine's."""
+FRAME = re.compile(r"(base[1-9]?|tool)_r?[xyz]")
+STRUT = "strut"
 VERDICTS = ("holds", "does not hold", "not testable")
-BASE, STRUT = "base", "strut"
 
 SUMMARY_KEYS: dict[str, Kinds] = {
-    "experiment": str,
-    "title": str,
-    "data_origin": str,
-    "n_poses": dict,
-    "variants": dict,
-    "ranking": list,
+    **dict.fromkeys(("experiment", "title"), str),
+    **dict.fromkeys(("origin", "units", "n_poses", "variants"), dict),
+    "rankings": list,
 }
-OPTIONAL_KEYS: dict[str, Kinds] = {
-    **dict.fromkeys(("models", "instrument", "own_names", "not_free", "stacked"), dict),
-    "drive": str,
-}
-FIT_KEYS: dict[str, Kinds] = {
-    **dict.fromkeys(("n_parameters", "log_evidence", "log_evidence_se", "elpd_loo", "elpd_loo_se"), NUMBER),
-    **dict.fromkeys(("elpd_loo_n_bad_k", "elpd_loo_pareto_k_max", "rhat_max", "ess_bulk_min", "ess_tail_min"), NUMBER),
-    **dict.fromkeys(("acceptance", "wall_seconds"), NUMBER),
-    **dict.fromkeys(("log_evidence_methods", "log_evidence_method_se", "importance", "calibration"), dict),
-    **dict.fromkeys(("parameters", "distance_from_nominal", "misfit", "pulls"), dict),
-    "log_evidence_primary": str,
-    "log_evidence_agrees": bool,
+ROW_KEYS: dict[str, Kinds] = {
+    **dict.fromkeys(("title", "data", "problems", "log_evidence_by"), str),
+    **dict.fromkeys(("n_parameters", "log_evidence", "log_evidence_se"), NUMBER),
+    **dict.fromkeys(("log_evidence_importance", "log_evidence_bridge", "efficiency", "pareto_k"), NUMBER),
+    **dict.fromkeys(("elpd_loo", "elpd_loo_se", "loo_unreliable", "loo_refitted", "loo_pareto_k_max"), NUMBER),
+    **dict.fromkeys(("misfit_chi2", "misfit_dof", "pulls_chi2", "pulls_dof"), NUMBER),
+    **dict.fromkeys(("rhat_max", "ess_bulk_min", "ess_tail_min"), NUMBER),
     "converged": bool,
-    "problems": list,
 }
-NESTED_KEYS = {
-    "log_evidence_methods": ("importance", "bridge"),
-    "log_evidence_method_se": ("importance", "bridge"),
-    "importance": ("efficiency", "pareto_k", "n_draws"),
-    "distance_from_nominal": ("rms_mm", "rms_prior_sd"),
-    "misfit": ("chi2", "dof"),
-    "pulls": ("chi2", "dof"),
+COLUMNS: dict[str, dict[str, tuple[str, ...]]] = {
+    "parameters": {
+        "texts": ("variant", "model_error", "parameter", "unit", "verdict"),
+        "numbers": ("nominal", "prior_sd", "mean", "sd", "q05", "q95", "contraction"),
+    },
+    "poses": {"texts": ("variant", "model_error", "pose", "use"), "numbers": ("elpd_loo", "pareto_k", "refitted")},
+    "pose_errors": {
+        "texts": ("variant", "model_error", "pose", "use"),
+        "numbers": (
+            *("position_error_mm", "position_bound_95_mm"),
+            *("orientation_error_deg", "orientation_bound_95_deg"),
+        ),
+    },
+    "predictions": {"texts": ("variant", "pose", "channel", "unit"), "numbers": ("measured", "mean", "sd", "inside")},
+    "sensitivity": {"texts": ("variant",), "numbers": ("factor", "log_evidence", "pareto_k")},
+    "tau_scale": {"texts": ("variant",), "numbers": ("tau_scale_um", "log_evidence", "pareto_k")},
+    "least_squares": {
+        "texts": ("variant", "parameter", "unit"),
+        "numbers": ("leg", "offset", "published_offset", "difference", "leg_residual_rms_um", "converged"),
+    },
+    "ring": {
+        "texts": ("pose", "use"),
+        "numbers": ("leg", "actuator_displacement_mm", "deflection_um", "deflection_sd_um"),
+    },
+    "deformation": {"texts": ("quantity",), "numbers": ("leg", "actuator", "mean_1e-3", "sd_1e-3")},
+    "flexure": {"texts": (), "numbers": ("flexure_length_mm", "bending_deg", "along_beam_um", "circle_error_nm")},
+    "joints": {"texts": ("pose", "joint"), "numbers": ("leg", "x_mm", "y_mm", "z_mm")},
+    "structured": {
+        "texts": ("variant", "pose", "use"),
+        "numbers": ("leg", "actuator", "travel_mm", "mean_um", "low_um", "high_um"),
+    },
+    "claims": {
+        "texts": ("claim", "section", "statement", "expected", "found", "unit", "verdict", "why"),
+        "numbers": ("value",),
+    },
+    "accuracy": {"texts": ("variant", "coordinate", "unit"), "numbers": ("before", "after", "noise")},
+    "ridges": {"texts": ("variant", "parameter", "sentence"), "numbers": ("contraction",)},
+    "next": {"texts": ("variant", "sensors"), "numbers": ("gain",)},
+    "beside": {"texts": ("variant", "beside", "quantity", "unit"), "numbers": ("mean", "sd", "value", "value_sd")},
+    "functions": {"texts": ("variant", "sensor", "of"), "numbers": ("present", "rms")},
+    "function_curves": {"texts": ("variant", "sensor"), "numbers": ("reading", "mean", "low", "high")},
 }
-ERROR_KEYS: dict[str, Kinds] = {
-    "position_error_mm": dict,
-    "orientation_error_deg": dict,
-    "interval_90_coverage": NUMBER,
-    "bound_95_coverage": NUMBER,
+"""Columns of the tables that pages read; a table of another name belongs to whoever reads it."""
+REQUIRED = ("parameters", "poses")
+
+
+ANGLES = {
+    "deg": (1e3, "mdeg"),
+    "arcsec": (3600.0, "arcsec"),
+    "mrad": (1e3 * math.radians(1.0), "mrad"),
+    "rad": (math.radians(1.0), "rad"),
 }
-PARAMETER_KEYS = ("nominal", "mean", "sd", "q05", "q95", "prior_sd")
-TABLE_COLUMNS = {
-    "predictions": (
-        "variant",
-        "model_error",
-        "pose",
-        "use",
-        "position_error_mm",
-        "position_bound_95_mm",
-        "orientation_error_deg",
-        "orientation_bound_95_deg",
-    ),
-    "left_out": (
-        *("variant", "model_error", "pose", "use", "elpd", "pareto_k", "refitted"),
-        *("x_pit", "y_pit", "z_pit", "rx_pit", "ry_pit", "rz_pit", "position_pit", "orientation_pit"),
-    ),
-    "power_scaling": ("variant", "parameter", "prior", "likelihood"),
-    "blunders": ("variant", "model_error", "pose", "use", "probability"),
-    "sensitivity": ("variant", "factor", "log_evidence", "log_evidence_se", "efficiency", "pareto_k"),
-    "tau_scale": ("variant", "tau_scale_um", "log_evidence", "efficiency", "pareto_k"),
-    "least_squares": (
-        "variant",
-        "parameter",
-        "leg",
-        "unit",
-        "nominal",
-        "offset",
-        "published_offset",
-        "difference",
-        "leg_residual_rms_um",
-        "converged",
-    ),
-    "ring": ("pose", "use", "leg", "actuator_displacement_mm", "deflection_um", "deflection_sd_um"),
-    "deformation": ("quantity", "leg", "actuator", "mean_1e-3", "sd_1e-3"),
-    "flexure": (
-        "flexure_length_mm",
-        "bending_deg",
-        "across_um",
-        "along_beam_um",
-        "along_pivot_um",
-        "along_circle_um",
-        "circle_error_nm",
-    ),
-    "joints": JOINT_COLUMNS,
-    "structured": ("variant", "pose", "use", "leg", "actuator", "travel_mm", "mean_um", "low_um", "high_um"),
-    "claims": ("claim", "section", "statement", "expected", "found", "value", "unit", "verdict", "why"),
-}
-REQUIRED = ("predictions", "left_out", "sensitivity", "least_squares")
-NEEDING_POSES = "least_squares"  # is not there where an instrument measures poses in part or in a frame of its own
-FRAME = re.compile(r"(base[1-9]?|tool)_r?[xyz]")
-TOGETHER = ("ring", "deformation")  # both are there, or neither
+"""Factor from degrees and name of the unit of small angles, by the unit of angles in the config."""
+
+
+class ErrorScale(NamedTuple):
+    """How errors of poses are shown: in words, their column, and factor and name of their unit."""
+
+    what: str
+    column: str
+    factor: float
+    unit: str
+
+    def read(self, errors: Mapping[str, Any] | None, which: str) -> float:
+        """Return the ``mean`` or ``max`` of a use's errors in that unit; NaN without."""
+        return self.factor * get_number(errors[self.column], which) if errors else math.nan
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,50 +124,25 @@ class StudyResults:
     ----------
     summary, config : dict
         As JSON has them.
-    predictions, left_out, sensitivity, least_squares : DataFrame
-        Tables of the study; without rows the last where no least squares was done.
-    power_scaling : DataFrame or None
-        How much each parameter depends on the prior and on the measurements; None where no posterior has any.
-    blunders : DataFrame or None
-        How probable it is that each pose is one; None where none may be.
-    tau_scale : DataFrame or None
-        Log-evidences for other scales of the model error's prior; None where no variant has one.
-    ring, deformation : DataFrame or None
-        Deflections of the joints and what follows from them; None without targets on the pads.
-    claims : DataFrame or None
-        Statements of the publication, each with a verdict; None where the study tests none.
-    flexure : DataFrame or None
-        Displacement of a flexure joint; None where no model has flexures.
-    joints : DataFrame or None
-        Where the machine's joints stand, pose by pose; None in results of earlier versions.
-    structured : DataFrame or None
-        The structured model error at every pose; None where no variant has one.
+    tables : mapping of str to DataFrame
+        Those that have rows, by name.
     publication : Publication or None
         What the study repeats; None for anybody's machine.
     draws : dict
-        For each variant whose posterior file is there, the draws (S,) of each parameter, model error free.
+        For each variant whose posterior file is there, the draws (S,) of each parameter, with model error.
     replicates : Replicates or None
         Of the best variant; None where its posterior file is not there.
+    n_chains : int
+        Of the draws, in which they are laid end to end.
     """
 
     summary: dict[str, Any]
     config: dict[str, Any]
-    predictions: pd.DataFrame
-    left_out: pd.DataFrame
-    sensitivity: pd.DataFrame
-    least_squares: pd.DataFrame
-    power_scaling: pd.DataFrame | None = None
-    blunders: pd.DataFrame | None = None
-    tau_scale: pd.DataFrame | None = None
-    ring: pd.DataFrame | None = None
-    deformation: pd.DataFrame | None = None
-    claims: pd.DataFrame | None = None
-    flexure: pd.DataFrame | None = None
-    joints: pd.DataFrame | None = None
-    structured: pd.DataFrame | None = None
+    tables: Mapping[str, pd.DataFrame]
     publication: Publication | None = None
     draws: dict[str, dict[str, Array]] = field(default_factory=dict)
     replicates: Replicates | None = None
+    n_chains: int = 1
 
     @classmethod
     def of(cls, results: Results) -> Self:
@@ -190,17 +157,36 @@ class StudyResults:
         folder = results.folder or Path()
         summary, path = results.summary, folder / SUMMARY_FILE
         _check_summary(summary, path)
-        required = [name for name in REQUIRED if name != NEEDING_POSES or "instrument" not in summary]
-        tables = _take_tables(results, folder / "tables", required)
-        _check_tables(tables, summary["ranking"], folder / "tables")
-        tables.setdefault(NEEDING_POSES, pd.DataFrame(columns=list(TABLE_COLUMNS[NEEDING_POSES])))
+        tables = {name: table for name, table in results.tables.items() if not table.empty}
+        _check_tables(tables, folder)
         publication = read_publication(summary, path)
         if "claims" in tables and publication is None:
             raise InputError(f"{path}: publication: found nothing, expected the one whose claims are tested")
-        folder, ranking = results.folder or Path(), summary["ranking"]
-        draws = {} if results.folder is None else read_posteriors(folder / "posterior", ranking)
-        seen = None if results.folder is None else read_replicates(folder / "posterior", ranking[0])
-        return cls(summary, results.config, **tables, publication=publication, draws=draws, replicates=seen)
+        found = cls(summary, results.config, tables, publication)
+        if results.folder is None:
+            return found
+        chains = read_posteriors(folder / "posterior", found.ranking)
+        draws = {name: {one: x.ravel() for one, x in own.items()} for name, own in chains.items()}
+        seen = read_replicates(folder / "posterior", found.best_name) if found.has("pose_errors") else None
+        return cls(summary, results.config, tables, publication, draws, seen, _count_chains(chains))
+
+    # --- tables --------------------------------------------------------------------------------------------------
+
+    def has(self, name: str) -> bool:
+        """Whether a table is there."""
+        return name in self.tables
+
+    def table(self, name: str, variant: str | None = None) -> pd.DataFrame:
+        """Return a table, or a variant's rows of it; without rows where there is none."""
+        columns = COLUMNS.get(name, {"texts": (), "numbers": ()})
+        table = self.tables.get(name, pd.DataFrame(columns=[*columns["texts"], *columns["numbers"]]))
+        return table if variant is None else table[table["variant"] == variant]
+
+    def rows(self, name: str, variant: str | None = None) -> list[Row]:
+        """Return the same row by row."""
+        return list_rows(self.table(name, variant))
+
+    # --- variants ------------------------------------------------------------------------------------------------
 
     @cached_property
     def own_names(self) -> dict[str, tuple[str, str]]:
@@ -208,171 +194,168 @@ class StudyResults:
         named = self.summary.get("own_names", {})
         return {name: (one["model"], one["deformation"]) for name, one in named.items()}
 
-    @property
+    @cached_property
     def ranking(self) -> list[str]:
-        """Names of the variants, the largest log-evidence first."""
-        return list(self.summary["ranking"])
+        """Names of the variants of the most data, the largest log-evidence first, what did not converge last."""
+        names = {one.name for one in self.candidates()}
+        return next(list(one) for one in self.summary["rankings"] if set(one) == names)
+
+    @property
+    def names(self) -> list[str]:
+        """Names of all variants, those of one set of data together, the best first."""
+        others = [name for ranking in self.summary["rankings"] for name in ranking if name not in self.ranking]
+        return [*self.ranking, *others]
+
+    def candidates(self, setting: str = "free") -> list[Candidate]:
+        """Return the variants of the most data as the headline compares them, in the order of the study."""
+        return list_candidates(self.summary, setting)
+
+    @property
+    def best_name(self) -> str:
+        """The variant of the largest log-evidence."""
+        return self.ranking[0]
 
     @property
     def best(self) -> dict[str, Any]:
-        """The best variant's fit, model error free."""
-        return self.fit(self.ranking[0], "free")
+        """Its row, with model error."""
+        return self.fit(self.best_name, "free")
+
+    @cached_property
+    def chosen(self) -> str:
+        """The variant to use."""
+        return choose_best(self.summary)
+
+    @property
+    def settings(self) -> list[str]:
+        """Settings of the model error that were computed."""
+        return [one for one in SETTINGS if one == "free" or "without_model_error" in self.best]
+
+    def fit(self, variant: str, setting: str = "free") -> dict[str, Any]:
+        """Return a posterior's row of the summary."""
+        free: dict[str, Any] = self.summary["variants"][variant]
+        return free if setting == "free" else dict(free["without_model_error"])
+
+    def fits(self) -> Iterator[tuple[str, str, dict[str, Any]]]:
+        """Yield variant, setting and row of all posteriors, first with model error."""
+        for setting in self.settings:
+            for variant in self.names:
+                yield variant, setting, self.fit(variant, setting)
+
+    # --- the machine and the data --------------------------------------------------------------------------------
+
+    @property
+    def units(self) -> Asked:
+        """Units of lengths and angles on the page."""
+        found: dict[str, str] = self.summary["units"]
+        return found
+
+    def shown_in(self, unit: str) -> tuple[float, str]:
+        """Return factor and name of the unit that values of an inner unit are shown in."""
+        return shown_in(unit, self.units)
+
+    @property
+    def error_scales(self) -> tuple[ErrorScale, ...]:
+        """The errors of poses that were measured, each with its unit on the page."""
+        factor, unit = ANGLES[(self.units or {}).get("angle", "deg")]
+        position = ErrorScale("position", "position_error_mm", MICROMETRES, "µm")
+        scales = (position, ErrorScale("orientation", "orientation_error_deg", factor, unit))
+        errors = self.table("pose_errors")
+        return tuple(one for one in scales if errors[one.column].notna().any())
 
     @property
     def has_struts(self) -> bool:
         """Whether the actuators change the lengths of struts; else they move the base points."""
-        return bool(self.summary.get("drive", BASE) == STRUT)
+        return bool(self.summary.get("drive") == STRUT)
 
     @property
     def n_verification(self) -> int:
         """How many poses were held back."""
         return int(self.summary["n_poses"]["verification"])
 
-    def fit(self, variant: str, setting: str) -> dict[str, Any]:
-        """Return the summary of one posterior."""
-        free: dict[str, Any] = self.summary["variants"][variant]
-        found: dict[str, Any] = free if setting == "free" else free["without_model_error"]
-        return found
-
-    def fits(self) -> Iterator[tuple[str, str, dict[str, Any]]]:
-        """Yield variant, setting and fit of all posteriors, in the order of the ranking, first with model error."""
-        for setting in SETTINGS:
-            for variant in self.ranking:
-                yield variant, setting, self.fit(variant, setting)
+    @property
+    def use(self) -> str:
+        """The poses by which errors are judged: those held back where there are any."""
+        return "verification" if self.n_verification else "calibration"
 
     @property
     def instrument(self) -> dict[str, Any] | None:
         """What instrument measured, and what it read; None for photogrammetry."""
         return self.summary.get("instrument")
 
+    # --- parameters ----------------------------------------------------------------------------------------------
+
     @property
     def parameters(self) -> pd.DataFrame:
         """One row per posterior and parameter of the machine; ``leg`` is zero where a parameter belongs to none."""
-        return self._all_parameters[~self._of_frames & ~self._all_parameters["symbol"].isin(OF_KERNELS)]
+        return self.all_parameters[~self._of_frames & ~self.all_parameters["symbol"].isin(OF_KERNELS)]
 
     @property
     def frames(self) -> pd.DataFrame:
         """The same of the frames of instrument and tool that were found; no rows where they were known."""
-        return self._all_parameters[self._of_frames]
+        return self.all_parameters[self._of_frames]
 
     @property
     def _of_frames(self) -> pd.Series:
-        return self._all_parameters["symbol"].map(lambda symbol: bool(FRAME.fullmatch(symbol)))
+        return self.all_parameters["symbol"].map(lambda symbol: bool(FRAME.fullmatch(symbol)))
 
     @cached_property
-    def _all_parameters(self) -> pd.DataFrame:
-        rows = []
-        for variant, setting, fit in self.fits():
-            for name, values in fit["parameters"].items():
-                symbol, leg = split_name(name)
-                rows.append({"variant": variant, "model_error": setting, "symbol": symbol, "leg": leg, **values})
-        return pd.DataFrame(rows)
+    def all_parameters(self) -> pd.DataFrame:
+        """One row per posterior and parameter, with ``symbol`` and ``leg`` of its name."""
+        table = self.tables["parameters"]
+        split = [split_name(str(name)) for name in table["parameter"]]
+        return table.assign(symbol=[symbol for symbol, _ in split], leg=[leg for _, leg in split])
 
     @cached_property
     def sensitivity_grid(self) -> pd.DataFrame:
         """Log-evidence with a row per factor on the priors and a column per variant, in the order of the ranking."""
-        wide = self.sensitivity.pivot(index="factor", columns="variant", values="log_evidence")
+        wide = self.table("sensitivity").pivot(index="factor", columns="variant", values="log_evidence")
         return wide.sort_index()[self.ranking]
 
     @property
     def legs(self) -> list[int]:
         """Numbers of the legs."""
-        return sorted({*self.parameters["leg"], *self.least_squares["leg"]} - {0})
+        return sorted({*self.parameters["leg"], *self.table("least_squares")["leg"]} - {0})
 
 
-def _take_tables(results: Results, folder: Path, required: Iterable[str]) -> dict[str, pd.DataFrame]:
-    """Return the tables that are there, by name; each has its columns, and those that are no texts hold numbers."""
-    tables = {name: results.table(name) for name in TABLE_COLUMNS}
-    there = {name: table for name, table in tables.items() if not table.empty}
-    needed = (*required, *(TOGETHER if set(TOGETHER) & set(there) else ()))
-    for name in needed:
-        if name not in there:
+def _count_chains(chains: Mapping[str, Mapping[str, Array]]) -> int:
+    return next((len(x) for own in chains.values() for x in own.values()), 1)
+
+
+def _check_tables(tables: Mapping[str, pd.DataFrame], results: Path) -> None:
+    """Raise InputError where a table lacks a column or holds text in one of numbers."""
+    folder = results / "tables" if (results / "tables").is_dir() else results
+    for name in REQUIRED:
+        if name not in tables:
             raise InputError(f"{folder / name}.csv: found no rows, expected a study's table")
-    for name, table in there.items():
-        for column in TABLE_COLUMNS[name]:
-            if column not in table.columns:
-                wanted = ", ".join(TABLE_COLUMNS[name])
+    for name, columns in COLUMNS.items():
+        if name not in tables:
+            continue
+        for column in (*columns["texts"], *columns["numbers"]):
+            if column not in tables[name].columns:
+                wanted = ", ".join((*columns["texts"], *columns["numbers"]))
                 raise InputError(f"{folder / name}.csv: found no column {column!r}, expected {wanted}")
-            if column not in TEXT_COLUMNS and not pd.api.types.is_numeric_dtype(table[column]):  # flags are numeric too
+        for column in columns["numbers"]:
+            if not pd.api.types.is_numeric_dtype(tables[name][column]):  # flags are numeric too
                 raise InputError(f"{folder / name}.csv: column {column!r}: found text, expected numbers")
-    return there
-
-
-def _check_tables(tables: Mapping[str, pd.DataFrame], variants: list[str], folder: Path) -> None:
-    for name in (one for one in REQUIRED if one in tables):
-        missing = [variant for variant in variants if variant not in set(tables[name]["variant"])]
-        if missing:
-            raise InputError(f"{folder / name}.csv: found no row of {missing[0]!r}, expected all variants")
-    _check_settings(tables["predictions"], variants, folder / "predictions.csv")
-    _check_grid(tables["sensitivity"], folder / "sensitivity.csv")
-    if "claims" in tables:
-        _check_claims(tables["claims"], folder / "claims.csv")
-
-
-def _check_settings(predictions: pd.DataFrame, variants: list[str], path: Path) -> None:
-    found = set(zip(predictions["variant"], predictions["model_error"], predictions["use"], strict=True))
-    for variant, setting, use in product(variants, SETTINGS, sorted(set(predictions["use"]))):
-        if (variant, setting, use) not in found:
-            raise InputError(f"{path}: found no row of {variant!r} with {setting!r} and {use!r}, expected some")
-
-
-def _check_grid(sensitivity: pd.DataFrame, path: Path) -> None:
-    counts = sensitivity.groupby(["variant", "factor"])["log_evidence"].count()
-    expected = sensitivity["variant"].nunique() * sensitivity["factor"].nunique()
-    if len(counts) != expected or (counts != 1).any():
-        raise InputError(f"{path}: found {len(sensitivity)} rows, expected each variant once at each factor")
-
-
-def _check_claims(claims: pd.DataFrame, path: Path) -> None:
-    for row in claims.itertuples():
-        if row.verdict not in VERDICTS:
-            raise InputError(
-                f"{path}: claim {row.claim}: verdict: found {row.verdict!r}, expected one of {', '.join(VERDICTS)}"
-            )
+    for row in list_rows(tables["claims"]) if "claims" in tables else ():
+        if row["verdict"] not in VERDICTS:
+            wanted = f"found {row['verdict']!r}, expected one of {', '.join(VERDICTS)}"
+            raise InputError(f"{folder / 'claims.csv'}: claim {row['claim']}: verdict: {wanted}")
 
 
 def _check_summary(summary: dict[str, Any], path: Path) -> None:
     check_keys(summary, SUMMARY_KEYS, path, "")
     check_keys(summary["n_poses"], dict.fromkeys(USES, NUMBER), path, "n_poses.")
-    if "instrument" not in summary:
-        extraction: dict[str, Kinds] = {"method": str, "rejected_targets": list}
-        check_keys(summary, {"pose_extraction": dict}, path, "")
-        check_keys(summary["pose_extraction"], extraction, path, "pose_extraction.")
-    check_keys(summary, {key: kind for key, kind in OPTIONAL_KEYS.items() if key in summary}, path, "")
-    models = summary.get("models", {})
-    check_keys(models, dict.fromkeys(models, str), path, "models.")
-    for name, one in summary.get("own_names", {}).items():
-        check_keys(summary["own_names"], {name: dict}, path, "own_names.")
-        check_keys(one, {"model": str, "deformation": str}, path, f"own_names.{name}.")
-    not_free = summary.get("not_free", {})
-    check_keys(not_free, dict.fromkeys(not_free, list), path, "not_free.")
-    if summary.get("drive", BASE) not in (BASE, STRUT):
-        raise InputError(f"{path}: drive: found {summary['drive']!r}, expected {BASE} or {STRUT}")
-    if not summary["variants"] or sorted(summary["ranking"]) != sorted(summary["variants"]):
+    ranked = [name for names in summary["rankings"] for name in names]
+    if not summary["variants"] or sorted(ranked) != sorted(summary["variants"]):
         raise InputError(
-            f"{path}: ranking: found {summary['ranking']}, expected each of {list(summary['variants'])} once"
+            f"{path}: rankings: found {summary['rankings']}, expected each of {list(summary['variants'])} once"
         )
-    uses = [use for use in USES if summary["n_poses"][use]]
-    for name, fit in summary["variants"].items():
+    for name, row in summary["variants"].items():
         check_keys(summary["variants"], {name: dict}, path, "variants.")
-        _check_fit(fit, uses, path, f"variants.{name}.")
-        check_keys(fit, {"without_model_error": dict}, path, f"variants.{name}.")
-        _check_fit(fit["without_model_error"], uses, path, f"variants.{name}.without_model_error.")
-
-
-def _check_fit(fit: dict[str, Any], uses: list[str], path: Path, where: str) -> None:
-    check_keys(fit, FIT_KEYS, path, where)
-    for key, inner in NESTED_KEYS.items():
-        check_keys(fit[key], dict.fromkeys(inner, NUMBER), path, f"{where}{key}.")
-    for name, values in fit["parameters"].items():
-        check_keys(fit["parameters"], {name: dict}, path, f"{where}parameters.")
-        check_keys(values, {**dict.fromkeys(PARAMETER_KEYS, NUMBER), "unit": str}, path, f"{where}parameters.{name}.")
-    for use in uses:
-        check_keys(fit, {use: dict}, path, where)
-        check_keys(fit[use], ERROR_KEYS, path, f"{where}{use}.")
-        for key in ("position_error_mm", "orientation_error_deg"):
-            sizes = (*NUMBER, type(None))  # nothing where it was not measured
-            check_keys(fit[use][key], dict.fromkeys(("mean", "max"), sizes), path, f"{where}{use}.{key}.")
+        check_keys(row, ROW_KEYS, path, f"variants.{name}.")
+        if "without_model_error" in row:
+            check_keys(row["without_model_error"], ROW_KEYS, path, f"variants.{name}.without_model_error.")
 
 
 def get_number(content: Mapping[str, Any], key: str) -> float:

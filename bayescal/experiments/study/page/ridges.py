@@ -2,21 +2,36 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 
-from bayescal.experiments.study.page.results import StudyResults
+from bayescal.experiments.study.page.figures.ridges import draw_ridges
+from bayescal.experiments.study.page.results import FRAME, NOISE, StudyResults
 from bayescal.experiments.study.page.variants import VARIANT, label_variant
-from bayescal.report.blocks import Column, Statement, Table, make_table
+from bayescal.report.blocks import Block, Column, Figure, Fold, Section, Statement, Table, make_table
 from bayescal.report.numbers import NOTHING, format_fixed, join_words
-from bayescal.report.symbols import is_model_error, name_parameter, split_name, write_symbol
+from bayescal.report.symbols import MODEL_ERROR, name_parameter, split_name, write_symbol
 
 if TYPE_CHECKING:
     from bayescal.numerics.geometry import Array
 
 SHOWN_PAIRS = 3
+NO_PAIRS = "Correlations within a leg."
 KEPT, LOST = 0.5, 0.01  # share of the prior variance of a combination that is hardly, or well, measured
+
+
+def show_ridges(study: StudyResults) -> Section | None:
+    """Return the most correlated parameters; None without draws."""
+    if not study.draws or not study.has("pose_errors"):
+        return None
+    blocks: list[Block] = [*state_ridges(study), illustrate_ridges(study)]
+    table = tabulate_ridges(study)
+    if table is not None:
+        blocks.append(Fold("The most correlated pairs of every variant", (table,)))
+    return Section("Correlations of parameters", tuple(blocks), anchor="ridges", short="Ridges")
 
 
 def rank_pairs(draws: dict[str, Array]) -> list[tuple[str, str, float]]:
@@ -74,11 +89,12 @@ def state_ridges(results: StudyResults) -> list[Statement]:
 
 def _state_combinations(results: StudyResults, variant: str) -> list[Statement]:
     """Say how many combinations of parameters keep their tolerance: ridges of three and more show in no pair."""
-    draws, parameters = results.draws[variant], results.fit(variant, "free")["parameters"]
-    names = [name for name in draws if name in parameters and not is_model_error(split_name(name)[0])]
+    draws, rows = results.draws[variant], results.rows("parameters", variant)
+    prior = {row["parameter"]: row["prior_sd"] for row in rows if row["verdict"] != NOISE}
+    names = [name for name in draws if name in prior]
     if len(names) < 2:
         return []
-    left = np.linalg.eigvalsh(np.cov(np.stack([draws[name] / parameters[name]["prior_sd"] for name in names])))
+    left = np.linalg.eigvalsh(np.cov(np.stack([draws[name] / prior[name] for name in names])))
     kept, lost = int((left > KEPT).sum()), int((left < LOST).sum())
     text = (
         f"Of the {len(left)} independent combinations of its geometry (principal axes of the draws in prior standard "
@@ -87,3 +103,27 @@ def _state_combinations(results: StudyResults, variant: str) -> list[Statement]:
     if kept and lost:
         text += " So a parameter may stay uncertain by itself while the poses fix a combination of several."
     return [Statement(text)]
+
+
+def illustrate_ridges(results: StudyResults) -> Figure:
+    """Return the correlations within a leg of the best variant."""
+    best, name = results.ranking[0], "ridges"
+    if best not in results.draws:
+        reason = f"it needs the draws of {label_variant(results, best)}, whose file is not there"
+        return Figure(name, NO_PAIRS, None, reason)
+    draws = {name: x for name, x in results.draws[best].items() if not FRAME.fullmatch(name)}
+    leg, pairs = choose_leg(rank_pairs(draws))
+    if not pairs:
+        return Figure(name, NO_PAIRS, None, "no leg has two parameters")
+    table = pd.DataFrame({split_name(n)[0]: x for n, x in draws.items() if split_name(n)[1] == leg})
+    if len(table.columns.drop(MODEL_ERROR, errors="ignore")) < 2:
+        return Figure(name, NO_PAIRS, None, "each leg has one parameter of its geometry")
+    frame = results.parameters[results.parameters["model_error"] == "free"]
+    one = frame[(frame["variant"] == best) & (frame["leg"] == leg)].set_index("symbol")
+    nominal = one["nominal"].where(one.index != MODEL_ERROR, 0.0)
+    caption = (
+        f"{label_variant(results, best)}, leg {leg} (the one with the most correlated pair): correlation of its "
+        "parameters (red +1, blue −1), and the draws of its most correlated pairs as offsets from nominal. A thin "
+        "slanting cloud is a ridge: the measurements fix only what lies across it."
+    )
+    return Figure(name, caption, partial(draw_ridges, table, nominal, one["unit"], pairs))

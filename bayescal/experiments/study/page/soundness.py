@@ -13,11 +13,10 @@ from scipy import stats
 from bayescal.experiments.shared.chi_square import ChiSquare, format_chance
 from bayescal.experiments.shared.judgement_page import rate, state_misfit, state_pulls
 from bayescal.experiments.shared.slips import state_slip
-from bayescal.experiments.study.page.results import SETTINGS, StudyResults, get_number
+from bayescal.experiments.study.page.results import NOISE, SETTINGS, StudyResults, get_number
 from bayescal.experiments.study.page.variants import label_variant
 from bayescal.report.blocks import Statement
 from bayescal.report.numbers import format_fixed, format_percent, format_significant
-from bayescal.report.symbols import split_name
 
 REJECTED_SHARE = 0.01
 """Of targets that normal noise leaves alone, robust fits reject fewer."""
@@ -47,10 +46,11 @@ def state_soundness(results: StudyResults) -> list[Statement]:
 # --- noise -----------------------------------------------------------------------------------------------------------
 
 
-def read_misfit(results: StudyResults, name: str, setting: str = "zero") -> ChiSquare:
-    """Return χ² of a variant at its mode, without model error by default: of the stated noise alone."""
-    one = results.fit(name, setting)["misfit"]
-    return ChiSquare(float(one["chi2"]), float(one["dof"]))
+def read_misfit(results: StudyResults, name: str) -> ChiSquare:
+    """Return χ² of a variant at its mode, without model error where that was computed: of the stated noise alone."""
+    setting = results.settings[-1]
+    one = results.fit(name, setting)
+    return ChiSquare(float(one["misfit_chi2"]), float(one["misfit_dof"]))
 
 
 def find_noise_fault(results: StudyResults) -> ChiSquare | None:
@@ -95,10 +95,10 @@ def _state_misfit(results: StudyResults) -> list[Statement]:
     best, found = results.ranking[0], find_noise_fault(results)
     if found is None:
         return []
-    too_small = (
-        "the noise is stated too small, or every variant lacks something real. With model error τ the intervals "
-        "are widened accordingly, without it they are too narrow."
-    )
+    too_small = "the noise is stated too small, or every variant lacks something real."
+    if "zero" not in results.settings:
+        return [state_misfit(label_variant(results, best), found, "", too_small)]
+    too_small += " With model error τ the intervals are widened accordingly, without it they are too narrow."
     return [state_misfit(label_variant(results, best), found, " without model error", too_small)]
 
 
@@ -107,8 +107,8 @@ def _state_misfit(results: StudyResults) -> list[Statement]:
 
 def read_pulls(results: StudyResults, name: str) -> ChiSquare:
     """Return χ² of how far a variant's machine lies from nominal along what was learnt, in units of the priors."""
-    one = results.fit(name, "free")["pulls"]
-    return ChiSquare(float(one["chi2"]), float(one["dof"]))
+    one = results.fit(name)
+    return ChiSquare(float(one["pulls_chi2"]), float(one["pulls_dof"]))
 
 
 def _state_tolerances(results: StudyResults) -> list[Statement]:
@@ -129,10 +129,8 @@ def _name_held(results: StudyResults, name: str) -> str:
 
 
 def _describe_farthest(results: StudyResults, name: str) -> str:
-    parameters = results.fit(name, "free")["parameters"]
-    pulls = {
-        key: (p["mean"] - p["nominal"]) / p["prior_sd"] for key, p in parameters.items() if split_name(key)[0] != "tau"
-    }
+    rows = [row for row in results.rows("parameters", name) if row["model_error"] == "free" and row["verdict"] != NOISE]
+    pulls = {str(row["parameter"]): (row["mean"] - row["nominal"]) / row["prior_sd"] for row in rows}
     far = max(pulls, key=lambda key: abs(pulls[key]), default=None)
     if far is None or abs(pulls[far]) < FAR:
         return ""
@@ -152,7 +150,7 @@ def count_beyond(results: StudyResults, name: str, setting: str) -> tuple[int, i
 
     Calibration poses are left out for it: a posterior that has seen a pose fits it too well.
     """
-    table = results.left_out
+    table = results.table("poses")
     chosen = table[(table["variant"] == name) & (table["model_error"] == setting)]
     pits = chosen[["position_pit", "orientation_pit"]].to_numpy(dtype=float).ravel()
     known = pits[np.isfinite(pits)]
@@ -180,6 +178,8 @@ def describe_bounds(results: StudyResults, name: str, setting: str) -> str:
 
 def _state_bounds(results: StudyResults) -> list[Statement]:
     """Say where too few or too many errors of the best variant lie beyond their bounds."""
+    if not results.has("pose_errors"):
+        return []
     best = results.ranking[0]
     setting = choose_setting(results, best)
     beyond, total = count_beyond(results, best, setting)

@@ -33,7 +33,7 @@ def show_structured(study: StudyResults) -> Section | None:
     """Return what was found of the variants whose model error has a kernel; None where none has."""
     found = {name: study.fit(name, "free").get("structured_error") for name in study.ranking}
     with_kernel = {name: one for name, one in found.items() if one is not None}
-    if not with_kernel or study.structured is None:
+    if not with_kernel or not study.has("structured"):
         return None
     there = {name: one for name, one in with_kernel.items() if is_there(one)}
     blocks: list[Block] = [TEXT, *_state_absent(study, with_kernel)]
@@ -179,8 +179,8 @@ def _illustrate(study: StudyResults, name: str, one: dict[str, Any]) -> list[Fig
         "the size of each leg's error over the calibration poses with its 90 % interval."
     )
     figures = [Figure(f"structured-{stem}", caption, partial(draw_slopes, one))]
-    if one["linear_share"] < LINEAR and study.structured is not None:
-        rows = study.structured[study.structured["variant"] == name]
+    if one["linear_share"] < LINEAR and study.has("structured"):
+        rows = study.table("structured")[study.table("structured")["variant"] == name]
         caption = (
             f"{label}: structured error of every leg at the poses against the travel of the actuator that tells most "
             "of it, with 90 % intervals; full: calibration, open: verification. What scatters about a line is the "

@@ -6,7 +6,7 @@ from itertools import combinations
 
 import pandas as pd
 
-from bayescal.experiments.study.page.model_error import read_prior_scale
+from bayescal.experiments.study.page.checks import read_prior_scale
 from bayescal.experiments.study.page.results import StudyResults
 from bayescal.experiments.study.page.variants import VARIANT, label_variant
 from bayescal.limits import PARETO_K_LIMIT
@@ -20,9 +20,9 @@ LEAD = "scale of the model error's prior"
 def show_tau_scale(results: StudyResults) -> list[Block]:
     """Return what to do about the scale of the model error's prior and how sure that is; nothing without its table."""
     own = read_prior_scale(results)
-    if results.tau_scale is None or own is None or results.tau_scale["tau_scale_um"].nunique() < 2:
+    if not results.has("tau_scale") or own is None or results.table("tau_scale")["tau_scale_um"].nunique() < 2:
         return []
-    wide = results.tau_scale.pivot(index="tau_scale_um", columns="variant", values="log_evidence")
+    wide = results.table("tau_scale").pivot(index="tau_scale_um", columns="variant", values="log_evidence")
     wide = wide[results.ranking]
     if own not in wide.index:
         wide.loc[own] = [results.fit(name, "free")["log_evidence"] for name in results.ranking]
@@ -34,7 +34,7 @@ def _state_order(results: StudyResults, wide: pd.DataFrame, own: float) -> State
     """Say whether a variant that is ahead at the stated scale falls behind at another."""
     known, total = int(wide.notna().to_numpy().sum()), wide.size
     sure = (
-        f" Sure of {known} of {total} evidences: the others' draws weigh too unevenly (Pareto k above "
+        f" {known} of {total} evidences are reliable: the draws of the others weigh too unevenly (Pareto k above "
         f"{PARETO_K_LIMIT}), since a posterior with that scale lies elsewhere."
         if known < total
         else ""
@@ -50,7 +50,7 @@ def _state_order(results: StudyResults, wide: pd.DataFrame, own: float) -> State
     scale, ahead, behind = overtaken
     lead = wide[ahead] - wide[behind]
     text = (
-        f"State the scale of τ's prior beside the order of the variants: at {_format_scale(own)} µm "
+        f"State the scale of τ's prior with the order of the variants: at {_format_scale(own)} µm "
         f"{label_variant(results, ahead)} is ahead of {label_variant(results, behind)} by "
         f"{format_fixed(lead[own], 1)} nat, at {_format_scale(scale)} µm behind by "
         f"{format_fixed(-lead[scale], 1)} nat.{sure}"

@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import combinations
 
-from bayescal.experiments.shared.headline import Candidate, choose_candidate, group_candidates
-from bayescal.experiments.study.page.results import StudyResults, get_number
+from bayescal.experiments.shared.headline import Candidate, group_candidates
+from bayescal.experiments.study.page.results import StudyResults
 from bayescal.report.blocks import Column
 from bayescal.report.numbers import join_words
 from bayescal.report.variant_names import describe_deformation
 
-SIMPLEST_FIRST = ("none", "linear", "matrix")
 VARIANT = Column("Variant", kind="name")
 
 
@@ -19,7 +18,7 @@ def split_variant(results: StudyResults, name: str) -> tuple[str, str]:
     """Return a variant's model and deformation; its name says them unless it has one of its own."""
     if name in results.own_names:
         return results.own_names[name]
-    model, _, deformation = name.rpartition("/")
+    model, _, deformation = name.rpartition("/") if "models" in results.summary else ("", "", "")
     return model, deformation
 
 
@@ -29,11 +28,9 @@ def label_model(results: StudyResults, model: str) -> str:
 
 
 def label_variant(results: StudyResults, name: str) -> str:
-    """Return a variant's own name, or that with its model's title: ``six_pus/matrix`` is 6-PUS/matrix."""
-    if name in results.own_names:
-        return name
-    model, deformation = split_variant(results, name)
-    return f"{label_model(results, model)}/{deformation}" if model else deformation
+    """Return what the page calls a variant: its title, in quotation marks where it has several words."""
+    title = str(results.fit(name)["title"])
+    return f"“{title}”" if " " in title else title
 
 
 def name_variants(results: StudyResults, names: Sequence[str], between: str = "and") -> str:
@@ -78,6 +75,8 @@ def list_best(results: StudyResults, deformation: str) -> list[str]:
 
 def find_free_sets(results: StudyResults) -> dict[tuple[str, str], list[str]]:
     """Return the variants of each model and deformation that has several, in the order of the study."""
+    if "models" not in results.summary:
+        return {}
     pairs = dict.fromkeys(split_variant(results, name) for name in results.summary["variants"])
     alike = {pair: find_variants(results, *pair) for pair in pairs}
     return {pair: names for pair, names in alike.items() if len(names) > 1}
@@ -88,32 +87,20 @@ def read_evidence(results: StudyResults, name: str, setting: str = "free") -> fl
     return float(results.fit(name, setting)["log_evidence"])
 
 
-def list_candidates(results: StudyResults, names: Sequence[str], setting: str = "free") -> list[Candidate]:
-    """Return variants as the headline compares them, in the order of the study.
-
-    Simplest is what has the fewest free parameters, then the simplest deformation, then the first of the study.
-    """
-    order, use = list(results.summary["variants"]), "verification" if results.n_verification else "calibration"
-
-    def describe(name: str) -> Candidate:
-        fit, deformation = results.fit(name, setting), split_variant(results, name)[1]
-        rank = SIMPLEST_FIRST.index(deformation) if deformation in SIMPLEST_FIRST else len(SIMPLEST_FIRST)
-        size, error = (int(fit["n_parameters"]), rank), get_number(fit[use]["position_error_mm"], "max")
-        evidence = (float(fit["log_evidence"]), float(fit["log_evidence_se"]))
-        return Candidate(name, label_variant(results, name), *evidence, bool(fit["converged"]), size, error)
-
-    return [describe(name) for name in order if name in names]
+def choose_candidates(results: StudyResults, names: Sequence[str], setting: str = "free") -> list[Candidate]:
+    """Return some variants as the headline compares them, in the order of the study."""
+    return [one for one in results.candidates(setting) if one.name in names]
 
 
 def is_told_apart(results: StudyResults, one: str, other: str, setting: str = "free") -> bool:
     """Whether the evidence distinguishes two variants."""
-    first, second = list_candidates(results, (one, other), setting)
+    first, second = choose_candidates(results, (one, other), setting)
     return first.is_distinguishable(second)
 
 
 def group_variants(results: StudyResults, names: Sequence[str], setting: str = "free") -> list[list[str]]:
     """Return variants in groups by evidence, the best group first; within a group in the order of the study."""
-    groups = group_candidates(list_candidates(results, names, setting))
+    groups = group_candidates(choose_candidates(results, names, setting))
     return [[one.name for one in group] for group in groups]
 
 
@@ -122,14 +109,9 @@ def find_leaders(results: StudyResults, setting: str = "free") -> list[str]:
     return group_variants(results, results.ranking, setting)[0]
 
 
-def choose_variant(results: StudyResults) -> str:
-    """Return the variant to use."""
-    return choose_candidate(list_candidates(results, results.ranking)).name
-
-
 def choose_model(results: StudyResults) -> str:
     """Return the model to show where one must do: that of the variant to use."""
-    return split_variant(results, choose_variant(results))[0]
+    return split_variant(results, results.chosen)[0]
 
 
 def measure_spread(results: StudyResults, names: Sequence[str], setting: str = "free") -> float:

@@ -42,6 +42,19 @@ USES = {"calibration": 4, "verification": 2}
 FACTORS = (0.5, 2.0)
 
 
+def tabulate_parameters(variants: dict[str, tuple[float, float]]) -> pd.DataFrame:
+    """Return posteriors; of a_x the prior decides, prior and data are in conflict over b_x of leg 2."""
+    rows = []
+    odd = {"a_x[1]": (0.2, 0.01), "a_x[2]": (0.3, 0.02), "b_x[2]": (0.1, 0.2)}
+    for variant, (_, shift) in variants.items():
+        for setting in ("free", "zero"):
+            for name, values in describe_parameters(shift, setting == "free").items():
+                prior, likelihood = odd.get(name, (0.01, 0.1))
+                own = {"variant": variant, "model_error": setting, "parameter": name, **values}
+                rows.append({**own, "prior_sensitivity": prior, "likelihood_sensitivity": likelihood})
+    return pd.DataFrame(rows)
+
+
 def describe_parameters(shift: float, with_model_error: bool) -> dict:
     parameters = {}
     for k, symbol in enumerate(SYMBOLS):
@@ -52,16 +65,18 @@ def describe_parameters(shift: float, with_model_error: bool) -> dict:
             prior_sd, unit = (2.0, "mm") if length else (0.01, "1")
             parameters[f"{symbol}[{leg}]"] = describe(nominal, mean, sd, prior_sd, unit)
     if with_model_error:
-        parameters |= {f"tau[{leg}]": describe(0.0, 0.004, 0.001, 0.006, "mm") for leg in LEGS}
+        tau = describe(0.0, 0.004, 0.001, 0.006, "mm") | {"verdict": "noise"}
+        parameters |= {f"tau[{leg}]": tau for leg in LEGS}
     return parameters
 
 
 def describe(nominal: float, mean: float, sd: float, prior_sd: float, unit: str) -> dict:
     interval = {"q05": mean - 1.6 * sd, "q95": mean + 1.6 * sd}
-    return {"nominal": nominal, "unit": unit, "mean": mean, "sd": sd, **interval, "prior_sd": prior_sd, "rhat": 1.0}
+    known = {"contraction": 1.0 - (sd / prior_sd) ** 2, "verdict": "identifiable", "rhat": 1.0}
+    return {"nominal": nominal, "unit": unit, "mean": mean, "sd": sd, **interval, "prior_sd": prior_sd, **known}
 
 
-def describe_fit(log_evidence: float, shift: float, with_model_error: bool, uses: dict[str, int]) -> dict:
+def describe_fit(title: str, log_evidence: float, shift: float, with_model_error: bool, uses: dict[str, int]) -> dict:
     errors = {
         "position_error_mm": {"mean": 0.004 * shift, "max": 0.009 * shift},
         "orientation_error_deg": {"mean": 0.001, "max": 0.002},
@@ -69,70 +84,86 @@ def describe_fit(log_evidence: float, shift: float, with_model_error: bool, uses
         "bound_95_coverage": 1.0,
     }
     return {
+        "title": title,
+        "data": "4 poses",
         "n_parameters": 14,
         "log_evidence": log_evidence,
         "log_evidence_se": 0.01,
-        "log_evidence_methods": {"importance": log_evidence, "bridge": log_evidence + 0.02},
-        "log_evidence_method_se": {"importance": 0.01, "bridge": 0.01},
-        "log_evidence_primary": "importance",
-        "log_evidence_agrees": True,
-        "importance": {"efficiency": 0.4, "pareto_k": 0.3, "n_draws": 20000},
+        "log_evidence_importance": log_evidence,
+        "log_evidence_importance_se": 0.01,
+        "log_evidence_bridge": log_evidence + 0.02,
+        "log_evidence_bridge_se": 0.01,
+        "log_evidence_by": "importance",
+        "efficiency": 0.4,
+        "pareto_k": 0.3,
+        "elpd": log_evidence / 5 if "verification" in uses else None,
         "elpd_loo": log_evidence + 50,
         "elpd_loo_se": 5.0,
-        "elpd_loo_pareto_k_max": 0.5,
-        "elpd_loo_n_bad_k": 0,
+        "elpd_loo_difference": 0.0,
+        "elpd_loo_difference_se": 4.0,
+        "stacking_weight": 0.5,
+        "loo_pareto_k_max": 0.5,
+        "loo_refitted": 0,
+        "loo_unreliable": 0,
         "converged": True,
-        "problems": [],
+        "problems": "",
         "rhat_max": 1.001,
         "ess_bulk_min": 4000.0,
         "ess_tail_min": 3000.0,
         "acceptance": 0.4,
         "wall_seconds": 10.0,
-        "calibration": errors,
-        "verification": {**errors, "elpd": log_evidence / 5} if "verification" in uses else None,
-        "parameters": describe_parameters(shift, with_model_error),
-        "distance_from_nominal": {"rms_mm": shift, "rms_prior_sd": shift / 2},
-        "misfit": {"chi2": 205.0, "dof": 200.0},
-        "pulls": {"chi2": 11.0, "dof": 10.0},
+        **dict.fromkeys(uses, errors),
+        "distance_from_nominal_mm": shift,
+        "distance_from_nominal_prior_sd": shift / 2,
+        "misfit": 1.01,
+        "misfit_chi2": 205.0,
+        "misfit_dof": 200.0,
+        "pulls_chi2": 11.0,
+        "pulls_dof": 10.0,
     }
 
 
 def describe_summary(uses: dict[str, int], variants_of: dict[str, tuple[float, float]]) -> dict:
     variants = {}
     for name, (log_evidence, shift) in variants_of.items():
-        variants[name] = describe_fit(log_evidence, shift, True, uses)
-        variants[name]["without_model_error"] = describe_fit(log_evidence - 30, shift, False, uses)
+        model, _, deformation = name.rpartition("/")
+        title = f"{TITLES.get(model, model)}/{deformation}"
+        variants[name] = describe_fit(title, log_evidence, shift, True, uses)
+        variants[name]["without_model_error"] = describe_fit(title, log_evidence - 30, shift, False, uses)
     return {
         "experiment": "tiny",
         "title": "A tiny study",
-        "data_origin": "Made up for a test, never measured",
+        "machine": "tiny.toml",
+        "origin": {"status": "simulated", "text": "made up for a test", "source": "", "licence": ""},
+        "units": {"length": "mm", "angle": "deg"},
+        "converged": True,
         "models": {model: title for model, title in TITLES.items() if any(n.startswith(f"{model}/") for n in variants)},
         "n_poses": {"calibration": uses["calibration"], "verification": uses.get("verification", 0)},
         "pose_extraction": {"method": "robust", "chi2_per_dof": 1.02, "rejected_targets": []},
         "variants": variants,
-        "ranking": sorted(variants, key=lambda name: -variants_of[name][0]),
+        "rankings": [sorted(variants, key=lambda name: -variants_of[name][0])],
     }
 
 
 PITS = ("x_pit", "y_pit", "z_pit", "rx_pit", "ry_pit", "rz_pit", "position_pit", "orientation_pit")
 
 
-def tabulate_left_out(uses: dict[str, int], variants: dict[str, dict]) -> pd.DataFrame:
+def tabulate_poses(uses: dict[str, int], variants: dict[str, dict]) -> pd.DataFrame:
     """Return elpd by pose: of the k-th variant k nat to and fro, so that LOO of two differs by ± 2 nat times that."""
     rows = []
     for number, (variant, free) in enumerate(variants.items()):
         for setting, fit in (("free", free), ("zero", free["without_model_error"])):
             for use, n in uses.items():
-                total = fit["elpd_loo"] if use == "calibration" else (fit["verification"] or {}).get("elpd", 0.0)
+                total = fit["elpd_loo"] if use == "calibration" else fit["elpd"]
                 for k in range(n):
                     elpd = total / n + number * (-1) ** k
                     own = {"variant": variant, "model_error": setting, "pose": f"{use[0].upper()}{k}", "use": use}
                     pits = dict(zip(PITS, np.linspace(0.1, 0.9, 8) + 0.01 * k, strict=True))
-                    rows.append({**own, "elpd": elpd, "pareto_k": 0.3, "refitted": False, **pits})
+                    rows.append({**own, "elpd_loo": elpd, "pareto_k": 0.3, "refitted": False, **pits})
     return pd.DataFrame(rows)
 
 
-def tabulate_predictions(uses: dict[str, int], variants: dict[str, tuple[float, float]]) -> pd.DataFrame:
+def tabulate_pose_errors(uses: dict[str, int], variants: dict[str, tuple[float, float]]) -> pd.DataFrame:
     return pd.DataFrame(
         {
             "variant": variant,
@@ -214,19 +245,6 @@ def tabulate_ring() -> tuple[pd.DataFrame, pd.DataFrame]:
     rows = [("kappa", leg, leg, matrix[leg - 1, leg - 1], 0.5) for leg in LEGS]
     rows += [("K", i, j, matrix[i - 1, j - 1], 0.1) for i in LEGS for j in LEGS]
     return ring, pd.DataFrame(rows, columns=["quantity", "leg", "actuator", "mean_1e-3", "sd_1e-3"])
-
-
-def tabulate_power_scaling(variants: dict[str, tuple[float, float]]) -> pd.DataFrame:
-    """Return sensitivities: of a_x the prior decides, of b_x of leg 2 both pull apart, else the data decide."""
-    odd = {"a_x[1]": (0.2, 0.01), "a_x[2]": (0.3, 0.02), "b_x[2]": (0.1, 0.2)}
-    names = [f"{symbol}[{leg}]" for symbol in (*SYMBOLS, "tau") for leg in LEGS]
-    return pd.DataFrame(
-        [
-            dict(zip(("variant", "parameter", "prior", "likelihood"), (v, n, *odd.get(n, (0.01, 0.1))), strict=True))
-            for v in variants
-            for n in names
-        ]
-    )
 
 
 def write_draws(path: Path) -> None:
@@ -316,10 +334,11 @@ def write_results(
     provenance = {"name": "tiny", "seed": 1, "config": describe_config(variants, published), "python": "3.12"}
     provenance |= {"platform": "linux", "files": {"t.csv": "f" * 64}, "versions": {"numpy": "2"}}
     tables = {
-        "predictions": tabulate_predictions(uses, variants),
-        "left_out": tabulate_left_out(uses, summary["variants"]),
+        "variants": pd.DataFrame([{"variant": n, "title": one["title"]} for n, one in summary["variants"].items()]),
+        "parameters": tabulate_parameters(variants),
+        "pose_errors": tabulate_pose_errors(uses, variants),
+        "poses": tabulate_poses(uses, summary["variants"]),
         "least_squares": tabulate_least_squares(variants, published),
-        "power_scaling": tabulate_power_scaling(variants),
         "sensitivity": tabulate_sensitivity(summary),
     }
     if ring:

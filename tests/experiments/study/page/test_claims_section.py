@@ -24,7 +24,7 @@ def test_claims_are_counted_apart_from_own_findings(make_results):
 
 
 def test_claims_stand_by_section_in_order(make_results):
-    table = tabulate_claims(read_study(make_results(claims=True)).claims)
+    table = tabulate_claims(read_study(make_results(claims=True)).table("claims"))
     assert table.headings == {
         0: "Section 2.3",
         2: "Section 7.1.1",

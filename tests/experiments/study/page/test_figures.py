@@ -34,7 +34,7 @@ def folder(tmp_path_factory):
         table.loc[chosen, "position_error_mm"] = [0.010, 0.020, 0.030, 0.080]
         table.loc[chosen, "orientation_error_deg"] = [0.010, 0.020, 0.030, 0.040]
 
-    edit_table(folder, "predictions", change)
+    edit_table(folder, "pose_errors", change)
     return folder
 
 
@@ -210,7 +210,7 @@ def test_joints_have_a_mark_per_deformation(drawn, twelve):
 
 
 def test_the_longest_flexure_is_shown_with_both_errors(twelve):
-    rows = choose_flexure(twelve.flexure)
+    rows = choose_flexure(twelve.table("flexure"))
     assert set(rows["flexure_length_mm"]) == {10.0}
     assert rows["pivot_error_nm"].iloc[-1] == pytest.approx(254.0)
     with rc_context(RC):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from made_up_results import TWELVE, edit_config, edit_table, read_study
 
-from bayescal.experiments.study.page.parameter_tables import fold_parameters, state_agreement, tabulate_parameters
+from bayescal.experiments.study.page.parameters import fold_parameters, state_agreement, tabulate_parameters
 from bayescal.experiments.study.page.published import list_remarks, name_table, tabulate_published
 
 
@@ -121,10 +121,13 @@ def test_a_table_is_named_after_its_file(make_results, published, name):
 
 
 def test_posteriors_of_tied_variants_are_compared(make_results):
-    def change(summary):
-        parameters = summary["variants"]["stiffness/matrix"]["parameters"]
-        parameters["l[2]"]["mean"] += 0.25  # sd 0.1
-        parameters["l_b[1]"] = parameters["l[2]"] | {"mean": 1e3}  # the other models have none
+    folder = make_results(variants=TWELVE)
 
-    (statement,) = state_agreement(read_study(make_results(change, variants=TWELVE)))
+    def change(table):
+        mine = (table["variant"] == "stiffness/matrix") & (table["model_error"] == "free")
+        table.loc[mine & (table["parameter"] == "l[2]"), "mean"] += 0.25  # sd 0.1
+        table.loc[mine & (table["parameter"] == "b_y[2]"), ["parameter", "mean"]] = ["l_b[1]", 1e3]  # the others' none
+
+    edit_table(folder, "parameters", change)
+    (statement,) = state_agreement(read_study(folder))
     assert "6-PUS, beam and stiffness with the matrix deformation by at most 2.50 sd (l of leg 2)" in statement.text

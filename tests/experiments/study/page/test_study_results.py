@@ -19,7 +19,7 @@ from bayescal.experiments.study.page.results import StudyResults
         ("summary.json", "{", "cannot be read as JSON"),
         ("summary.json", "{}", "expected str"),
         ("provenance.json", None, "no such file"),
-        ("tables/predictions.csv", None, "no such file"),
+        ("tables/pose_errors.csv", None, "no such file"),
         ("tables/least_squares.csv", "variant,parameter\n", "found columns"),
         ("tables/deformation.csv", None, "no such file"),
         ("tables/sensitivity.csv", None, "no such file"),
@@ -48,8 +48,6 @@ def test_a_number_missing_from_a_fit_is_named(make_results):
 @pytest.mark.parametrize(
     ("key", "value", "found"),
     [
-        ("models", {"pus": 3}, r"models\.pus: found int, expected str"),
-        ("drive", "rope", "drive: found 'rope', expected base or strut"),
         ("publication", "a book", "publication: found str, expected dict"),
         ("publication", {**PUBLICATION, "citation": None}, r"publication\.citation: found nothing, expected str"),
         ("publication", {**PUBLICATION, "figures": {"errors": 15}}, r"publication\.figures\.errors: found int"),
@@ -60,12 +58,12 @@ def test_what_a_study_may_leave_out_is_checked_where_it_is_there(make_results, k
         read_study(make_results(lambda summary: summary.update({key: value})))
 
 
-@pytest.mark.parametrize("name", ["predictions", "deformation", "claims"])
+@pytest.mark.parametrize("name", ["pose_errors", "deformation", "claims"])
 def test_a_missing_column_is_named(make_results, name):
     results = read_results(make_results(claims=True))
     column = results.table(name).columns[-1]
     tables = {**results.tables, name: results.table(name).drop(columns=column)}
-    if name == "predictions":
+    if name == "pose_errors":
         tables[name] = results.table(name).drop(columns=(column := "use"))
     with pytest.raises(InputError, match=rf"tables/{name}\.csv: found no column '{column}'"):
         StudyResults.of(replace(results, tables=tables))
@@ -78,7 +76,7 @@ def test_text_where_numbers_are_expected_is_named(make_results):
         StudyResults.of(replace(results, tables=tables))
 
 
-@pytest.mark.parametrize("name", ["sensitivity", "deformation"])
+@pytest.mark.parametrize("name", ["parameters", "poses"])
 def test_a_missing_table_is_named(make_results, name):
     results = read_results(make_results())
     tables = {other: table for other, table in results.tables.items() if other != name}

@@ -7,7 +7,6 @@ import json
 import pytest
 from made_up_results import TWELVE, edit_table, read_study
 
-from bayescal.experiments.study.page.advice import state_headline
 from bayescal.experiments.study.page.checks import title_failures
 from bayescal.experiments.study.page.ranking import tabulate_effects, tabulate_ranking
 from bayescal.experiments.study.page.variants import (
@@ -17,7 +16,7 @@ from bayescal.experiments.study.page.variants import (
     label_variant,
     name_variants,
 )
-from bayescal.experiments.study.page.verdict import describe_lead, state_verdict
+from bayescal.experiments.study.page.verdict import describe_lead, state_headline, state_verdict
 
 
 def find_statement(results, lead: str, words: str = "") -> str:
@@ -32,8 +31,8 @@ def raise_evidence(name: str, value: float):
     def change(summary):
         fit = summary["variants"][name]
         fit["log_evidence"] = value
-        fit["log_evidence_methods"] = {"importance": value, "bridge": value}
-        summary["ranking"].sort(key=lambda n: -summary["variants"][n]["log_evidence"])
+        fit["log_evidence_importance"] = fit["log_evidence_bridge"] = value
+        summary["rankings"][0].sort(key=lambda n: -summary["variants"][n]["log_evidence"])
 
     return change
 
@@ -41,7 +40,7 @@ def raise_evidence(name: str, value: float):
 def test_a_tie_is_said_to_be_one(make_results):
     results = read_study(make_results(variants=TWELVE))
     assert describe_lead(results) == (
-        "6-PUS, beam and stiffness with the matrix deformation explain the measurements best and cannot be told apart: "
+        "6-PUS, beam and stiffness with the matrix deformation fit the measurements best and equally well: "
         "0.40 nat of log-evidence between them; Jacobian/matrix follows 150.0 nat behind."
     )
     assert find_leaders(results) == ["six_pus/matrix", "beam/matrix", "stiffness/matrix"]
@@ -66,12 +65,12 @@ def test_the_headline_says_what_to_use_and_how_good_it_is(make_results):
     assert choose_model(simple) == "stiffness"
 
 
-def test_nothing_is_advised_where_nothing_converged(make_results):
+def test_nothing_is_advised_where_what_may_be_best_did_not_converge(make_results):
     def fail(summary):
-        summary["variants"]["beam/none"] |= {"converged": False, "problems": ["bulk ESS 12, limit 1000"]}
+        summary["variants"]["stiffness/matrix"] |= {"converged": False, "problems": "bulk ESS 12, limit 1000"}
 
     text = state_headline(read_study(make_results(fail, variants=TWELVE)))
-    assert text == "Use none yet: not everything converged (best so far: stiffness/matrix)."
+    assert text.startswith("Use none yet: stiffness/matrix did not converge and may be better (best so far: 6-PUS with")
 
 
 def test_a_tie_ends_where_the_evidence_tells_apart(make_results):
@@ -95,7 +94,7 @@ def test_deformation_and_model_are_named_by_themselves(make_results):
         "(Jacobian); of none by 300.0 nat (6-PUS, Jacobian, beam and stiffness)."
     )
     model = find_statement(results, "Model")
-    assert "With the matrix deformation, 6-PUS, beam and stiffness are not told apart (0.4 nat)" in model
+    assert "With the matrix deformation, 6-PUS, beam and stiffness fit equally well (0.4 nat)" in model
     assert "Jacobian 149.9 nat below 6-PUS" in model
     assert "with the linear deformation, Jacobian leads, 6-PUS, beam and stiffness 90.0 to 90.4 nat below" in model
 
@@ -103,7 +102,7 @@ def test_deformation_and_model_are_named_by_themselves(make_results):
 def test_pairs_told_apart_are_counted(make_results):
     results = read_study(make_results(variants=TWELVE))
     text = find_statement(results, "Pairs")
-    assert text.startswith("Of 66 pairs of variants the measurements tell 57 apart, by 9.6 nat or more")
+    assert text.startswith("Of 66 pairs of variants 57 are distinguishable, by 9.6 nat or more")
     assert text.endswith("the other 9 lie within 0.4 nat.")
 
 
@@ -137,7 +136,7 @@ def test_the_same_leaders_in_prediction_agree(make_results):
 def test_a_leader_that_predicts_badly_is_not_hidden(make_results):
     def change(summary):
         summary["variants"]["jacobian/none"]["elpd_loo"] = 1700.0
-        summary["variants"]["jacobian/matrix"]["verification"]["elpd"] = 300.0
+        summary["variants"]["jacobian/matrix"]["elpd"] = 300.0
 
     results = read_study(make_results(change, variants=TWELVE))
     loo = next(s for s in state_verdict(results) if "LOO" in s.text)
@@ -200,14 +199,10 @@ def test_failures_say_whether_they_reach_the_ranking(make_results, free, words):
 def test_names_of_variants(make_results):
     results = read_study(make_results(variants=TWELVE))
     assert label_variant(results, "six_pus/matrix") == "6-PUS/matrix"
-    assert label_variant(results, "another") == "another"
     assert name_variants(results, ["six_pus/none", "beam/none"]) == "6-PUS and beam without deformation"
     assert name_variants(results, ["six_pus/none", "beam/matrix"], "or") == "6-PUS/none or beam/matrix"
 
 
 def test_a_model_has_the_title_that_the_study_gives_it(make_results):
     results = read_study(make_results(lambda summary: summary["models"].update(beam="beam theory"), variants=TWELVE))
-    assert label_variant(results, "beam/matrix") == "beam theory/matrix"
     assert "6-PUS, beam theory and stiffness with the matrix deformation" in describe_lead(results)
-    untitled = read_study(make_results(lambda summary: summary.pop("models"), variants=TWELVE, name="untitled"))
-    assert label_variant(untitled, "six_pus/matrix") == "six_pus/matrix"

@@ -1,27 +1,99 @@
-"""The identified parameters variant by variant, and how much the measurements narrowed them."""
+"""The posterior of the parameters, and how much the data narrowed it."""
 
 from __future__ import annotations
+
+from functools import partial
 
 import numpy as np
 import pandas as pd
 
-from bayescal.experiments.study.page.published import compare_published, has_published, name_table
-from bayescal.experiments.study.page.results import StudyResults
+from bayescal.experiments.shared.knowledge_page import VERDICT_LEVELS
+from bayescal.experiments.shared.origin import name_origin
+from bayescal.experiments.study.page.figures.readings import draw_reduction
+from bayescal.experiments.study.page.illustrations import illustrate_parameters
+from bayescal.experiments.study.page.published import compare_published, has_published, name_table, tabulate_published
+from bayescal.experiments.study.page.results import NOISE, StudyResults
 from bayescal.experiments.study.page.variants import (
-    VARIANT,
     find_variants,
     group_variants,
     label_variant,
     list_deformations,
     name_variants,
 )
-from bayescal.report.blocks import Cell, Column, Fold, Statement, Table, make_table
+from bayescal.report.blocks import Block, Cell, Column, Figure, Fold, Heading, Section, Statement, Table, make_table
 from bayescal.report.numbers import NOTHING, count_decimals, format_estimate, format_fixed, format_significant
 from bayescal.report.symbols import MODEL_ERROR, name_parameter, scale_of
 from bayescal.report.variant_names import describe_deformation
 
 OPEN = 3  # variants whose tables are all shown; of more each stands behind a line
-WIDE = 12  # symbols from which the contraction table has them as rows
+CONTRACTION = (
+    "Contraction is the share of the prior variance that the data removed, 1 − (sd / tolerance)²: at 0 nothing is "
+    "learnt, at 0.75 the uncertainty is halved, at 1 the parameter is known."
+)
+VERDICTS = {"identifiable": "uncertainty at least halved", "weak": "not halved", "not": "not determined"}
+PUBLISHED = (
+    "Published values differ from the posteriors by construction: they come from least squares with all poses "
+    "weighted alike, without tolerances and without model error, on the data of the publication. The posteriors "
+    "weigh every pose by its covariance, use the tolerances as priors and leave room for a model error. These data: "
+    "{origin}. A published value outside an interval contradicts nothing, unless the data were made from that very "
+    "table."
+)
+
+
+def show_parameters(study: StudyResults) -> Section:
+    """Return the posterior of the parameters: leg by leg where poses of legs were measured, else one by one."""
+    return _show_legs(study) if study.has("pose_errors") else _show_each(study)
+
+
+# --- one by one ------------------------------------------------------------------------------------------------------
+
+
+def _show_each(study: StudyResults) -> Section:
+    columns = [Column("Parameter", kind="text"), Column("Unit", kind="text"), Column("Nominal"), Column("Tolerance")]
+    columns += [Column("Posterior, mean ± sd"), Column("90 % interval"), Column("Contraction"), Column("Verdict")]
+    rows: list[list[str | Cell]] = []
+    for row in study.rows("parameters", study.chosen):
+        factor, unit = study.shown_in(row["unit"])
+        low, high = (format_significant(factor * row[end], 5) for end in ("q05", "q95"))
+        verdict = str(row["verdict"])
+        rows.append(
+            [
+                str(row["parameter"]),
+                unit,
+                format_significant(factor * row["nominal"], 6),
+                format_significant(factor * row["prior_sd"], 3),
+                format_estimate(factor * row["mean"], factor * row["sd"]),
+                f"{low} to {high}",
+                format_contraction(row["contraction"]),
+                Cell("" if verdict == NOISE else VERDICTS[verdict], VERDICT_LEVELS[verdict]),
+            ]
+        )
+    titles = {name: str(study.fit(name)["title"]) for name in study.names}
+    draw = partial(draw_reduction, study.table("parameters"), titles)
+    caption = "Posterior standard deviation of each parameter over its tolerance (prior standard deviation)."
+    table = make_table(f"Parameters of {label_variant(study, study.chosen)}.", columns, rows)
+    return Section("Parameters", (CONTRACTION, table, Figure("parameters", caption, draw)), anchor="parameters")
+
+
+def format_contraction(value: float) -> str:
+    """Return a contraction as every table shows it."""
+    return format_fixed(value, 2)
+
+
+# --- leg by leg ------------------------------------------------------------------------------------------------------
+
+
+def _show_legs(study: StudyResults) -> Section:
+    title, blocks = "Parameters", list[Block]()
+    published = tabulate_published(study)
+    if published is not None:
+        title += " and published tables"
+        blocks += [published, PUBLISHED.format(origin=name_origin(study.summary["origin"]).rstrip("."))]
+    blocks += [illustrate_parameters(study), *state_agreement(study)]
+    for heading, folds in fold_parameters(study):
+        blocks += [Heading(heading), *folds]
+    blocks.append(Fold("How much the measurements narrowed each parameter", (tabulate_contraction(study),)))
+    return Section(title, tuple(blocks), anchor="parameters", short="Parameters")
 
 
 def fold_parameters(results: StudyResults) -> list[tuple[str, list[Fold]]]:
@@ -44,7 +116,7 @@ def fold_parameters(results: StudyResults) -> list[tuple[str, list[Fold]]]:
 
 
 def state_agreement(results: StudyResults) -> list[Statement]:
-    """Say how far the posteriors of variants lie apart that the evidence does not tell apart."""
+    """Say how far the posteriors of variants that fit equally well lie apart."""
     frame = results.parameters
     frame = frame[(frame["model_error"] == "free") & (frame["symbol"] != MODEL_ERROR)]
     words = []
@@ -61,7 +133,7 @@ def state_agreement(results: StudyResults) -> list[Statement]:
             )
     if not words:
         return []
-    text = f"The posterior means of variants that are not told apart differ: {'; '.join(words)}."
+    text = f"The posterior means of variants that fit equally well differ: {'; '.join(words)}."
     return [Statement(text)]
 
 
@@ -70,7 +142,7 @@ def tabulate_parameters(results: StudyResults, variant: str) -> Table:
     posterior = results.parameters
     posterior = posterior[(posterior["variant"] == variant) & (posterior["model_error"] == "free")]
     posterior = posterior[posterior["symbol"] != MODEL_ERROR]
-    found = results.least_squares[results.least_squares["variant"] == variant]
+    found = results.table("least_squares")[results.table("least_squares")["variant"] == variant]
     legs = [leg for leg in results.legs if leg in set(posterior["leg"]) | set(found["leg"])] or [1]
     columns = [Column("", kind="symbol"), Column("Unit", kind="text"), Column("", kind="text")]
     columns += [Column(f"leg {leg}") for leg in legs]
@@ -122,7 +194,7 @@ def _state_fit(results: StudyResults, variant: str, found: pd.DataFrame) -> list
         return []
     residual = found.drop_duplicates("leg").sort_values("leg")["leg_residual_rms_um"]
     low, high = (format_significant(x, 2) for x in (residual.min(), residual.max()))
-    statements = [Statement(f"Least squares leave {low} to {high} µm (rms) per leg.")]
+    statements = [Statement(f"Residuals of least squares: {low} to {high} µm (rms) per leg.")]
     if not found["converged"].astype(bool).all():
         statements.append(Statement("The least-squares fit did not converge.", "bad"))
     comparison = compare_published(results, variant)
@@ -137,28 +209,16 @@ def _state_fit(results: StudyResults, variant: str, found: pd.DataFrame) -> list
 
 
 def tabulate_contraction(results: StudyResults) -> Table:
-    """Return how much of each prior variance the measurements removed: the mean over the legs and the least."""
+    """Return the contraction of each symbol's parameters: the mean over the legs and the least."""
     frame = results.parameters
     frame = frame[(frame["model_error"] == "free") & (frame["symbol"] != MODEL_ERROR)]
-    frame = frame.assign(contraction=1.0 - (frame["sd"] / frame["prior_sd"]) ** 2)
     grouped = frame.groupby(["variant", "symbol"])["contraction"].agg(["mean", "min"])
     symbols = list(dict.fromkeys(frame["symbol"]))
     cells = {
-        (str(name), str(symbol)): f"{format_fixed(100 * mean, 1)} ({format_fixed(100 * least, 1)})"
+        (str(name), str(symbol)): f"{format_contraction(mean)} ({format_contraction(least)})"
         for (name, symbol), mean, least in grouped.itertuples()
     }
-    caption = "Posterior contraction with model error: 0 % is the prior, 100 % is exactly known."
-    group = "1 − (sd / prior sd)², mean over legs (least)"
-    if len(symbols) > WIDE:
-        columns = [
-            Column("", kind="symbol"),
-            *(Column(label_variant(results, name), "%", group) for name in results.ranking),
-        ]
-        rows = [[s, *(cells.get((name, s), NOTHING) for name in results.ranking)] for s in symbols]
-    else:
-        columns = [VARIANT, *(Column(s, "%", group, symbolic=True) for s in symbols)]
-        rows = [
-            [label_variant(results, name), *(cells.get((name, s), NOTHING) for s in symbols)]
-            for name in results.ranking
-        ]
-    return make_table(caption, columns, rows)
+    columns = [Column("", kind="symbol")]
+    columns += [Column(label_variant(results, name), group="mean over legs (least)") for name in results.ranking]
+    rows = [[symbol, *(cells.get((name, symbol), NOTHING) for name in results.ranking)] for symbol in symbols]
+    return make_table("Contraction of the parameters, with model error.", columns, rows, [Statement(CONTRACTION)])

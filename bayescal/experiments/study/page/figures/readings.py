@@ -1,4 +1,4 @@
-"""Figures of a calibration: parameters before and after, held-back readings, poses."""
+"""Figures of readings: what the calibration left of the tolerances, held-back readings, residuals of poses."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from bayescal.report.symbols import quote
 NINETY = 1.645
 
 
-def draw_parameters(parameters: pd.DataFrame, titles: dict[str, str]) -> Figure:
-    """Return what remains of each parameter's tolerance, by variant."""
+def draw_reduction(parameters: pd.DataFrame, titles: dict[str, str]) -> Figure:
+    """Return each parameter's posterior standard deviation over its tolerance, by variant."""
     some = parameters[parameters["verdict"] != "noise"]
     names = list(dict.fromkeys(str(name) for name in some["parameter"]))
     figure = Figure(figsize=(9.4, 3.6))
@@ -60,19 +60,19 @@ def draw_predictions(predictions: pd.DataFrame) -> Figure:
 
 
 def draw_poses(poses: pd.DataFrame) -> Figure:
-    """Return what the best machine leaves of each pose's readings, in units of its noise."""
+    """Return the residuals of the best machine at each pose, in units of their noise."""
     figure = Figure(figsize=(9.4, 2.9))
     axes = figure.subplots()
     size = np.sqrt(poses["square"] / np.maximum(poses["equations"], 1))
-    doubtful = poses["doubtful"].to_numpy(dtype=bool)
+    contradicting = poses["contradicting"].to_numpy(dtype=bool)
     place = np.arange(len(poses))
-    axes.bar(place[~doubtful], size[~doubtful], color=LEG_COLOURS[0], width=0.7)
-    axes.bar(place[doubtful], size[doubtful], color=RED, width=0.7)
+    axes.bar(place[~contradicting], size[~contradicting], color=LEG_COLOURS[0], width=0.7)
+    axes.bar(place[contradicting], size[contradicting], color=RED, width=0.7)
     axes.axhline(1.0, color=GREY, linewidth=0.8)
     step = max(1, len(poses) // 50)
     axes.set_xticks(place[::step], [quote(str(name)) for name in poses["pose"]][::step], rotation=60)
     axes.tick_params(axis="x", labelsize=7.5)
-    axes.set_ylabel("What is left, in its noise")
-    axes.set_xlabel("Pose; doubtful ones in red")
+    axes.set_ylabel("Residual / noise")
+    axes.set_xlabel("Pose; red: the others contradict it")
     axes.grid(axis="y")
     return figure

@@ -11,7 +11,6 @@ import pandas as pd
 from scipy.stats import chi2
 
 from bayescal.experiments.shared.function_errors import tabulate_functions
-from bayescal.experiments.shared.headline import Candidate, choose_candidate
 from bayescal.experiments.shared.reading_fit import ReadingFit
 from bayescal.experiments.shared.readings.inputs import ReadingInputs, Variant
 from bayescal.experiments.shared.readings.knowledge import Knowledge
@@ -23,11 +22,18 @@ from bayescal.experiments.shared.readings.knowledge_tables import (
     tabulate_accuracy,
 )
 from bayescal.experiments.shared.stacking import tabulate_comparison
+from bayescal.experiments.shared.variant_tables import (
+    NOISE,
+    describe_fit,
+    rank_variants,
+    tabulate_left_out,
+    tabulate_parameters,
+)
 from bayescal.experiments.study.validation import Held
 from bayescal.numerics.geometry import Array
 
-DOUBTFUL = 0.01  # probability under the stated noise below which what a pose leaves is doubtful
-DISTRUSTED = 0.5  # mean of a pose's precision below which a robust density doubts it
+IMPROBABLE = 0.01  # probability under the stated noise below which a pose's residuals contradict it
+DISTRUSTED = 0.5  # mean of a pose's precision below which a robust density takes it for an outlier
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +74,7 @@ class Findings:
 
 def tabulate(inputs: ReadingInputs, found: Mapping[str, Findings]) -> dict[str, pd.DataFrame]:
     """Return all tables by the names of their files."""
-    every = [(inputs.variants[name], one) for name, one in found.items()]
+    every, units = [(inputs.variants[name], one) for name, one in found.items()], inputs.config.units
     predictions = pd.DataFrame([row for one in every for row in _list_predictions(*one)])
     tables = {
         "variants": tabulate_comparison(
@@ -80,7 +86,9 @@ def tabulate(inputs: ReadingInputs, found: Mapping[str, Findings]) -> dict[str, 
         "residuals": pd.DataFrame([row for one in every for row in _list_residuals(*one)]),
         "poses": pd.concat([_list_poses(*one) for one in every], ignore_index=True),
         "predictions": predictions,
-        "accuracy": pd.concat([tabulate_accuracy(variant, one.knowledge) for variant, one in every], ignore_index=True),
+        "accuracy": pd.concat(
+            [tabulate_accuracy(variant, one.knowledge, units) for variant, one in every], ignore_index=True
+        ),
         "ridges": pd.DataFrame([row for variant, one in every for row in list_ridges(variant, one.knowledge)]),
         "next": pd.DataFrame([row for variant, one in every for row in list_next(variant, one.knowledge)]),
         "beside": pd.DataFrame([row for one in every for row in _list_beside(inputs, *one)]),
@@ -97,17 +105,11 @@ def _describe(variant: Variant, one: Findings, predictions: pd.DataFrame) -> dic
         "title": variant.config.title,
         "data": name_data(variant),
         "robust": variant.config.outliers.expected,
-        "n_parameters": len(fit.names),
         "n_poses": len(left.square),
         "n_equations": int(left.freedom.sum()),
-        **fit.describe_evidence(),
+        **describe_fit(fit),
         "elpd": sum(held.elpd for held in one.held) if one.held else float("nan"),
         "misfit": float(np.sqrt(left.square.sum() / freedom)) if freedom > 0 else float("nan"),
-        "misfit_chi2": fit.misfit.value,
-        "misfit_dof": fit.misfit.dof,
-        "pulls_chi2": fit.pulls.value,
-        "pulls_dof": fit.pulls.dof,
-        **fit.describe_chains(),
     }
     if not predictions.empty:
         mine = predictions[(predictions["variant"] == variant.name) & ~predictions["external"]]
@@ -120,27 +122,8 @@ def _list_parameters(variant: Variant, one: Findings) -> pd.DataFrame:
     start = list(variant.model.layout.nominal[posterior.sampling.free])
     medians = posterior.errors.natural(np.zeros(posterior.errors.n_parameters))
     start += [float(x) if unit == "1" else 0.0 for unit, x in zip(posterior.errors.units, medians, strict=True)]
-    verdicts = [*one.knowledge.verdicts, *["noise"] * posterior.errors.n_parameters]
-    return pd.DataFrame(
-        {
-            "variant": variant.name,
-            "parameter": fit.names,
-            "unit": fit.units,
-            "nominal": start,
-            "prior_sd": fit.prior_sd,
-            "mean": fit.mean,
-            "sd": fit.sd,
-            "q05": fit.q05,
-            "q95": fit.q95,
-            "contraction": 1.0 - (fit.sd / fit.prior_sd) ** 2,
-            "prior_sensitivity": fit.power_scaling[:, 0],
-            "likelihood_sensitivity": fit.power_scaling[:, 1],
-            "verdict": verdicts,
-            "rhat": fit.diagnostics.rhat,
-            "ess_bulk": fit.diagnostics.ess_bulk,
-            "ess_tail": fit.diagnostics.ess_tail,
-        }
-    )
+    verdicts = [*one.knowledge.verdicts, *[NOISE] * posterior.errors.n_parameters]
+    return tabulate_parameters(variant.name, fit, start, verdicts)
 
 
 def _list_residuals(variant: Variant, one: Findings) -> Iterator[dict[str, Any]]:
@@ -162,22 +145,11 @@ def _list_poses(variant: Variant, one: Findings) -> pd.DataFrame:
     left = one.residuals
     chance = chi2.sf(left.square, np.maximum(left.freedom, 1))
     coordinates = {f"{c.name}_{c.unit}": left.pose[:, k] for k, c in enumerate(variant.model.coordinates)}
-    names = [name for name, held in zip(variant.data.poses, variant.verification, strict=True) if not held]
-    return pd.DataFrame(
-        {
-            "variant": variant.name,
-            "pose": names,
-            **coordinates,
-            "equations": left.freedom,
-            "square": left.square,
-            "chance": chance,
-            "trust": left.trust,
-            "elpd_loo": one.fit.left_out.elpd,
-            "pareto_k": one.fit.left_out.pareto_k,
-            "refitted": one.fit.left_out.was_refitted,
-            "doubtful": (left.trust < DISTRUSTED) | ((not variant.config.outliers.expected) & (chance < DOUBTFUL)),
-        }
-    )
+    used = variant.data.pick(~variant.verification)
+    contradicting = (left.trust < DISTRUSTED) | ((not variant.config.outliers.expected) & (chance < IMPROBABLE))
+    own = {"equations": left.freedom, "square": left.square, "chance": chance, "trust": left.trust}
+    common = tabulate_left_out(variant.name, one.fit, used.poses, np.zeros(used.n_poses, dtype=bool))
+    return common.assign(**coordinates, **own, contradicting=contradicting)
 
 
 def _list_predictions(variant: Variant, one: Findings) -> Iterator[dict[str, Any]]:
@@ -220,48 +192,21 @@ def _list_beside(inputs: ReadingInputs, variant: Variant, one: Findings) -> Iter
 
 def summarise(inputs: ReadingInputs, tables: Mapping[str, pd.DataFrame]) -> dict[str, Any]:
     """Return the results as JSON-ready numbers."""
-    config, variants = inputs.config, tables["variants"]
+    config, rows = inputs.config, {str(row.pop("variant")): plain(row) for row in tables["variants"].to_dict("records")}
+    held = max((one.verification for one in inputs.variants.values()), key=len)
     return {
         "experiment": config.name,
         "title": config.title,
         "seed": config.seed,
         "machine": inputs.machine,
         "origin": config.origin.model_dump(),
+        "n_poses": {"calibration": int((~held).sum()), "verification": int(held.sum())},
         "member": next(iter(inputs.variants.values())).model.member,
         "machine_folder": inputs.machine_folder,
         "states_tool": all(one.model.states_tool for one in inputs.variants.values()),
         **({"unused": inputs.unused} if inputs.unused else {}),
-        "converged": bool(variants["converged"].all()),
+        "converged": all(row["converged"] for row in rows.values()),
         "units": config.units.model_dump(),
-        "variants": {str(row.pop("variant")): plain(row) for row in variants.to_dict("records")},
-        "rankings": rank_variants(variants),
+        "variants": rows,
+        "rankings": rank_variants(rows),
     }
-
-
-def list_candidates(summary: Mapping[str, Any]) -> list[Candidate]:
-    """Return the variants of the most readings, of which one is to be used, the first of the experiment first."""
-    rows = summary["variants"]
-    ranking = max(summary["rankings"], key=lambda names: (rows[names[0]]["n_equations"], len(names)))
-    return [
-        Candidate(
-            name,
-            f"“{row['title']}”",
-            float(row["log_evidence"]),
-            float(row["log_evidence_se"]),
-            bool(row["converged"]),
-            (int(row["n_parameters"]),),
-        )
-        for name, row in rows.items()
-        if name in ranking
-    ]
-
-
-def choose_best(summary: Mapping[str, Any]) -> str:
-    """Return the variant to use."""
-    return choose_candidate(list_candidates(summary)).name
-
-
-def rank_variants(variants: pd.DataFrame) -> list[list[str]]:
-    """Return the variants of the same readings, the largest evidence first."""
-    groups = [some.sort_values("log_evidence", ascending=False) for _, some in variants.groupby("data", sort=False)]
-    return [[str(name) for name in some["variant"]] for some in groups]

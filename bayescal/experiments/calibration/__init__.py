@@ -1,1 +1,0 @@
-"""Calibration of any machine, from any of its readings."""
