@@ -99,8 +99,12 @@ def _describe_candidate(name: str, row: Mapping[str, Any]) -> Candidate:
     title, evidence = str(row["title"]), (float(row["log_evidence"]), float(row["log_evidence_se"]))
     errors = (row.get(f"{use}_position_error_max_mm") for use in ("verification", "calibration"))
     error = next((float(one) for one in errors if one is not None), math.nan)
-    label = f"“{title}”" if " " in title else title
-    return Candidate(name, label, *evidence, bool(row["converged"]), (int(row["n_parameters"]),), error)
+    return Candidate(name, label_title(title), *evidence, bool(row["converged"]), (int(row["n_parameters"]),), error)
+
+
+def label_title(title: str) -> str:
+    """Return what pages call a variant of a title: in quotation marks where it has several words."""
+    return f"“{title}”" if " " in title else title
 
 
 def choose_best(summary: Mapping[str, Any]) -> str:

@@ -126,7 +126,7 @@ def test_figures_tell_free_sets_apart(result):
     assert styles["lengths"].label == "lengths"
     bars = draw_error_bars(study.table("pose_errors"), list(styles), styles, "").axes[0]
     assert [label.get_text() for label in bars.get_xticklabels()] == [
-        *("6-PUS/none", "6-PUS/matrix", "joints alone", "lengths")
+        *("6-PUS/none", "6-PUS/matrix", "“joints alone”", "lengths")
     ]
     assert split_variant(study, "lengths") == ("six_pus", "none")
     assert find_best(study, "six_pus", "none") in ("six_pus/none", "lengths")
@@ -141,10 +141,10 @@ def test_figures_tell_free_sets_apart(result):
             "variant 'six_pus/none' stands twice, expected each variant once, or a name of",
         ),
         (('name = "lengths"', 'name = "joints alone"'), "variant 'joints alone' stands twice"),
-        (('name = "lengths"', 'name = "six_pus/none"'), "variants.3.name: found 'six_pus/none', expected"),
+        (('name = "lengths"', 'name = "six_pus/none"'), "variant 'six_pus/none' stands twice, expected each"),
         (('name = "lengths"', 'name = "six_pus-none"'), "variants 'six_pus/none' and 'six_pus-none' would share their"),
         (('name = "lengths"', 'name = "Joints_alone"'), "variants 'joints alone' and 'Joints_alone' would share"),
-        (('name = "lengths"', 'name = "../lengths"'), "variants.3.name: found '../lengths', expected"),
+        (('name = "lengths"', 'name = "../lengths"'), "variants.3: name: found '../lengths', expected"),
         (('name = "lengths"', 'name = " "'), "variants.3.name: found ' ', expected"),
     ],
 )
@@ -218,7 +218,7 @@ def test_an_audit_takes_the_only_variant_of_a_model_and_deformation_without_its_
         ),
         (
             (("[[variants]]", 'variant = "lengths"\n[[variants]]\nfree = ["a_x"]'),),
-            "variant.free: found a_x, expected none or those of the study's lengths: l",
+            "variants.free: found a_x, expected none or those of the study's lengths: l",
         ),
     ],
 )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import combinations
 
-from bayescal.experiments.shared.headline import Candidate, group_candidates
+from bayescal.experiments.shared.headline import Candidate, group_candidates, label_title
 from bayescal.experiments.study.page.results import StudyResults
 from bayescal.report.blocks import Column
 from bayescal.report.numbers import join_words
@@ -28,9 +28,8 @@ def label_model(results: StudyResults, model: str) -> str:
 
 
 def label_variant(results: StudyResults, name: str) -> str:
-    """Return what the page calls a variant: its title, in quotation marks where it has several words."""
-    title = str(results.fit(name)["title"])
-    return f"“{title}”" if " " in title else title
+    """Return what the page calls a variant."""
+    return label_title(str(results.fit(name)["title"]))
 
 
 def name_variants(results: StudyResults, names: Sequence[str], between: str = "and") -> str:

@@ -351,7 +351,7 @@ def test_readings_far_from_the_actuators_zero_are_a_warning():
     level, text = say(make(put(far, "far_readings")))["Actuators' zero"]
     assert level == "plain"
     assert "readings lie around 731 mm from where the direction's tolerance turns it" in text
-    assert "(a tolerance of 0.50 mrad is 0.37 mm there); put the zero there" in text
+    assert "(a tolerance of 0.029° is 0.37 mm there); put the zero there" in text
 
 
 def test_a_larger_rank_beside_the_expected_machine_is_a_warning():
