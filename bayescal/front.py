@@ -548,7 +548,6 @@ def next_pose(
         "study": CONFIG,
         "variants": [study.best.name],
         "requirements": _plain(requirements or {}),
-        "required_of": "rms",
         "candidates": {"count": candidates},
         **_plain(sections, study.project.folder),
     }

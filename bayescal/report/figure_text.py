@@ -45,7 +45,7 @@ def _describe_axes(axes: Axes) -> str:
     title = write_plain(axes.get_title("left") or axes.get_title())
     spans = [_describe_axis(axis, kind) for axis, kind in ((axes.xaxis, "across"), (axes.yaxis, "upwards"))]
     series = [write_plain(str(name)) for name in axes.get_legend_handles_labels()[1]]
-    shown = f"shown: {join_words(list(dict.fromkeys(series))[:MOST_NAMES])}" if series else ""
+    shown = f"shown: {_list_some(list(dict.fromkeys(series)))}" if series else ""
     parts = [part for part in (*spans, shown) if part]
     text = "; ".join(parts)
     return f"{f'{title}: ' if title else ''}{text}." if text or title else ""
@@ -54,10 +54,15 @@ def _describe_axes(axes: Axes) -> str:
 def _describe_axis(axis: Axis, kind: str) -> str:
     label, names = write_plain(axis.get_label_text()), list_names(axis)
     if names:
-        listed = [name for _, name in names if name][:MOST_NAMES]
-        return f"{kind} {f'{label}, ' if label else ''}{join_words(listed)}" if listed else ""
+        listed = [name for _, name in names if name]
+        return f"{kind} {f'{label}, ' if label else ''}{_list_some(listed)}" if listed else ""
     low, high = sorted(float(x) for x in axis.get_view_interval())
     return f"{kind} {label} from {format_plain(low, 2)} to {format_plain(high, 2)}" if label else ""
+
+
+def _list_some(names: Sequence[str]) -> str:
+    more = len(names) - MOST_NAMES
+    return join_words([*names[:MOST_NAMES], f"{more} more"] if more > 0 else names)
 
 
 def list_names(axis: Axis) -> list[tuple[float, str]]:

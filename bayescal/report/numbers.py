@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 MICROMETRES = 1e3  # in a millimetre
-MILLIDEGREES = 1e3  # in a degree
 PER_MILLE = 1e3  # dimensionless parameters are shown in 1e-3
 
 NOTHING = "–"
@@ -71,7 +71,7 @@ def format_span(values: list[float], decimals: int = 1) -> str:
     return " to ".join(dict.fromkeys(format_fixed(x, decimals) for x in (min(values), max(values))))
 
 
-def join_words(words: list[str], between: str = "and") -> str:
+def join_words(words: Sequence[str], between: str = "and") -> str:
     """Return ``a, b and c``."""
     return f" {between} ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else "".join(words)
 

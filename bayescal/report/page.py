@@ -115,7 +115,7 @@ def render_page(page: Page, pictures: Mapping[str, Picture], more: Sequence[Sect
 
 def bind_units(text: str) -> str:
     """Return text in which no line breaks between a number and its unit."""
-    return re.sub(r"(?<=[\d=τ]) (?=%|µm|nm\b|mm\b|mdeg\b|nat\b|[0=±])", "\u00a0", text)
+    return re.sub(r"(?<=[\d=τ]) (?=%|µm|nm\b|mm\b|nat\b|[0=±])", "\u00a0", text)
 
 
 def make_prose(symbols: Sequence[str] = ()) -> Callable[[str], Markup]:

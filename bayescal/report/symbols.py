@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 
 from bayescal.report.numbers import MICROMETRES, PER_MILLE
+from bayescal.report.units import Asked, shown_in
 
 MODEL_ERROR = "tau"
 KERNEL_SCALE = "sigma_g"
@@ -73,8 +74,8 @@ def name_parameter(name: str) -> str:
     return f"{written} of leg {leg}" if leg else written
 
 
-def scale_of(symbol: str, unit: str) -> tuple[float, str]:
-    """Return the factor and the unit in which a parameter's offsets are shown."""
+def scale_of(symbol: str, unit: str, asked: Asked = None) -> tuple[float, str]:
+    """Return the factor and the unit in which a parameter's offsets are shown, with the units of a config."""
     if is_model_error(symbol) and symbol != KERNEL_LENGTH:
         return MICROMETRES, "µm"
-    return {"1": (PER_MILLE, "10⁻³"), "rad": (PER_MILLE, "mrad")}.get(unit, (1.0, unit))
+    return (PER_MILLE, "10⁻³") if unit == "1" else shown_in(unit, asked)

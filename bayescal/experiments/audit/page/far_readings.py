@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from bayescal.experiments.audit.page.results import AuditResults
 from bayescal.report.blocks import Statement
-from bayescal.report.numbers import format_fixed, format_significant, join_words
+from bayescal.report.numbers import join_words
+from bayescal.report.units import format_amount, format_place, name_unit
 
 
 def state_far_readings(results: AuditResults) -> list[Statement]:
@@ -14,13 +15,14 @@ def state_far_readings(results: AuditResults) -> list[Statement]:
         return []
     reading, turned = float(found["reading_mm"]), float(found["direction_sd"])
     legs = [str(leg) for leg in found["legs"]]
-    moved = ""
+    moved, asked = "", results.summary["units"]
+    place = f"{format_place('x_mm', reading, asked)} {name_unit('x_mm', asked)}"
     if turned > 0.0:
-        mrad, mm = format_significant(1e3 * turned, 2), format_significant(abs(reading) * turned, 2)
-        moved = f" (a tolerance of {mrad} mrad is {mm} mm there)"
+        angle, length = format_amount(turned, "rad", 2, asked), format_amount(abs(reading) * turned, "mm", 2, asked)
+        moved = f" (a tolerance of {angle} is {length} there)"
     text = (
         f"Of leg{'s' if len(legs) > 1 else ''} {join_words(legs)} the joint's place and the actuator's direction are "
-        f"hardly told apart: readings lie around {format_fixed(reading, 0)} mm from where the direction's tolerance "
+        f"hardly told apart: readings lie around {place} from where the direction's tolerance "
         f"turns it{moved}; put the zero there, with base points and readings counted from it."
     )
     return [Statement(text, "plain", "Actuators' zero")]

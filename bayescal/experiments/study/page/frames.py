@@ -6,7 +6,6 @@ from bayescal.experiments.study.page.results import StudyResults
 from bayescal.experiments.study.page.variants import VARIANT, label_variant
 from bayescal.report.blocks import Column, Section, make_table
 from bayescal.report.numbers import count_decimals, format_estimate, format_significant
-from bayescal.report.symbols import scale_of
 
 TEXT = (
     "Where the instrument's frame lies against the base and the probe's against the platform was not known; both were "
@@ -27,7 +26,7 @@ def show_frames(results: StudyResults) -> Section | None:
     before = ["known before"]
     for symbol in symbols:
         chosen = rows[rows["symbol"] == symbol].set_index("variant")
-        factor, unit = scale_of(symbol, str(chosen["unit"].iloc[0]))
+        factor, unit = results.scale_of(symbol, str(chosen["unit"].iloc[0]))
         columns.append(Column(symbol, unit, symbolic=True))
         before.append(f"± {format_significant(factor * float(chosen['prior_sd'].iloc[0]), 2)}")
         places = min(4, count_decimals(factor * float(chosen["sd"].min())))

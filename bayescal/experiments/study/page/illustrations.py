@@ -54,17 +54,19 @@ def illustrate_ranking(results: StudyResults) -> Figure:
         f"{bands} Position error is the distance between measured and predicted origin of the platform, "
         "orientation error the angle between measured and predicted platform."
     )
-    draw = partial(draw_overview, groups, behind, results.table("pose_errors"), use, assign_styles(results))
+    errors, scales = results.table("pose_errors"), results.error_scales
+    draw = partial(draw_overview, groups, behind, errors, scales, use, assign_styles(results))
     return Figure("errors", caption, draw)
 
 
 def illustrate_errors(results: StudyResults) -> list[Figure]:
     """Return the bars of every deformation, on common axes; of a single model all deformations together."""
     styles = assign_styles(results)
+    bars = partial(draw_error_bars, results.table("pose_errors"), results.error_scales)
     if len(list_models(results)) == 1:
         name = "errors_all"
         caption = f"{BARS[0].upper()}{BARS[1:]}{cite_figure(results.publication, name)}."
-        return [Figure(name, caption, partial(draw_error_bars, results.table("pose_errors"), list(styles), styles, ""))]
+        return [Figure(name, caption, partial(bars, list(styles), styles, ""))]
     shown = []
     for k, deformation in enumerate(list_deformations(results), start=1):
         name = f"errors_{deformation if re.fullmatch(r'\w+', deformation, re.ASCII) else k}"
@@ -72,7 +74,7 @@ def illustrate_errors(results: StudyResults) -> list[Figure]:
         title = f"{words[0].upper()}{words[1:]}"
         after = cite_figure(results.publication, name)
         variants = find_variants(results, deformation=deformation)
-        draw = partial(draw_error_bars, results.table("pose_errors"), variants, styles, title)
+        draw = partial(bars, variants, styles, title)
         shown.append(Figure(name, f"{title}{after}: {BARS}; the axes are the same for all deformations.", draw))
     return shown
 
@@ -100,7 +102,8 @@ def illustrate_parameters(results: StudyResults) -> Figure:
     )
     shown = {name: styles[name] for name in find_variants(results, model)}
     published = results.table("least_squares")
-    return Figure("parameters", caption, partial(draw_parameters, _choose_free(results), published, shown))
+    draw = partial(draw_parameters, _choose_free(results), published, shown, results.units)
+    return Figure("parameters", caption, draw)
 
 
 def illustrate_joints(results: StudyResults) -> Figure:

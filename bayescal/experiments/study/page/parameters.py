@@ -22,7 +22,7 @@ from bayescal.experiments.study.page.variants import (
 )
 from bayescal.report.blocks import Block, Cell, Column, Figure, Fold, Heading, Section, Statement, Table, make_table
 from bayescal.report.numbers import NOTHING, count_decimals, format_estimate, format_fixed, format_significant
-from bayescal.report.symbols import MODEL_ERROR, name_parameter, scale_of
+from bayescal.report.symbols import MODEL_ERROR, name_parameter
 from bayescal.report.variant_names import describe_deformation
 
 OPEN = 3  # variants whose tables are all shown; of more each stands behind a line
@@ -149,7 +149,7 @@ def tabulate_parameters(results: StudyResults, variant: str) -> Table:
     least_squares = {str(symbol): rows for symbol, rows in found.groupby("parameter", sort=False)}
     rows = []
     for symbol, chosen in posterior.groupby("symbol", sort=False):
-        factor, unit = scale_of(str(symbol), str(chosen["unit"].iloc[0]))
+        factor, unit = results.scale_of(str(symbol), str(chosen["unit"].iloc[0]))
         lines = _list_lines(chosen, least_squares.get(str(symbol), found.iloc[:0]), legs, factor)
         for k, (label, cells) in enumerate(lines):
             span = len(lines) if k == 0 else 0

@@ -81,7 +81,7 @@ def _illustrate_replicates(results: StudyResults) -> Figure:
     seen = results.replicates
     if seen is None:
         return Figure("replicates", caption, None, _say_missing(results))
-    return Figure("replicates", caption, partial(draw_replicates, seen.misfit))
+    return Figure("replicates", caption, partial(draw_replicates, seen.misfit, results.units))
 
 
 def _illustrate_pareto_k(results: StudyResults) -> Figure:

@@ -19,8 +19,8 @@ from bayescal.experiments.study.page.variants import (
     split_variant,
 )
 from bayescal.report.blocks import Column, Statement, Table, make_table
-from bayescal.report.numbers import NOTHING, PER_MILLE, format_significant, format_span
-from bayescal.report.symbols import scale_of, write_symbol
+from bayescal.report.numbers import NOTHING, format_significant, format_span
+from bayescal.report.symbols import write_symbol
 from bayescal.report.variant_names import describe_deformation
 
 LENGTH = "mm"
@@ -95,7 +95,7 @@ def tabulate_published(results: StudyResults) -> Table | None:
         names = find_variants(results, deformation=deformation)
         rows = frame[frame["variant"].isin(names)]
         for unit, symbols in _list_columns(rows):
-            scale, text = scale_of(symbols[0], unit)
+            scale, text = results.scale_of(symbols[0], unit)
             group = _title_group(results, names, deformation)
             title = ", ".join(dict.fromkeys(s.partition("_")[0] for s in symbols)) if unit == LENGTH else symbols[0]
             columns.append(Column(title, text, group, symbolic=unit != LENGTH))
@@ -144,8 +144,8 @@ def list_remarks(results: StudyResults) -> list[Statement]:
 
 
 def _remark(results: StudyResults, name: str, symbol: str, shares: list[float], rows: pd.DataFrame) -> Statement:
-    factor, unit = scale_of(symbol, str(rows["unit"].iloc[0]))
-    unit = f"·{unit}" if factor == PER_MILLE else f" {unit}"
+    factor, unit = results.scale_of(symbol, str(rows["unit"].iloc[0]))
+    unit = f"·{unit}" if unit.startswith("10") else f" {unit}"
     printed = factor * measure_rms(rows["difference"])
     times_ten = factor * measure_rms(rows["offset"] - MISPRINT * rows["published_offset"])
     table = name_table(results, name) or "the published table"

@@ -19,7 +19,7 @@ from bayescal.experiments.study.page.posterior_files import Replicates, read_pos
 from bayescal.experiments.study.page.publication import Publication, read_publication
 from bayescal.report.numbers import MICROMETRES
 from bayescal.report.reading import NUMBER, Kinds, Row, check_keys, list_rows
-from bayescal.report.symbols import OF_KERNELS, split_name
+from bayescal.report.symbols import OF_KERNELS, scale_of, split_name
 from bayescal.report.units import Asked, shown_in
 
 if TYPE_CHECKING:
@@ -94,15 +94,6 @@ COLUMNS: dict[str, dict[str, tuple[str, ...]]] = {
 REQUIRED = ("parameters", "poses")
 
 
-ANGLES = {
-    "deg": (1e3, "mdeg"),
-    "arcsec": (3600.0, "arcsec"),
-    "mrad": (1e3 * math.radians(1.0), "mrad"),
-    "rad": (math.radians(1.0), "rad"),
-}
-"""Factor from degrees and name of the unit of small angles, by the unit of angles in the config."""
-
-
 class ErrorScale(NamedTuple):
     """How errors of poses are shown: in words, their column, and factor and name of their unit."""
 
@@ -114,6 +105,11 @@ class ErrorScale(NamedTuple):
     def read(self, errors: Mapping[str, Any] | None, which: str) -> float:
         """Return the ``mean`` or ``max`` of a use's errors in that unit; NaN without."""
         return self.factor * get_number(errors[self.column], which) if errors else math.nan
+
+    @property
+    def label(self) -> str:
+        """What an axis says."""
+        return f"{self.what.capitalize()} error ({self.unit})"
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,12 +249,16 @@ class StudyResults:
         """Return factor and name of the unit that values of an inner unit are shown in."""
         return shown_in(unit, self.units)
 
+    def scale_of(self, symbol: str, unit: str) -> tuple[float, str]:
+        """Return the factor and the unit in which a parameter's offsets are shown."""
+        return scale_of(symbol, unit, self.units)
+
     @property
     def error_scales(self) -> tuple[ErrorScale, ...]:
         """The errors of poses that were measured, each with its unit on the page."""
-        factor, unit = ANGLES[(self.units or {}).get("angle", "deg")]
+        factor, unit = self.shown_in("rad")
         position = ErrorScale("position", "position_error_mm", MICROMETRES, "µm")
-        scales = (position, ErrorScale("orientation", "orientation_error_deg", factor, unit))
+        scales = (position, ErrorScale("orientation", "orientation_error_deg", math.radians(factor), unit))
         errors = self.table("pose_errors")
         return tuple(one for one in scales if errors[one.column].notna().any())
 

@@ -126,4 +126,5 @@ def illustrate_ridges(results: StudyResults) -> Figure:
         "parameters (red +1, blue −1), and the draws of its most correlated pairs as offsets from nominal. A thin "
         "slanting cloud is a ridge: the measurements fix only what lies across it."
     )
-    return Figure(name, caption, partial(draw_ridges, table, nominal, one["unit"], pairs))
+    scales = {str(symbol): results.scale_of(str(symbol), str(unit)) for symbol, unit in one["unit"].items()}
+    return Figure(name, caption, partial(draw_ridges, table, nominal, scales, pairs))

@@ -257,7 +257,7 @@ def _state_accuracy(results: StudyResults) -> list[Statement]:
         for which in ("mean", "max"):
             values = [scale.read(results.fit(name)[use], which) for name in leaders]
             sizes[which] = " to ".join(dict.fromkeys(format_significant(x, 2) for x in (min(values), max(values))))
-        mean, largest = (f"{sizes[which]} {scale.unit}" for which in ("mean", "max"))
+        mean, largest = (f"{sizes[which]} {scale.unit}".replace(" °", "°") for which in ("mean", "max"))
         errors.append(f"{mean} mean and {largest} largest {scale.what} error")
     if not errors:
         return []

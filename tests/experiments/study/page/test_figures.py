@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from functools import cache, partial
 from itertools import pairwise
 
 import numpy as np
 import pytest
-from made_up_results import PUBLICATION, TWELVE, edit_table, read_page, read_study, write_results
+from made_up_results import PUBLICATION, TWELVE, edit_table, read_page, read_study, render_text, write_results
 from matplotlib import rc_context
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_hex
@@ -16,6 +17,7 @@ from matplotlib.colors import to_hex
 from bayescal.experiments.study.page.figures.flexure import choose_flexure, draw_flexure
 from bayescal.experiments.study.page.figures.joints import find_magnification, locate_joints, measure_moves
 from bayescal.experiments.study.page.styles import DEFORMATION_COLOURS, assign_styles, list_keys
+from bayescal.report.blocks import Table
 from bayescal.report.pictures import render_picture
 from bayescal.report.style import RC
 
@@ -84,12 +86,12 @@ def test_every_figure_is_drawn_without_a_warning(page):
 
 def test_bars_reach_the_largest_error_and_the_line_is_the_mean(drawn):
     figure = drawn("errors_linear")
-    for axes, largest, mean in zip(figure.axes, (80.0, 40.0), (35.0, 25.0), strict=True):
+    for axes, largest, mean in zip(figure.axes, (80.0, 0.040), (35.0, 0.025), strict=True):
         heights = [bar.get_height() for bar in axes.patches]  # calibration and verification of each model
         assert heights[4] == pytest.approx(largest)  # beam is the third model
         lines = [float(line.get_segments()[0][0, 1]) for line in axes.collections]
         assert lines[4] == pytest.approx(mean)
-        assert max(lines[k] for k in range(8) if k != 4) < 10
+        assert max(lines[k] for k in range(8) if k != 4) < 0.5 * mean
     assert "35/80" in list_texts(figure)
     assert [label.get_text() for label in figure.axes[0].get_xticklabels()] == [
         "6-PUS",
@@ -97,7 +99,29 @@ def test_bars_reach_the_largest_error_and_the_line_is_the_mean(drawn):
         "beam",
         "stiffness",
     ]
-    assert [axes.get_ylabel() for axes in figure.axes] == ["Position error (µm)", "Orientation error (mdeg)"]
+    assert [axes.get_ylabel() for axes in figure.axes] == ["Position error (µm)", "Orientation error (°)"]
+
+
+@pytest.mark.parametrize(("angle", "factor", "label"), [("mrad", np.pi / 0.18, "mrad"), ("arcsec", 3600.0, "arcsec")])
+def test_orientation_errors_of_tables_and_figures_are_in_the_configs_unit(make_results, drawn, angle, factor, label):
+    def change(summary):
+        summary["units"]["angle"] = angle
+
+    page = read_page(make_results(change, variants=TWELVE))
+    own, usual = draw(page, "errors_linear").axes[1], drawn("errors_linear").axes[1]
+    assert own.get_ylabel() == f"Orientation error ({label})"
+    heights = [[bar.get_height() for bar in axes.patches] for axes in (own, usual)]
+    np.testing.assert_allclose(heights[0], factor * np.array(heights[1]))
+    ranking = next(block for block in page.sections[0].blocks if isinstance(block, Table))
+    assert {c.unit for c in ranking.columns if c.group.startswith("Orientation")} == {label}
+
+
+def test_a_page_in_degrees_has_no_other_unit_of_angles(make_results, drawn):
+    text = render_text(make_results(variants=TWELVE))
+    assert not re.search(r"\b(mdeg|mrad|µrad|arcsec|rad)\b", text)
+    for name in ("errors", "errors_linear", "parameters", "ridges", "replicates"):
+        labels = [label for axes in drawn(name).axes for label in (axes.get_xlabel(), axes.get_ylabel())]
+        assert not [label for label in labels if "rad" in label or "mdeg" in label]
 
 
 def test_all_deformations_have_the_same_axes(page, drawn):

@@ -29,7 +29,7 @@ def test_a_clear_winner_is_named_with_its_lead_and_its_odds(make_results):
     assert "pus/linear explains the measurements best, by 20.0 nat over pus/none" in text
     assert "10⁸ to 1" in text
     assert "4.0 µm mean and 9.0 µm largest position error" in text
-    assert "1.0 mdeg mean and 2.0 mdeg largest orientation error" in text
+    assert "0.0010° mean and 0.0020° largest orientation error" in text
     assert "Leave-one-out cross-validation (elpd LOO) agrees: pus/linear first, 20.0 ± 2.0 nat ahead" in text
     assert "(elpd, all together) agree: pus/linear first, 4.0 ± 1.4 nat" in text
     assert "All 4 posteriors converged" in text

@@ -13,8 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter
 
-from bayescal.experiments.study.page.figures.overview import list_quantities
-from bayescal.experiments.study.page.results import SETTINGS
+from bayescal.experiments.study.page.results import SETTINGS, ErrorScale
 from bayescal.experiments.study.page.styles import Styles
 from bayescal.report.numbers import MICROMETRES, format_plain, format_significant
 from bayescal.report.style import GREY, INK, RED
@@ -28,13 +27,17 @@ SLANTED: dict[str, Any] = {"rotation": 25, "ha": "right", "rotation_mode": "anch
 BOUND = "position_bound_95_mm"
 
 
-def draw_error_bars(predictions: pd.DataFrame, variants: Sequence[str], styles: Styles, title: str) -> Figure:
+def draw_error_bars(
+    predictions: pd.DataFrame, scales: Sequence[ErrorScale], variants: Sequence[str], styles: Styles, title: str
+) -> Figure:
     """Return bars of some variants: as high as the largest error, a line at the mean.
 
     Parameters
     ----------
     predictions : DataFrame
         Rows of all variants of the study, from which all such figures take the same axes.
+    scales : sequence of ErrorScale
+        Of the errors that were measured.
     variants : sequence of str
         From left to right: the variants of one deformation, or of one model.
     styles : mapping
@@ -45,13 +48,12 @@ def draw_error_bars(predictions: pd.DataFrame, variants: Sequence[str], styles: 
     figure.set_layout_engine("none")  # fixed margins take half the time
     frame = predictions[predictions["model_error"] == "free"]
     uses = [use for use in SHADES if (frame["use"] == use).any()]
-    quantities = list_quantities(predictions)
-    panels = figure.subplots(1, len(quantities), gridspec_kw=CROWDED_MARGINS if crowded else MARGINS, squeeze=False)[0]
+    panels = figure.subplots(1, len(scales), gridspec_kw=CROWDED_MARGINS if crowded else MARGINS, squeeze=False)[0]
     models, deformations = ({getattr(styles[name], what) for name in variants} for what in ("model", "deformation"))
     by_model = len(models) > 1 and len(deformations) == 1
     labels = [styles[name].model if by_model else styles[name].label for name in variants]
-    for axes, (column, factor, label) in zip(panels, quantities, strict=True):
-        errors = factor * frame.groupby(["variant", "use"])[column].agg(["mean", "max"])
+    for axes, scale in zip(panels, scales, strict=True):
+        errors = scale.factor * frame.groupby(["variant", "use"])[scale.column].agg(["mean", "max"])
         for k, name in enumerate(variants):
             for use, side in zip(uses, (-1, 1) if len(uses) > 1 else (0,), strict=True):
                 mean, largest = (float(errors[what][name, use]) for what in ("mean", "max"))
@@ -60,7 +62,7 @@ def draw_error_bars(predictions: pd.DataFrame, variants: Sequence[str], styles: 
         axes.set_xlim(-0.6, max(len(variants), 3) - 0.4)
         axes.set_xticks(range(len(variants)), labels, **(SLANTED if crowded else {}))
         axes.tick_params(axis="x", length=0)
-        axes.set_ylabel(label)
+        axes.set_ylabel(scale.label)
         axes.grid(axis="y")
     colours = {styles[name].colour for name in variants}
     colour = colours.pop() if len(colours) == 1 else GREY

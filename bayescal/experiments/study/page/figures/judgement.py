@@ -17,6 +17,7 @@ from bayescal.limits import PARETO_K_LIMIT
 from bayescal.numerics.geometry import Array
 from bayescal.report.numbers import MICROMETRES
 from bayescal.report.style import GREY, INK, LEG_COLOURS, PALE, RED
+from bayescal.report.units import Asked, shown_in
 
 KOLMOGOROV = 1.358  # 95 % of the largest distance of an ECDF, times the root of the number of draws
 SIMULATIONS = 500
@@ -84,15 +85,19 @@ def _shade(axes: Axes, points: Array, low: Array, high: Array) -> None:
     axes.set_xlim(0, 1)
 
 
-def draw_replicates(misfit: Array) -> Figure:
+def draw_replicates(misfit: Array, asked: Asked = None) -> Figure:
     """Return the distribution of the poses' errors beside those of replicates, from measured minus replicated poses.
 
     Parameters
     ----------
     misfit : ndarray, shape (S, P, 6)
         mm and rad.
+    asked : mapping or None
+        Units of the config.
     """
-    kinds = (("Position error (µm)", slice(0, 3), MICROMETRES), ("Orientation error (µrad)", slice(3, 6), 1e6))
+    angle, unit = shown_in("rad", asked)
+    turned = (f"Orientation error ({unit})", slice(3, 6), angle)
+    kinds = (("Position error (µm)", slice(0, 3), MICROMETRES), turned)
     mean = misfit.mean(axis=0)
     known = [one for one in kinds if np.isfinite(misfit[..., one[1]]).any()]
     figure = Figure(figsize=(4.6 * len(known), 2.6))

@@ -9,26 +9,19 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, SymmetricalLogLocator
 
+from bayescal.experiments.study.page.results import ErrorScale
 from bayescal.experiments.study.page.styles import Styles
-from bayescal.report.numbers import MICROMETRES, MILLIDEGREES, format_fixed, format_pair, format_power
+from bayescal.report.numbers import format_fixed, format_pair, format_power
 from bayescal.report.style import INK, PALE
 
-QUANTITIES = (
-    ("position_error_mm", MICROMETRES, "Position error (µm)"),
-    ("orientation_error_deg", MILLIDEGREES, "Orientation error (mdeg)"),
-)
 THICKNESS = 0.62
-
-
-def list_quantities(predictions: pd.DataFrame) -> list[tuple[str, float, str]]:
-    """Return column, factor and label of the errors that were measured."""
-    return [one for one in QUANTITIES if predictions[one[0]].notna().any()]
 
 
 def draw_overview(
     groups: Sequence[Sequence[str]],
     behind: Mapping[tuple[str, str], float],
     predictions: pd.DataFrame,
+    scales: Sequence[ErrorScale],
     use: str,
     styles: Styles,
 ) -> Figure:
@@ -42,21 +35,22 @@ def draw_overview(
         Log-evidence below the best, nats, by variant and setting of the model error.
     predictions : DataFrame
         Rows of all variants, settings of the model error and poses.
+    scales : sequence of ErrorScale
+        Of the errors that were measured.
     use : str
         The poses whose errors are shown.
     styles : mapping
     """
     names = [name for group in groups for name in group]
     figure = Figure(figsize=(9.4, 0.75 + 0.265 * len(names)))
-    quantities = list_quantities(predictions)
-    axes = figure.subplots(1, 2 + len(quantities), sharey=True, width_ratios=[1.0] * (1 + len(quantities)) + [0.8])
+    axes = figure.subplots(1, 2 + len(scales), sharey=True, width_ratios=[1.0] * (1 + len(scales)) + [0.8])
     for panel in axes:
         _draw_bands(panel, groups)
     _draw_evidence(axes[0], names, behind, styles)
     chosen = predictions[predictions["use"] == use]
-    for panel, (column, factor, label) in zip(axes[1:-1], quantities, strict=True):
-        _draw_errors(panel, names, chosen, column, factor, styles)
-        panel.set_xlabel(f"{label},\n{use}")
+    for panel, scale in zip(axes[1:-1], scales, strict=True):
+        _draw_errors(panel, names, chosen, scale, styles)
+        panel.set_xlabel(f"{scale.label},\n{use}")
     _draw_without(axes[-1], names, behind)
     axes[0].set_yticks(range(len(names)), [styles[name].label for name in names])
     axes[0].set_ylim(len(names) - 0.5, -0.5)
@@ -106,9 +100,9 @@ def _write_beside(axes: Axes, ends: Sequence[float], texts: Sequence[str]) -> No
 
 
 def _draw_errors(
-    axes: Axes, names: Sequence[str], predictions: pd.DataFrame, column: str, factor: float, styles: Styles
+    axes: Axes, names: Sequence[str], predictions: pd.DataFrame, scale: ErrorScale, styles: Styles
 ) -> None:
-    errors = factor * predictions.groupby(["variant", "model_error"])[column].agg(["mean", "max"])
+    errors = scale.factor * predictions.groupby(["variant", "model_error"])[scale.column].agg(["mean", "max"])
     mean, largest = ([float(errors[which][name, "free"]) for name in names] for which in ("mean", "max"))
     rows, colours = range(len(names)), [styles[name].colour for name in names]
     axes.barh(rows, largest, height=THICKNESS, color=colours, alpha=0.35, linewidth=0)

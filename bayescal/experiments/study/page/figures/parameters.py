@@ -15,12 +15,13 @@ from bayescal.experiments.study.page.styles import Styles, count_columns, list_k
 from bayescal.report.numbers import MICROMETRES
 from bayescal.report.style import GREY, INK, PALE
 from bayescal.report.symbols import MODEL_ERROR, is_model_error, scale_of, set_mathematics
+from bayescal.report.units import Asked
 
 PRIOR_90 = 1.645  # prior standard deviations to the 5 and 95 % points of a normal prior
 MANY = 8  # symbols from which the panels stand three in a row
 
 
-def draw_parameters(parameters: pd.DataFrame, published: pd.DataFrame, styles: Styles) -> Figure:
+def draw_parameters(parameters: pd.DataFrame, published: pd.DataFrame, styles: Styles, asked: Asked = None) -> Figure:
     """Return the 90 % posterior intervals of all geometry, as offsets from nominal, a panel per symbol.
 
     Parameters
@@ -31,6 +32,8 @@ def draw_parameters(parameters: pd.DataFrame, published: pd.DataFrame, styles: S
         Columns variant, parameter, leg and published_offset; NaN where nothing was published.
     styles : mapping
         Of the variants shown, from left to right at each leg.
+    asked : mapping or None
+        Units of the config.
     """
     rows = parameters[~parameters["symbol"].map(is_model_error) & parameters["variant"].isin(list(styles))]
     published = published[published["variant"].isin(list(styles))]
@@ -42,7 +45,7 @@ def draw_parameters(parameters: pd.DataFrame, published: pd.DataFrame, styles: S
     for axes, symbol in zip(grid, symbols, strict=False):
         chosen = rows[rows["symbol"] == symbol]
         there = {name: style for name, style in styles.items() if name in set(chosen["variant"])}
-        factor, unit = scale_of(symbol, str(chosen["unit"].iloc[0]))
+        factor, unit = scale_of(symbol, str(chosen["unit"].iloc[0]), asked)
         _draw_prior(axes, chosen, factor)
         _draw_intervals(axes, chosen, there, factor)
         _draw_published(axes, published[published["parameter"] == symbol], chosen, there, factor)

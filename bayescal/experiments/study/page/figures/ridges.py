@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pandas as pd
@@ -11,21 +11,28 @@ from matplotlib.figure import Figure
 
 from bayescal.report.numbers import format_fixed
 from bayescal.report.style import INK
-from bayescal.report.symbols import scale_of, set_mathematics
+from bayescal.report.symbols import set_mathematics
 
 SHOWN_DRAWS = 1500
 FEW = 10  # parameters of which the correlations are written as numbers
 
 
-def draw_ridges(draws: pd.DataFrame, nominal: pd.Series, units: pd.Series, pairs: Sequence[tuple[str, str]]) -> Figure:
+def draw_ridges(
+    draws: pd.DataFrame,
+    nominal: pd.Series,
+    scales: Mapping[str, tuple[float, str]],
+    pairs: Sequence[tuple[str, str]],
+) -> Figure:
     """Return the correlation matrix of one leg's parameters and the draws of chosen pairs.
 
     Parameters
     ----------
     draws : DataFrame
         A column per symbol of that leg.
-    nominal, units : Series
+    nominal : Series
         By symbol.
+    scales : mapping
+        Factor and name of the unit in which offsets are shown, by symbol.
     pairs : sequence of pairs of symbols
         At most three, the most correlated first.
     """
@@ -37,8 +44,8 @@ def draw_ridges(draws: pd.DataFrame, nominal: pd.Series, units: pd.Series, pairs
     places = ((0, 2), (0, 3), (1, 2), (1, 3))
     for (x, y), (row, column) in zip(pairs, places, strict=False):
         axes = figure.add_subplot(grid[row, column])
-        x_factor, x_unit = scale_of(x, str(units[x]))
-        y_factor, y_unit = scale_of(y, str(units[y]))
+        x_factor, x_unit = scales[x]
+        y_factor, y_unit = scales[y]
         x_values, y_values = x_factor * shown[x], y_factor * shown[y]
         axes.plot(x_values, y_values, linestyle="none", marker=".", markersize=1.6, color=INK, alpha=0.45)
         axes.set_xlabel(f"{set_mathematics(x, 'Δ')} ({x_unit})")
