@@ -65,9 +65,10 @@ def tabulate_ranking(study: StudyResults, setting: str) -> Table:
         order = sorted(fits, key=lambda name: (not fits[name]["converged"], -fits[name]["log_evidence"]))
         best = max(one["elpd_loo"] for one in fits.values())
         for rank, name in enumerate(order, start=1):
-            behind = fits[name]["log_evidence"] - fits[order[0]]["log_evidence"]
-            found = [*_compare(fits[name], rank, behind, best)] if several else []
-            found += [*_describe(study, name, fits[name])]
+            apart = fits[name]["log_evidence"] - fits[order[0]]["log_evidence"]
+            behind = _compare(fits[name], apart, best) if several else []
+            found: Found = [(Column("Rank"), str(rank) if fits[name]["converged"] else "not ranked")] if several else []
+            found += _describe(study, name, fits[name], behind)
             columns = [column for column, _ in found]
             rows.append([cell for _, cell in found])
     title = {"free": "with model error τ", "zero": "without model error (τ = 0)"}[setting]
@@ -84,30 +85,28 @@ def tabulate_ranking(study: StudyResults, setting: str) -> Table:
 type Found = list[tuple[Column, str | Cell]]
 
 
-def _compare(fit: dict[str, Any], rank: int, behind: float, best: float) -> Found:
-    """Return what only several variants have: rank, and how far each is behind the best."""
+def _compare(fit: dict[str, Any], behind: float, best: float) -> Found:
+    """Return how far one of several variants is behind the best: in evidence, then by LOO."""
     error = fit["elpd_loo_difference_se"]
     loo = format_fixed(0.0, 1) if fit["elpd_loo"] == best else format_estimate(fit["elpd_loo"] - best, error, 1)
-    weight = format_percent(fit["stacking_weight"]).rstrip(" %")
     return [
-        (Column("Rank"), str(rank) if fit["converged"] else "not ranked"),
-        (Column("Behind the best", "nat", "Log-evidence"), format_fixed(behind, 1)),
+        (Column("behind the best", "nat", "Log-evidence"), format_fixed(behind, 1)),
         (Column("behind the best", "nat", "elpd LOO"), loo),
-        (Column("weight when stacked", "%", "elpd LOO"), weight),
+        (Column("stacking weight", "%", "elpd LOO"), format_percent(fit["stacking_weight"]).rstrip(" %")),
     ]
 
 
-def _describe(study: StudyResults, name: str, fit: dict[str, Any]) -> Found:
-    """Return what one variant has, whatever the others."""
+def _describe(study: StudyResults, name: str, fit: dict[str, Any], behind: Found) -> Found:
+    """Return what one variant has, and how far it is ``behind`` the best where there are several."""
     bad = int(fit["loo_unreliable"])
     loo = format_estimate(fit["elpd_loo"], fit["elpd_loo_se"], 1)
-    found: Found = [(VARIANT, label_variant(study, name))]
-    if len(study.summary["rankings"]) > 1:
-        found.append((Column("Readings", kind="text"), str(fit["data"])))
-    found += [
+    found: Found = [
+        (VARIANT, label_variant(study, name)),
         (Column("Free"), str(fit["n_parameters"])),
-        (Column("Log-evidence", "nat"), format_evidence(fit["log_evidence"], fit["log_evidence_se"])),
-        (Column("elpd LOO", "nat"), Cell(f"{loo} ({bad})", "warning") if bad else Cell(loo)),
+        (Column("", "nat", "Log-evidence"), format_evidence(fit["log_evidence"], fit["log_evidence_se"])),
+        *behind[:1],
+        (Column("", "nat", "elpd LOO"), Cell(f"{loo} ({bad})", "warning") if bad else Cell(loo)),
+        *behind[1:],
     ]
     if any(get_number(one, "elpd") == get_number(one, "elpd") for _, _, one in study.fits()):
         found.append((Column("elpd held back", "nat"), format_fixed(get_number(fit, "elpd"), 1)))
@@ -121,8 +120,10 @@ def _describe(study: StudyResults, name: str, fit: dict[str, Any]) -> Found:
         tolerances = format_significant(get_number(fit, "distance_from_nominal_prior_sd"), 2)
         group = "From nominal, rms"
         found += [(Column("", "mm", group), length), (Column("", "tolerances", group), tolerances)]
-    passed = Cell("passed") if fit["converged"] else Cell("FAILED", "bad")
-    return [*found, (Column("Checks", kind="text"), passed)]
+    found.append((Column("Checks", kind="text"), Cell("passed") if fit["converged"] else Cell("FAILED", "bad")))
+    if len(study.summary["rankings"]) > 1:
+        found.append((Column("Readings", kind="name"), str(fit["data"])))
+    return found
 
 
 def _state_names(results: StudyResults) -> list[Statement]:
