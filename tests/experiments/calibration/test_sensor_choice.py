@@ -62,7 +62,7 @@ def test_a_set_is_as_good_as_an_audit_of_the_same_sensors_says(aligned, folder, 
     page = html.unescape((folder / "out" / "report.html").read_text()).replace("\xa0", " ")
     fewest = "s[1], s[2], s[3], cam_x, cam_y and height, 6 of 6"
     assert (f"The fewest sensors that meet what is required: {fewest}" in page) != aligned
-    assert "the machine's own sensors of the set do not tell where it stands in use" in page
+    assert "the machine's own sensors of the set do not determine where it is in use" in page
     assert ("All accuracies are after alignment" in page) == aligned
 
 

@@ -147,7 +147,7 @@ def test_without_requirements_and_changes_the_page_says_so(tmp_path, no_pictures
     assert "Figure left out: the design states no requirement." in text
     assert "Figure left out: no change of the plan was looked at." in text
     assert "No reduced set was looked for." in text
-    assert "whether the accuracy suffices is not told" in text
+    assert "whether the accuracy suffices is unknown" in text
 
 
 def test_text_from_the_design_is_escaped(tmp_path, pictures):
@@ -378,7 +378,7 @@ def test_a_reduced_set_is_for_reproductions_and_says_what_it_is_off_by():
     assert "The pose hardly suffers" in text
     text = say(make(put(9.0, 0.4)))["Reduced set"][1]
     assert "up to 9.0 times as uncertain" in text
-    assert "probability to keep it 40 %" in text
+    assert "probability to meet it 40 %" in text
 
 
 def test_without_anything_left_out_there_is_no_reduced_set():
