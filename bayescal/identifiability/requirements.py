@@ -177,6 +177,12 @@ class Forecast:
             )
         return outlooks, together
 
+    def keep_all(
+        self, requirements: Sequence[Requirement], information: Information, rng: np.random.Generator
+    ) -> float:
+        """Return the probability that all requirements are kept after the calibration, to first order."""
+        return self._probabilities(requirements, root_of(information.covariance).T, rng)[2]
+
     def _probabilities(
         self, requirements: Sequence[Requirement], root: Array, rng: np.random.Generator
     ) -> tuple[Array, Array, float]:

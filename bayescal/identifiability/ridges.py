@@ -23,10 +23,9 @@ NICE = (1.0, 2.0, 5.0)
 WORKSPACE_POSES = 40
 MANY = 6  # names in a row
 BENDS = 3
-NOTHING = 1e-6  # µm and arcsec: rounding
-SMALLEST_SAID = 1e-3
-MICROMETRES = 1e3  # in a millimetre
-ARCSECONDS = 3600 * 180 / np.pi  # in a radian
+NOTHING = {"mm": 1e-9, "rad": 5e-12}  # rounding
+SMALLEST_SAID = {"mm": 1e-6, "rad": 5e-9}
+WRITTEN = {"N mm2": "N mm²", "um": "µm"}
 
 
 @dataclass(frozen=True)
@@ -151,10 +150,10 @@ def _changes(knowledge: Knowledge, moves: Array, actuators: Array) -> Array:
 
 def _phrase(knowledge: Knowledge, direction: Direction, move: Array, change: Array, units: Units) -> str:
     text = describe_move(knowledge.names, knowledge.units, direction, move, units)
-    position, rotation = MICROMETRES * change[0], ARCSECONDS * change[1]
-    if max(position, rotation) < NOTHING:
+    if all(value < NOTHING[unit] for value, unit in zip(change, NOTHING, strict=True)):
         return f"{text} changes no measured pose at all."
-    return f"{text} changes no measured pose by more than {round_up(position)} µm and {round_up(rotation)} arcsec."
+    most = [_say_most(float(value), unit, units) for value, unit in zip(change, NOTHING, strict=True)]
+    return f"{text} changes no measured pose by more than {most[0]} and {most[1]}."
 
 
 def describe_move(
@@ -201,14 +200,21 @@ def describe_move(
 def _amount(unit: str, move: float, units: Units) -> str:
     value = move / units.factor(unit)
     text = f"{value:+.3g}".replace("-", "\u2212")
-    return text if unit == "1" else f"{text} {units.name(unit).replace('N mm2', 'N mm²')}"
+    return text if unit == "1" else f"{text} {_name(unit, units)}"
 
 
-def round_up(value: float) -> str:
-    """Return a number to two digits, rounded up: what is said to be the most must be."""
-    value = max(value, SMALLEST_SAID)
+def _name(unit: str, units: Units) -> str:
+    name = units.name(unit)
+    return WRITTEN.get(name, name)
+
+
+def _say_most(value: float, unit: str, units: Units) -> str:
+    """Return a length or an angle to two digits with its unit, rounded up: what is said to be the most must be."""
+    value = max(value, SMALLEST_SAID[unit]) / units.factor(unit)
     power = 10.0 ** (np.floor(np.log10(value)) - 1)
-    return f"{np.ceil(value / power * (1 - 1e-12)) * power:.2g}" if value < 100 else f"{np.ceil(value):.0f}"
+    most = np.ceil(value) if value >= 100 else np.ceil(value / power * (1 - 1e-12)) * power
+    digits = np.format_float_positional(most, precision=max(2, len(f"{most:.0f}")), fractional=False, trim="-")
+    return f"{digits} {_name(unit, units)}"
 
 
 def _percent(share: float) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,14 +11,13 @@ import pandas as pd
 
 from bayescal.experiments.audit.reading_inputs import ReadingAudit
 from bayescal.experiments.audit.selection import Selection, select_poses
-from bayescal.experiments.audit.sensor_sets import build_sensor_sets
+from bayescal.experiments.audit.sensor_sets import build_sensor_sets, find_probability
 from bayescal.experiments.audit.set_search import FoundSets, search_sets
-from bayescal.experiments.audit.set_tables import tabulate_sets
+from bayescal.experiments.audit.set_tables import find_shown, tabulate_sets
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.shared.readings.inputs import Variant
 from bayescal.experiments.shared.readings.knowledge import Knowledge, assess
 from bayescal.experiments.shared.readings.knowledge_tables import list_next, tabulate_accuracy
-from bayescal.identifiability.reading_rows import name_tool
 from bayescal.numerics.geometry import Array
 
 
@@ -65,11 +64,13 @@ def search_sensors(inputs: ReadingAudit) -> FoundSets:
     assert inputs.sensors is not None
     asked, variant = inputs.config.sensor_choice, inputs.sensors
     assert asked is not None
-    names, _ = name_tool(variant.model)
-    limits = np.array([inputs.limits.get(name, np.inf) for name in names])
-    posterior = variant.posterior()
-    sets = build_sensor_sets(variant, posterior, inputs.choices, asked.always, limits, inputs.config.seed)
-    return search_sets(sets, min(asked.largest or len(inputs.choices), len(inputs.choices)), asked.exhaustive)
+    posterior, seed, n = variant.posterior(), inputs.config.seed, len(inputs.choices)
+    sets = build_sensor_sets(variant, posterior, inputs.choices, asked.always, inputs.requirements, seed)
+    found = search_sets(sets, min(asked.largest or n, n), asked.exhaustive)
+    probability = found.probability.copy()
+    for k in find_shown(inputs, found):
+        probability[k] = find_probability(sets, found.sets[k], np.random.default_rng([seed, 3]))
+    return replace(found, probability=probability)
 
 
 def summarise_choices(inputs: ReadingAudit) -> dict[str, Any]:

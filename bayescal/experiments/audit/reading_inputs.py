@@ -45,8 +45,8 @@ class ReadingAudit:
         Its name.
     variants : dict of name to Variant
         Their readings those of the machine as expected, without noise.
-    limits : dict of coordinate to float
-        Largest rms errors, in inner units.
+    requirements : tuple of Requirement
+        Of the tool's numbers, inner units.
     plans : dict of name to ReadingPlan
         The variants as they are audited.
     sensors : Variant or None
@@ -58,7 +58,7 @@ class ReadingAudit:
     config: AuditConfig
     machine: str
     variants: dict[str, Variant]
-    limits: dict[str, float]
+    requirements: tuple[Requirement, ...]
     plans: dict[str, ReadingPlan]
     sensors: Variant | None = None
     choices: tuple[Choice, ...] = ()
@@ -94,9 +94,8 @@ def read_audit(config: AuditConfig, folder: Path) -> ReadingAudit:
     assert isinstance(config.workspace, dict)
     workspace = build_workspace(model, config.workspace, config.units)
     planned = plan_poses(config, folder, model, workspace)
-    limits, units = _read_limits(config, model), Units(config.units.length, config.units.angle)
-    components, _ = name_tool(model)
-    required = tuple(Requirement(name, one, components, config.required_of) for name, one in limits.items())
+    units = Units(config.units.length, config.units.angle)
+    required = _read_requirements(config, model, units)
     name, asked, plans = getattr(model, "name", str(config.machine)), config.sensor_choice, {}
     for one in config.variants:
         with name_faults(f"variant {one.name!r}"):
@@ -107,14 +106,14 @@ def read_audit(config: AuditConfig, folder: Path) -> ReadingAudit:
             check_changes(plans[one.name])
     variants = {key: one.variant for key, one in plans.items()}
     if asked is None:
-        return ReadingAudit(config, name, variants, limits, plans)
+        return ReadingAudit(config, name, variants, required, plans)
     with name_faults("sensor_choice"):
         choices = list_choices(model, asked)
         names = [*asked.always, *(one for choice in choices for one in choice.channels)]
         what = asked.model_dump(include=set(FreeConfig.model_fields))
         section = VariantConfig(name="sensor_choice", sensors=names, **what)
         sensors = _build(config, section, model, planned, workspace)
-    return ReadingAudit(config, name, variants, limits, plans, sensors, choices)
+    return ReadingAudit(config, name, variants, required, plans, sensors, choices)
 
 
 def _read_model(config: AuditConfig, section: VariantConfig, folder: Path) -> ReadingModel:
@@ -124,17 +123,16 @@ def _read_model(config: AuditConfig, section: VariantConfig, folder: Path) -> Re
     return place(model, read_instruments(config, folder))
 
 
-def _read_limits(config: AuditConfig, model: ReadingModel) -> dict[str, float]:
-    names, units = name_tool(model)
-    section = Units(config.units.length, config.units.angle)
+def _read_requirements(config: AuditConfig, model: ReadingModel, units: Units) -> tuple[Requirement, ...]:
+    names, inner = name_tool(model)
     for name in config.requirements:
         if name not in names:
             raise InputError(f"requirements: found {name!r}, expected some of {', '.join(names)}")
-    return {
-        name: section.factor(units[names.index(name)]) * config.requirements[name]
-        for name in names
+    return tuple(
+        Requirement(name, units.factor(unit) * config.requirements[name], names, config.required_of)
+        for name, unit in zip(names, inner, strict=True)
         if name in config.requirements
-    }
+    )
 
 
 def _build(

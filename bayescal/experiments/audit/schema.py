@@ -109,6 +109,8 @@ class PosesConfig(Section):
             raise ValueError("found both or none of count, file and configurations, expected one of them")
         if self.plan != "file" and (files or self.count is None):
             raise ValueError(f"expected count, and no file, of plan {self.plan!r}")
+        if self.unit_mm != 1.0 and self.configurations is None:
+            raise ValueError("unit_mm: found it without configurations, expected none")
         if self.range_mm is not None and self.plan not in ("uniform", "extremes"):
             raise ValueError("range_mm: found it, expected it of plans 'uniform' and 'extremes' alone")
         return self
@@ -243,7 +245,7 @@ class SweepConfig(Section):
 OF_PLANS = ("noise", "structured_error", "poses", "sensors", "parameters")
 OF_CHANNELS = ("instruments", "given", "aligned", "selection", "sensor_choice", "next")
 """What only readings of channels have."""
-OF_PLATFORM = ("frames", "structured_error")
+OF_PLATFORM = ("frames", "structured_error", "profiles", "posterior")
 """What only a mechanism on legs has whose platform is seen by instruments."""
 NOT_STRUCTURED = ("requirements", "profiles", "simulated_calibrations", "expected_over_draws")
 """What an audit does not have of errors that are functions of the pose."""
@@ -357,11 +359,23 @@ class AuditConfig(ExperimentConfig):
             if isinstance(one, ChannelConfig) == self.sees_platform:
                 expected = "an instrument with its kind" if self.sees_platform else "the noise of a channel, or [noise]"
                 raise ValueError(f"sensors.{name}: found it {_say_route(self.sees_platform)}, expected {expected}")
-        if not self.sees_platform and isinstance(self.workspace, WorkspaceConfig):
-            raise ValueError("workspace: found half widths about home, expected bounds of each coordinate")
+        for change in self.what_if:
+            if not change.structured_error and self.structured_error is None and self.data is None:
+                raise ValueError(f"what_if {change.name!r}: structured_error: found none to leave out, expected no key")
         if self.sees_platform:
             self._check_legs()
+        else:
+            self._check_channels()
         return self
+
+    def _check_channels(self) -> None:
+        if isinstance(self.workspace, WorkspaceConfig):
+            raise ValueError("workspace: found half widths about home, expected bounds of each coordinate")
+        if self.given and self.poses.file is not None:
+            raise ValueError("given: found bounds beside poses.file, expected none, since the file says what is given")
+        deforms = self._states("deformation") or any(one.deformation != "none" for one in self.variants)
+        if deforms and all(one.model is None for one in self.variants):
+            raise ValueError("deformation: found it without a model in [[variants]], expected none")
 
     def _states(self, name: str) -> bool:
         """Whether a section says something else than nothing."""
@@ -376,6 +390,10 @@ class AuditConfig(ExperimentConfig):
             raise ValueError("variants: found several, expected one of a mechanism whose platform is seen")
         if self.variants[0].model is None:
             raise ValueError("variants: found no model, expected the kinematic model of a mechanism on legs")
+        for name in ("fixed", "common", *(["sensors"] if self.data is not None else [])):
+            if getattr(self.variants[0], name):
+                beside = "[data]" if name == "sensors" else "instruments that see a platform"
+                raise ValueError(f"variants.{name}: found it beside {beside}, expected none")
 
 
 def _say_route(sees_platform: bool) -> str:

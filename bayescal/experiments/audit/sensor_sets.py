@@ -19,8 +19,9 @@ from bayescal.experiments.audit.schema import SensorChoiceConfig
 from bayescal.experiments.shared.readings.inputs import Variant
 from bayescal.experiments.shared.readings.knowledge import N_WORKSPACE, differentiate
 from bayescal.experiments.shared.readings.workspace import SINGULAR
-from bayescal.identifiability.information import information_of_rows
+from bayescal.identifiability.information import Information, information_of_rows
 from bayescal.identifiability.reading_rows import Slopes, rms
+from bayescal.identifiability.requirements import Forecast, Requirement
 from bayescal.machines.readings import ReadingModel
 from bayescal.numerics.geometry import Array
 
@@ -91,8 +92,8 @@ class SensorSets:
         Which sensors each choice has.
     always : ndarray of bool, shape (K,)
         Which sensors are in every set.
-    limits : ndarray, shape (t,)
-        What is required of the tool's coordinates; infinite where nothing is.
+    requirements : tuple of Requirement
+        Of the tool's coordinates.
     n_lengths : int
         How many of the tool's coordinates, the first, count where nothing is required.
     """
@@ -103,7 +104,7 @@ class SensorSets:
     internal: np.ndarray
     members: np.ndarray
     always: np.ndarray
-    limits: Array
+    requirements: tuple[Requirement, ...]
     n_lengths: int
 
 
@@ -119,8 +120,9 @@ class SetAccuracy:
     missing : int
         How many coordinates are not told, in calibration and in use together.
     goal : float
-        What is to be small: the largest share of a limit that an error takes; where nothing is required the root mean
-        square of the tool's error, lengths together. Infinite for a set that is no good.
+        What is to be small: the largest standard deviation as a share of its limit, at the worst pose or rms as is
+        required; where nothing is required the root mean square of the tool's error, lengths together. Infinite for a
+        set that is no good.
     error, after, noise : ndarray, shape (t,)
         Root mean square over the workspace of all together, of what is unknown of the parameters, of noise in use.
     sd : ndarray, shape (m,)
@@ -144,7 +146,7 @@ def build_sensor_sets(
     posterior: CalibrationPosterior,
     choices: Sequence[Choice],
     always: Sequence[str],
-    limits: Array,
+    requirements: tuple[Requirement, ...],
     seed: int,
 ) -> SensorSets:
     """Return the derivatives at the planned poses and over the workspace, of the machine as expected."""
@@ -159,42 +161,82 @@ def build_sensor_sets(
         variant.internal,
         np.array([np.isin(model.names, one.channels) for one in choices]),
         np.isin(model.names, [model.names[k] for k in model.select(always)]),
-        limits,
+        requirements,
         max(1, model.pose_units.count("mm")),
     )
 
 
-def judge_set(sets: SensorSets, chosen: np.ndarray) -> SetAccuracy:
-    """Return how good a set of choices (C,), bool, is."""
+@dataclass(frozen=True, eq=False)
+class SeenSet:
+    """What a set of sensors tells: what it does not, or what it informs of and how the tool then errs.
+
+    Attributes
+    ----------
+    lost, lost_in_use : int
+        Coordinates of a pose that its readings do not tell in the calibration, and its own sensors not in use.
+    n_readings : int
+        At a pose.
+    information : Information or None
+        None where any coordinate is lost, as is the forecast.
+    forecast : Forecast or None
+    """
+
+    lost: int
+    lost_in_use: int
+    n_readings: int
+    information: Information | None = None
+    forecast: Forecast | None = None
+
+
+def see_set(sets: SensorSets, chosen: np.ndarray) -> SeenSet:
+    """Return what a set of choices (C,), bool, tells."""
     some, at = sets.always | sets.members[chosen].any(axis=0), sets.around
     own = some & sets.internal
-    white = at.white[own, None]
+    white, n_readings = at.white[own, None], int(some.sum())
     basis, values, _ = np.linalg.svd(sets.by_pose[:, some] * at.half, full_matrices=False)
     in_use, sizes, turned = np.linalg.svd(white * at.by_pose[:, own] * at.half, full_matrices=False)
     lost, lost_in_use = (_count_untold(one, len(at.half)) for one in (values, sizes))
-    by_parameters = sets.by_parameters[:, some]
     if lost or lost_in_use:
-        nothing, all_of_it = np.full(len(sets.limits), np.nan), np.ones(by_parameters.shape[-1])
-        reason: Reason = "calibration" if lost else "use"
-        return SetAccuracy(reason, lost + lost_in_use, np.inf, nothing, nothing, nothing, all_of_it, int(some.sum()))
+        return SeenSet(lost, lost_in_use, n_readings)
+    by_parameters = sets.by_parameters[:, some]
     rows = by_parameters - basis @ (np.swapaxes(basis, -1, -2) @ by_parameters)
-    covariance = information_of_rows(rows, np.ones(rows.shape[-1])).covariance
     gain = np.swapaxes(turned * at.half, -1, -2) / sizes[:, None] @ np.swapaxes(in_use, -1, -2)
     located = at.tool_by_pose @ gain
-    after = rms(at.mislocate(located, white * at.seen[:, own]), covariance)
-    noise = np.sqrt((located**2).sum(axis=-1).mean(axis=0))
+    forecast = Forecast(at.mislocate(located, white * at.seen[:, own]), located @ np.swapaxes(located, -1, -2))
+    return SeenSet(0, 0, n_readings, information_of_rows(rows, np.ones(rows.shape[-1])), forecast)
+
+
+def judge_set(sets: SensorSets, chosen: np.ndarray) -> SetAccuracy:
+    """Return how good a set of choices (C,), bool, is."""
+    seen = see_set(sets, chosen)
+    if seen.information is None or seen.forecast is None:
+        nothing = np.full(sets.around.tool_by_pose.shape[1], np.nan)
+        all_of_it = np.ones(sets.by_parameters.shape[-1])
+        reason: Reason = "calibration" if seen.lost else "use"
+        missing = seen.lost + seen.lost_in_use
+        return SetAccuracy(reason, missing, np.inf, nothing, nothing, nothing, all_of_it, seen.n_readings)
+    covariance, forecast = seen.information.covariance, seen.forecast
+    after = rms(forecast.slope, covariance)
+    noise = np.sqrt(np.diagonal(forecast.noise, axis1=-2, axis2=-1).mean(axis=0))
     error = np.hypot(after, noise)
+    if sets.requirements:
+        tool = forecast.covariance(covariance) + forecast.noise
+        goal = max(one.size(tool) / one.limit for one in sets.requirements)
+    else:
+        goal = float(np.linalg.norm(error[: sets.n_lengths]))
     deviations = np.sqrt(np.diagonal(covariance))
-    return SetAccuracy("", 0, _find_goal(sets, error), error, after, noise, deviations, int(some.sum()))
+    return SetAccuracy("", 0, goal, error, after, noise, deviations, seen.n_readings)
+
+
+def find_probability(sets: SensorSets, chosen: np.ndarray, rng: np.random.Generator) -> float:
+    """Return the probability that a set of choices (C,), bool, keeps all requirements; NaN without any."""
+    seen = see_set(sets, chosen)
+    if seen.information is None or seen.forecast is None or not sets.requirements:
+        return float("nan")
+    return seen.forecast.keep_all(sets.requirements, seen.information, rng)
 
 
 def _count_untold(values: Array, q: int) -> int:
     """Return how many of q coordinates readings of singular values (P, k) do not tell where they tell least."""
     told = (values > SINGULAR * values.max(axis=1, initial=0.0)[:, None]).sum(axis=1)
     return int(q - told.min())
-
-
-def _find_goal(sets: SensorSets, error: Array) -> float:
-    if np.isfinite(sets.limits).any():
-        return float((error / sets.limits).max())
-    return float(np.linalg.norm(error[: sets.n_lengths]))

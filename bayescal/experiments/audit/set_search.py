@@ -10,6 +10,7 @@ from math import comb
 import numpy as np
 
 from bayescal.experiments.audit.sensor_sets import SensorSets, SetAccuracy, judge_set
+from bayescal.numerics.geometry import Array
 
 MOST_ROUNDS = 20  # of exchanges
 
@@ -25,11 +26,15 @@ class FoundSets:
     accuracy : list of SetAccuracy
     exhaustive : bool
         Whether these are all there are.
+    probability : ndarray, shape (S,)
+        That all requirements are kept, of the best set of every number and of those on the front against the price;
+        NaN of others and without requirements.
     """
 
     sets: np.ndarray
     accuracy: list[SetAccuracy]
     exhaustive: bool
+    probability: Array
 
     def best_of(self, number: int) -> int | None:
         """Return where the best set of a number of choices stands; None where none is any good."""
@@ -73,7 +78,7 @@ def search_sets(sets: SensorSets, largest: int, exhaustive: int) -> FoundSets:
         _add_and_exchange(judge, n, largest)
     found = sorted(judge.known, key=len)
     masks = np.array([np.isin(np.arange(n), one) for one in found]).reshape(-1, n)
-    return FoundSets(masks, [judge.known[one] for one in found], every)
+    return FoundSets(masks, [judge.known[one] for one in found], every, np.full(len(masks), np.nan))
 
 
 def _list_all(n: int, largest: int) -> Iterator[tuple[int, ...]]:

@@ -12,6 +12,7 @@ from bayescal.experiments.audit.reading_inputs import ReadingAudit
 from bayescal.experiments.audit.set_search import FoundSets, find_hopeless
 from bayescal.experiments.shared.readings.inputs import Variant
 from bayescal.identifiability.reading_rows import name_tool
+from bayescal.identifiability.units import Units
 
 DIGITS = 9  # of a price, for sums of the same prices to be the same
 
@@ -22,8 +23,7 @@ def tabulate_sets(inputs: ReadingAudit, found: FoundSets) -> dict[str, pd.DataFr
     That is ``best_set_parameters`` and ``hopeless_sets``; tables without rows are left out.
     """
     assert inputs.sensors is not None
-    best = [(number, found.best_of(number)) for number in np.unique(found.sets.sum(axis=1))]
-    good = [(int(number), place) for number, place in best if place is not None]
+    good = _list_best(found)
     tables = {
         "sensor_sets": (sets := pd.DataFrame([_describe(inputs, found, k) for k in range(len(found.sets))])),
         "front": find_front(sets),
@@ -32,6 +32,18 @@ def tabulate_sets(inputs: ReadingAudit, found: FoundSets) -> dict[str, pd.DataFr
         "hopeless_sets": pd.DataFrame([_name_set(inputs, found, k) for k in find_hopeless(found)]),
     }
     return {name: table for name, table in tables.items() if not table.empty}
+
+
+def find_shown(inputs: ReadingAudit, found: FoundSets) -> list[int]:
+    """Return which sets stand out: the best of each number, and those that no other one beats at their price."""
+    front = find_front(pd.DataFrame([_describe(inputs, found, k) for k in range(len(found.sets))]))
+    return list(dict.fromkeys([place for _, place in _list_best(found)] + [int(k) for k in front.index]))
+
+
+def _list_best(found: FoundSets) -> list[tuple[int, int]]:
+    """Return each number of choices of which any set is good, with the place of the best one."""
+    best = [(int(number), found.best_of(number)) for number in np.unique(found.sets.sum(axis=1))]
+    return [(number, place) for number, place in best if place is not None]
 
 
 def find_front(sets: pd.DataFrame) -> pd.DataFrame:
@@ -64,6 +76,7 @@ def _describe(inputs: ReadingAudit, found: FoundSets, place: int) -> dict[str, A
         **_name_set(inputs, found, place),
         "n_equations": variant.data.n_poses * per_pose,
         "goal": one.goal if np.isfinite(one.goal) else np.nan,
+        **({"probability": found.probability[place]} if inputs.requirements else {}),
         "left": float(np.sqrt(np.mean(one.sd**2))),
         **{
             f"{part}_{name}": value for part, values in parts.items() for name, value in zip(names, values, strict=True)
@@ -80,8 +93,15 @@ def _count(found: FoundSets, number: int) -> dict[str, Any]:
 def _list_parameters(inputs: ReadingAudit, found: FoundSets, number: int, place: int) -> Iterator[dict[str, Any]]:
     variant: Variant | None = inputs.sensors
     assert variant is not None
-    posterior = variant.posterior()
+    posterior, units = variant.posterior(), Units(inputs.config.units.length, inputs.config.units.angle)
     for name, unit, prior, share in zip(
         posterior.sampling.names, posterior.units, posterior.prior_sd, found.accuracy[place].sd, strict=True
     ):
-        yield {"n_sensors": number, "parameter": name, "unit": unit, "prior_sd": prior, "sd": share * prior}
+        said = float(prior / units.factor(unit))
+        yield {
+            "n_sensors": number,
+            "parameter": name,
+            "unit": units.name(unit),
+            "prior_sd": said,
+            "sd": share * said,
+        }

@@ -29,7 +29,7 @@ def test_shipped_design(name, monkeypatch):
     changes = {"simulated_calibrations": 0, "expected_over_draws": 0}
     if name.endswith(("_linear", "_matrix")) or "stiffness" in name:
         changes["sweep"] = SweepConfig(noise=[1.0], poses=[40], workspace=[1.0])
-        monkeypatch.setattr(compute, "choose_profiles", lambda audit: [])
+        monkeypatch.setattr(compute, "choose_profiles", lambda inputs, audit: [])
     summary = compute_experiment(load_audit(path).model_copy(update=changes), path.parent).summary
     json.dumps(summary, allow_nan=False)
     assert summary["structural_rank_is_clear"]

@@ -87,10 +87,10 @@ def test_ridges_of_the_expected_posterior(bent):
 
 def test_probability_without_bends_is_the_first_orders(straight):
     audit, _ = straight
-    sd = audit.forecast.judge([Requirement("z", 1.0)], audit.analysis.information, audit.inputs.plan, _rng(), ())[0]
+    sd = audit.forecast.judge([Requirement("z", 1.0)], audit.analysis.information, _rng(), ())[0][0]
     limit = Requirement("z", 2.6 * sd.predicted_sd)
     inputs = replace(audit.inputs, requirements=[limit])
-    expected = audit.forecast.judge([limit], audit.analysis.information, inputs.plan, _rng(), ())[0].probability
+    expected = audit.forecast.judge([limit], audit.analysis.information, _rng(), ())[0][0].probability
     chance = audit_posterior(inputs, audit, Run()).chances["z"]
     assert 0.2 < expected < 0.8  # where a difference would show
     assert abs(chance.probability - expected) < 0.06
@@ -137,12 +137,12 @@ def test_summary_is_in_the_designs_units(straight):
     ],
 )
 def test_what_cannot_be_drawn_is_left_out_with_a_reason(path, draws, sensors, said):
-    changes = {}
+    changes, variant = {}, {}
     if sensors is not None:
         config = load_audit(path)
         tracker = type(config.sensors["laser_tracker"]).model_validate({"kind": "pose", **sensors})
-        changes = {"sensors": {"laser_tracker": tracker}, "measured_by": ["laser_tracker"]}
-    _, level = _level(_inputs(path, draws, **changes))
+        changes, variant = {"sensors": {"laser_tracker": tracker}}, {"sensors": ["laser_tracker"]}
+    _, level = _level(_inputs(path, draws, variant, **changes))
     assert isinstance(level, LeftOut)
     assert said in level.reason
     assert level.summary() == {"left_out": level.reason}

@@ -160,6 +160,19 @@ REFUSED = {
     "too few candidates": ("candidates = 30", "candidates = 3", "found 3 candidates for 4 poses"),
     "workspace beyond reach": ("[sensors]", "[workspace]\nx = [900.0, 901.0]\n[sensors]", "found hardly a pose"),
     "unknown symbol": ("l = { prior", "length = { prior", "parameters: found 'length'"),
+    "profiles": ("seed = 4", 'seed = 4\nprofiles = ["l"]', "profiles: found it beside readings of channels"),
+    "draws of a posterior": (
+        "[sensors]",
+        "[posterior]\ndraws = 2000\n[sensors]",
+        "posterior: found it beside readings",
+    ),
+    "a deformation": ("[sensors]", "[deformation]\nkappa = 0.1\n[sensors]", "deformation: found it without a model"),
+    "a unit of no file": ("count = 40", "count = 40\nunit_mm = 2.0", "unit_mm: found it without configurations"),
+    "no error to leave out": (
+        "[sensors]",
+        '[[what_if]]\nname = "none"\nstructured_error = false\n[sensors]',
+        "what_if 'none': structured_error: found none to leave out",
+    ),
     "given to a machine that needs nothing": ("[sensors]", "[given]\nt = [0.0, 1.0]\n[sensors]", "given: found 't'"),
 }
 POSE_FILES = {

@@ -183,7 +183,7 @@ def results(arm, tmp_path_factory):
 
 @pytest.mark.runs
 def test_the_truth_lies_where_the_posterior_says(arm, results):
-    found = pd.read_csv(results / "parameters.csv")
+    found = pd.read_csv(results / "tables" / "parameters.csv")
     true = pd.read_csv(arm.parent / "data" / "true_parameters.csv", comment="#").set_index("parameter")["value"]
     every = found[found["variant"] == "all"].set_index("parameter")
     z = (every["mean"] - true[every.index]) / every["sd"]

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from bayescal.errors import InputError
+from bayescal.experiments.audit.audit import judge
 from bayescal.experiments.audit.reading_compute import search_sensors
 from bayescal.experiments.audit.reading_inputs import read_audit
 from bayescal.experiments.audit.selection import select_poses
@@ -54,16 +55,40 @@ def test_a_set_is_as_good_as_an_audit_of_the_same_sensors_says(aligned, folder, 
     for variant, sensors in (("both", "s[1], s[2], s[3], cam_x, cam_y, height"), ("probe", "s[1], s[2], s[3], height")):
         wanted = accuracy[accuracy["variant"] == variant]["rms_sd"]
         np.testing.assert_allclose(sets.loc[sensors, ["error_x_mm", "error_y_mm", "error_z_mm"]], wanted, rtol=1e-6)
+        chance = done.summary["variants"][variant]["probability"]
+        assert sets["probability"][sensors] == pytest.approx(chance, abs=0.04) or np.isnan(sets["probability"][sensors])
+    assert sets["probability"]["s[1], s[2], s[3], cam_x, cam_y, height"] > 0.8
     told = done.table("parameters")
     told = told[told["variant"] == "both"].set_index("parameter")["posterior_sd"]
     best = done.table("best_set_parameters")
     best = best[best["n_sensors"] == 6].set_index("parameter")["sd"]
     np.testing.assert_allclose(best, told[best.index], rtol=1e-6)
     page = html.unescape((folder / "out" / "report.html").read_text()).replace("\xa0", " ")
+<<<<<<< HEAD
     fewest = "s[1], s[2], s[3], cam_x, cam_y and height, 6 of 6"
     assert (f"The fewest sensors that meet what is required: {fewest}" in page) != aligned
     assert "the machine's own sensors of the set do not determine where it is in use" in page
     assert ("All accuracies are after alignment" in page) == aligned
+=======
+    every = "the most likely is s[1], s[2], s[3], cam_x, cam_y and height, 6 of 6, with 87 %"
+    fewest = "The fewest sensors that meet all 3 requirements with at least 90 % probability: s[1], s[2], s[3], cam_x"
+    assert (every in page) != aligned
+    assert (fewest in page) == aligned
+    assert "the machine's own sensors of the set do not tell where it stands in use" in page
+    assert ("Accuracies are after alignment" in page) == aligned
+
+
+def test_sets_are_judged_at_every_pose_or_by_the_rms_as_is_required(read):
+    goals = []
+    for what in ("rms", "every_pose"):
+        inputs = read(ALL, ('required_of = "rms"', f'required_of = "{what}"'))
+        found = search_sensors(inputs)
+        best = found.best_of(6)
+        goals.append(found.accuracy[best].goal)
+        outlooks = judge(inputs.plans["both"]).outlooks
+        assert goals[-1] == pytest.approx(max(one.predicted_sd / one.requirement.limit for one in outlooks), rel=1e-6)
+    assert goals[1] > 1.2 * goals[0]
+>>>>>>> main
 
 
 def test_adding_and_exchanging_finds_the_best_of_all_sets(read):

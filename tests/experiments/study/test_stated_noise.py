@@ -96,7 +96,7 @@ def test_a_study_says_first_which_noise_is_wrong(folder, noise, cause, monkeypat
     said = [statement for statement in finished.page.verdict if statement.lead == "Noise"]
     console = Console(file=io.StringIO(), width=120)
     finished.show(console)
-    assert ("NOISE: " in console.file.getvalue()) == (cause is not None)
+    assert ("Noise: " in console.file.getvalue()) == (cause is not None)
     if cause is None:
         assert said == []
     else:

@@ -33,9 +33,9 @@ def draw_sets(sets: pd.DataFrame, best: pd.DataFrame, required: bool, against: s
     axes.plot(good[column] + shift, good["goal"], ".", color=PALE, markersize=5.0, label="another set")
     axes.plot(best[column], best["goal"], "-o", color=BEST, markersize=5.0, label=f"best of each {against}")
     if required:
-        axes.axhline(1.0, color=RED, linewidth=0.9, label="what is required")
+        axes.axhline(1.0, color=RED, linewidth=0.9, label="standard deviation equal to the limit")
     _scale_log(axes, "y")
-    axes.set_ylabel("Largest share of a limit" if required else "Error, lengths together")
+    axes.set_ylabel("Largest sd as a share of its limit" if required else "Error, lengths together")
     axes.set_xlabel("Number of sensors" if by_number else "Price")
     axes.xaxis.set_major_locator(MaxNLocator(integer=by_number))
     axes.grid(axis="y")

@@ -7,6 +7,8 @@ from typing import Any
 import pandas as pd
 
 from bayescal.experiments.audit.page import reading_figures as figures
+from bayescal.experiments.audit.page.wording import format_probability
+from bayescal.experiments.shared.headline import LIKELY, rate_probability, say_probability
 from bayescal.report.blocks import Cell, Column, Figure, Section, Statement, make_section, make_table
 from bayescal.report.numbers import (
     format_count,
@@ -31,11 +33,14 @@ REASONS = {
 def find_enough(tables: dict[str, pd.DataFrame]) -> Row:
     """Return the smallest of the best sets, the cheapest where there are prices, that is good enough.
 
-    It meets what is required; where nothing is, or no set does, it errs hardly more than the best.
+    It meets the requirements with a high probability; where none does, it is the one that most probably does; where
+    nothing is required it errs hardly more than the best.
     """
     rows = list_rows(tables["front" if "front" in tables else "best_sets"])
-    least = min(row["goal"] for row in rows)
-    limit = 1.0 if "requirements" in tables and least <= 1.0 else ENOUGH * least
+    if "requirements" in tables:
+        likely = [row for row in rows if row["probability"] >= LIKELY]
+        return likely[0] if likely else max(rows, key=lambda row: (row["probability"], -row["goal"]))
+    limit = ENOUGH * min(row["goal"] for row in rows)
     return next(row for row in rows if row["goal"] <= limit)
 
 
@@ -63,17 +68,19 @@ def state_sets(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> list
                 f"Enough of {n_sets} sets of sensors: {words}; {more} more error than the best.", "plain", "Sensors"
             )
         ]
-    margin = format_percent(abs(1.0 - row["goal"]))
-    if row["goal"] <= 1.0:
+    chance, what = say_probability(row["probability"]), _name_requirements(tables)
+    level = rate_probability(row["probability"])
+    if row["probability"] >= LIKELY:
         first = "cheapest" if "price" in row else "fewest"
-        return [
-            Statement(f"The {first} sensors that meet what is required: {words} ({margin} margin).", "good", "Sensors")
-        ]
-    return [
-        Statement(
-            f"No set of sensors meets what is required; {words} come next to it, {margin} too much.", "bad", "Sensors"
-        )
-    ]
+        text = f"The {first} sensors that meet {what} with at least {say_probability(LIKELY)} probability: {words}"
+        return [Statement(f"{text}; these do with {chance}.", level, "Sensors")]
+    text = f"No set of sensors meets {what} with {say_probability(LIKELY)} probability; the most likely is {words}"
+    return [Statement(f"{text}, with {chance}.", level, "Sensors")]
+
+
+def _name_requirements(tables: dict[str, pd.DataFrame]) -> str:
+    n = tables["requirements"]["requirement"].nunique()
+    return "the requirement" if n == 1 else f"all {n} requirements"
 
 
 def _name_sensors(row: Row, summary: dict[str, Any]) -> str:
@@ -129,7 +136,7 @@ def show_sets(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> list[
 
 def _draw_sets(name: str, against: str, best: pd.DataFrame, tables: dict[str, pd.DataFrame]) -> Figure:
     required = "requirements" in tables
-    what = "the largest share of a limit" if required else "rms over the workspace"
+    what = "the largest standard deviation as a share of its limit" if required else "rms over the workspace"
     return Figure(
         name,
         f"Error of every set of sensors against their {against}, {what}.",
@@ -145,22 +152,22 @@ def _tabulate_best(best: pd.DataFrame, caption: str, tables: dict[str, pd.DataFr
     columns += [Column("Price")] if "price" in best else []
     columns += [Column("Sets"), Column("of them no good")] if "n_sets" in best else []
     columns += [Column(n.rpartition("_")[0], shown_in(n.rpartition("_")[2], asked)[1], group=group) for n in names]
-    columns += [Column("Margin")] if "requirements" in tables else []
+    columns += [Column("Requirements", "probability of all")] if "requirements" in tables else []
     rows: list[list[str | Cell]] = []
     for row in list_rows(best):
         factors = [shown_in(n.rpartition("_")[2], asked)[0] for n in names]
         errors = [format_significant(f * row[f"error_{n}"]) for f, n in zip(factors, names, strict=True)]
-        margin = [_judge_margin(1.0 - row["goal"])] if "requirements" in tables else []
+        chance = [_judge(row["probability"])] if "requirements" in tables else []
         counts = [format_plain(row["price"])] if "price" in best else []
         counts += [format_count(row["n_sets"]), format_count(row["n_hopeless"])] if "n_sets" in best else []
-        rows.append([_count_sensors(row), str(row["sensors"]) if row["n_sensors"] else "–", *counts, *errors, *margin])
+        rows.append([_count_sensors(row), str(row["sensors"]) if row["n_sensors"] else "–", *counts, *errors, *chance])
     always = summary["sensor_choice"]["always"]
     beside = f", besides {join_words([str(one) for one in always])}" if always else ""
     return make_table(f"{caption}{beside}.", columns, rows)
 
 
-def _judge_margin(margin: float) -> Cell:
-    return Cell(format_percent(margin), "good" if margin >= 0.0 else "bad")
+def _judge(probability: float) -> Cell:
+    return Cell(format_probability(probability), rate_probability(probability))
 
 
 def _tabulate_parameters(tables: dict[str, pd.DataFrame]) -> Any:

@@ -16,13 +16,12 @@ from bayescal.report.numbers import (
     join_words,
 )
 from bayescal.report.symbols import split_name
+from bayescal.report.units import shown_in
 
 SURE = 0.9995
-SMALLEST_SAID = 1e-3  # µm and arcsec
+SMALLEST_SAID = {"mm": 1e-6, "rad": 5e-9}
 DIRECTIONS = {"x": "x", "y": "y", "z": "z", "position": "position (length)", "rotation": "rotation (angle)"}
 UNITS = {"1": "", "N mm2": "N mm²", "um": "µm", "rad": "rad"}
-MICROMETRES = {"um": 1.0, "mm": 1e3, "m": 1e6}
-ARCSECONDS = {"arcsec": 1.0, "mrad": 3.6 * 180.0 / math.pi, "deg": 3600.0, "rad": 3600.0 * 180.0 / math.pi}
 
 
 def name_requirement(name: str) -> str:
@@ -110,10 +109,12 @@ def list_names(names: Sequence[str], member: str = "leg") -> str:
 
 
 def format_change(position: float, rotation: float, units: Mapping[str, str]) -> str:
-    """Return the most by which a pose changes, in µm and arcsec, whatever the design's units."""
-    moved = position * MICROMETRES.get(units["length"], math.nan)
-    turned = rotation * ARCSECONDS.get(units["angle"], math.nan)
-    return f"{format_sd(max(moved, SMALLEST_SAID))} µm and {format_sd(max(turned, SMALLEST_SAID))} arcsec"
+    """Return the most by which a pose changes, in the design's units."""
+    words = []
+    for value, (unit, least) in zip((position, rotation), SMALLEST_SAID.items(), strict=True):
+        factor, name = shown_in(unit, units)
+        words.append(f"{format_sd(max(value, factor * least))} {name}".replace(" °", "°"))
+    return " and ".join(words)
 
 
 def count(number: int, noun: str) -> str:

@@ -179,7 +179,7 @@ def test_ridges_of_a_kind_stand_together_and_are_open_in_print(tmp_path, no_pict
     assert [mark.text for mark in blocks[1].marks] == ["never seen", "harmless to the pose"]
     assert "Contraction 0.05." in blocks[2].facts
     assert any("“better camera”, contraction 0.45" in fact for fact in blocks[2].facts)
-    assert any("at most 0.020 µm and 0.0072 arcsec" in fact for fact in blocks[2].facts)
+    assert any("at most 0.000020 mm and 2.0e−6°" in fact for fact in blocks[2].facts)
     text = write_audit_report(write_audit_results(tmp_path)).read_text(encoding="utf-8")
     folded = text[text.index("1 more of this kind") :]
     assert "Leg 2: changing <i>ρ</i><sup>0</sup> by" in folded[: folded.index("</details>")]

@@ -108,7 +108,7 @@ def test_orientation_errors_of_tables_and_figures_are_in_the_configs_unit(make_r
         summary["units"]["angle"] = angle
 
     page = read_page(make_results(change, variants=TWELVE))
-    own, usual = draw(page, "errors_linear").axes[1], drawn("errors_linear").axes[1]
+    own, usual = draw(page, "errors_none").axes[1], drawn("errors_none").axes[1]
     assert own.get_ylabel() == f"Orientation error ({label})"
     heights = [[bar.get_height() for bar in axes.patches] for axes in (own, usual)]
     np.testing.assert_allclose(heights[0], factor * np.array(heights[1]))
