@@ -223,7 +223,8 @@ class StudyResult(LoadedResults):
     @property
     def predictions(self) -> pd.DataFrame:
         """What each variant predicts of poses, or of readings, beside what was measured."""
-        return self.results.table("predictions")
+        table = self.results.table("predictions")
+        return self.results.table("pose_errors") if table.empty else table  # of whole poses that an instrument measured
 
     def posterior(self, variant: str | None = None, with_model_error: bool = True) -> xr.DataTree:
         """Return the posterior of a variant, the best by default, as ArviZ takes it.
