@@ -191,7 +191,7 @@ def test_ridges_of_a_kind_stand_together_and_are_open_in_print(tmp_path, no_pict
 
 def test_the_headline_counts_what_is_determined():
     assert describe_determined(make()) == (
-        "Of 7 parameters the 40 planned poses determine 2; 3 combinations can never be told by any measurement of this "
+        "Of 7 parameters the 40 planned poses determine 2; 3 combinations cannot be determined by any measurement of this "
         "kind and 1 more is hardly touched by the planned ones."
     )
 
@@ -209,7 +209,7 @@ def test_the_headline_counts_what_is_determined():
             parameter["verdict"] = "weak"
 
     assert describe_determined(make(know_nothing, [9.0, 9.0, 9.0, 1.0, 0.0, 0.0, 0.0])) == (
-        "Of 7 parameters the 40 calibration poses determine none on its own; 3 combinations can never be told by any "
+        "Of 7 parameters the 40 calibration poses determine none on its own; 3 combinations cannot be determined by any "
         "measurement of this kind and 1 more is learnt only in part."
     )
 
@@ -416,7 +416,7 @@ def test_simulated_calibrations_of_both_sets_stand_side_by_side(tmp_path):
         "the reduced set free, the rest off by its tolerances and taken for nominal",
     ]
     assert "hold 20 % of the true values, the errors are 74.0 times what is claimed" in tables[1].notes[0].text
-    assert tables[0].notes[1].text == "Requirements kept: x 200 of 200 (expected 198 to 200)."
+    assert tables[0].notes[1].text == "Requirements met: x 200 of 200 (expected 198 to 200)."
 
 
 def test_requirements_kept_less_often_than_claimed_are_a_warning(tmp_path):

@@ -92,7 +92,7 @@ def test_bars_reach_the_largest_error_and_the_line_is_the_mean(drawn):
         lines = [float(line.get_segments()[0][0, 1]) for line in axes.collections]
         assert lines[4] == pytest.approx(mean)
         assert max(lines[k] for k in range(8) if k != 4) < 0.5 * mean
-    assert "35/80" in list_texts(figure)
+    assert "35/\n80" in list_texts(figure)
     assert [label.get_text() for label in figure.axes[0].get_xticklabels()] == [
         "6-PUS",
         "Jacobian",
