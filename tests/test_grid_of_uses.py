@@ -16,7 +16,15 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from html_reader import leave_out_script
 from seven_machines import MACHINES, Written
+
+from bayescal.experiments.frame.results import read_results
+from bayescal.experiments.study.page.build import BLOCKS
+from bayescal.experiments.study.page.results import StudyResults
+from bayescal.report.blocks import Page
+from bayescal.report.page import render_page
+from bayescal.report.pictures import Picture
 
 pytestmark = [pytest.mark.runs, pytest.mark.usefixtures("no_pictures", "search_little")]
 
@@ -133,6 +141,22 @@ def calibrate(use: Use) -> None:
     use.run("report", results)
     assert (results / "report.html").stat().st_size > 10_000
     assert use.place.written.variant in use.run("compare", results, results)
+    check_blocks(results)
+
+
+def check_blocks(results: Path) -> None:
+    """Every block of the study's page returns nothing, or a section with a title whose cells all say something."""
+    study = StudyResults.of(read_results(results))
+    for block in BLOCKS:
+        section = block(study)
+        if section is None:
+            continue
+        assert section.title, block
+        assert section.blocks, block
+        page = Page("Study", "name", "title", "", "headline", (), (section,))
+        shown = render_page(page, {one.name: Picture(b"") for one in page.figures() if one.draw is not None})
+        words = re.sub(r"<[^>]*>", "|", leave_out_script(shown))
+        assert not re.search(r"\b(nan|inf)\b|\| *None *\|", words), block
 
 
 def predict_rows(use: Use) -> None:

@@ -47,8 +47,8 @@ def _describe_axes(axes: Axes) -> str:
     series = [write_plain(str(name)) for name in axes.get_legend_handles_labels()[1]]
     shown = f"shown: {_list_some(list(dict.fromkeys(series)))}" if series else ""
     parts = [part for part in (*spans, shown) if part]
-    text = "; ".join(parts)
-    return f"{f'{title}: ' if title else ''}{text}." if text or title else ""
+    text = ": ".join(one for one in (title, "; ".join(parts)) if one)
+    return f"{text}." if text else ""
 
 
 def _describe_axis(axis: Axis, kind: str) -> str:

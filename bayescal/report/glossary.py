@@ -20,10 +20,10 @@ TERMS = (
         "Range that holds the true value with a probability of 90 %, if the assumptions are right.",
     ),
     Term(("actuator", "actuators"), "Motor of a leg: it moves the joint at the leg's base, or changes its length."),
-    Term(("bulk ESS", "tail ESS", "ESS"), "Effective sample size: how many independent draws the draws are worth."),
+    Term(("bulk ESS", "tail ESS", "ESS"), "Effective sample size: how many independent draws would be as good."),
     Term(
         ("calibration poses",),
-        "Measured poses that the parameters were fitted to; errors on them look smaller than they are elsewhere.",
+        "Measured poses that the parameters were fitted to; errors on them are smaller than elsewhere.",
     ),
     Term(
         ("contraction",),
@@ -48,16 +48,16 @@ TERMS = (
     ),
     Term(
         ("free parameters", "free"),
-        "Parameters that the calibration may change; all others keep their nominal values.",
+        "Parameters that the calibration may change; all others have their nominal values.",
     ),
     Term(("gauge",), "Change of parameters that no measurement of this kind can ever reveal."),
     Term(
         ("identifiable",),
-        "Of a parameter: the measurements tell it clearly better than its tolerance does.",
+        "Of a parameter: the measurements determine it clearly better than its tolerance does.",
     ),
     Term(
         ("importance sampling",),
-        "Weighing draws of an approximation so that they stand for the exact posterior.",
+        "Weighing draws of an approximation so that they represent the exact posterior.",
     ),
     Term(
         ("leave-one-out", "leave-one-out cross-validation", "LOO", "left out"),
@@ -121,7 +121,7 @@ TERMS = (
     ),
     Term(
         ("verification poses", "verification", "held back"),
-        "Measured poses that were kept from the fit, to test it.",
+        "Measured poses that were held back from the fit, to test it.",
     ),
 )
 

@@ -279,9 +279,9 @@ def _angle(first: Array, second: Array) -> float:
 def judge_draws(inputs: AuditInputs, draws: Draws, rng: np.random.Generator) -> dict[str, Chance]:
     """Return how requirements stand by the machine itself, not by its derivatives.
 
-    A draw stands for the true machine. Its poses are predicted by the mean of what all draws predict, or by the machine
-    of mean parameters; actuators and model error are added as the plan has them. A draw that cannot take a pose exceeds
-    every limit.
+    Each draw is one possible true machine. Its poses are predicted by the mean of what all draws predict, or by the
+    machine of mean parameters; actuators and model error are added as the plan has them. A draw that cannot take a pose
+    exceeds every limit.
     """
     if not inputs.requirements:
         return {}

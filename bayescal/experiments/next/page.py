@@ -32,7 +32,7 @@ METHOD = (
     (
         "What is known?",
         "The posterior of the calibration poses: its mode by Newton's steps, and draws of Laplace's approximation "
-        "there, weighed by the density itself. A draw stands for the true machine.",
+        "there, weighed by the density itself. Each draw is one possible true machine.",
     ),
     (
         "When do the requirements hold?",
@@ -184,12 +184,12 @@ def _state_soundness(summary: dict[str, Any]) -> Statement:
     k = format_fixed(summary["pareto_k"], 2)
     if summary["found"] == "sampled":
         text = f"Draws are those of ensembles, since weights have a heavy tail (k {k}); `bayescal run` is more exact."
-        return Statement(text, "warning", "How sure")
-    anew = "" if summary["found"] == "updated" else ", the posterior explored anew"
+        return Statement(text, "warning", "Numerical checks")
+    anew = "" if summary["found"] == "updated" else ", the posterior sampled again"
     text = (
         f"{format_percent(summary['efficiency'])} of the draws count, the tail of their weights is light (k {k}){anew}."
     )
-    return Statement(text, "good", "How sure")
+    return Statement(text, "good", "Numerical checks")
 
 
 def _name(requirement: str) -> str:

@@ -78,7 +78,7 @@ def _describe_candidates(config: SelectionConfig, results: Results) -> str:
         where += f", {position} mm, {rotation} deg"
     again = "; other ones in each repeat" if section.redraw else ""
     measured = results.summary["n_measured"]
-    beside = "" if measured is None else f"; beside {measured} poses measured already"
+    beside = "" if measured is None else f"; besides {measured} poses measured already"
     return f"{section.count} {how[section.spread]} of {where}{again}{beside}"
 
 
@@ -291,7 +291,7 @@ def _design_section(tables: Tables) -> list[Section]:
     for (label, criterion, n), group in found.groupby(["label", "criterion", "n_poses"], sort=False):
         cells = [_estimate(group[name].mean(), group[name].std()) for name in INDICES]
         rows.append([f"{label}, {criterion}, mean ± sd", str(n), *cells])
-    table = make_table("Observability indices of given sets of poses beside those found here.", columns, rows)
+    table = make_table("Observability indices of given sets of poses and of those found here.", columns, rows)
     return [make_section("Given sets of poses", (), (table,))]
 
 

@@ -43,7 +43,7 @@ METHOD = (
     (
         "How does a leg move?",
         "Its motion is the change of all parameters that may move, as a change of its length that would do the same at "
-        "home. Single parameters that cannot be told apart still add up to a motion that can.",
+        "home. Single parameters that are not distinguishable still add up to a motion that can.",
     ),
 )
 

@@ -340,8 +340,8 @@ def _explain(found: Certificate) -> tuple[tuple[str, str], ...]:
     return (
         (
             "Where do the standard uncertainties come from?",
-            "The posterior of the calibration says how sure the geometry is (type A, with tolerances as type B through "
-            "their priors); noise is taken as stated (type B). The kinematics turn both into poses: the law "
+            "The posterior of the calibration gives the uncertainty of the geometry (type A, with tolerances as type B "
+            "through their priors); noise is taken as stated (type B). The kinematics turn both into poses: the law "
             "of propagation of uncertainty (JCGM 100, section 5).",
         ),
         (

@@ -19,10 +19,10 @@ from bayescal.report.symbols import quote, set_parameter, split_name
 COLUMNS = 2
 SHARE, CERTAIN = 0.5, 0.9995
 SHOWN = {"um": "µm"}
-INPUTS = {"reading": "what they read", "commands": "where the machine stands", "order": "the order of the rows"}
+INPUTS = {"reading": "what they read", "commands": "where the machine is", "order": "the order of the rows"}
 TEXT = (
     "A scale that is off, an encoder that sits askew or a drift is the same function every time: of the sensor's own "
-    "reading, of where the machine stands, or of the order of the rows. Whether there is such an error is for the "
+    "reading, of where the machine is, or of the order of the rows. Whether there is such an error is for the "
     "readings to say, its prior probability being one half. A geometry that is off imitates much of it, and the part "
     "of an error that the readings do not determine is as wide as its scale: the intervals hold it."
 )

@@ -18,7 +18,7 @@ AXES = ("x", "y", "z")
 NOTHING: Triple = (0.0, 0.0, 0.0)
 CAPTION = (
     "The machine with its joints: turn it with mouse, finger or arrow keys; a point under the pointer tells where it "
-    "is. Symbols stand at leg 1: a, joint at the base; b, joint on the platform (blue); l, length of the leg{}."
+    "is. Symbols are those of leg 1: a, joint at the base; b, joint on the platform (blue); l, length of the leg{}."
 )
 DRIVES = {
     True: "; u, direction of the actuator, which moves the joint along the dashed guide by ρ",

@@ -68,7 +68,7 @@ def test_a_set_is_as_good_as_an_audit_of_the_same_sensors_says(aligned, folder, 
     fewest = "The fewest sensors that meet all 3 requirements with at least 90 % probability: s[1], s[2], s[3], cam_x"
     assert (every in page) != aligned
     assert (fewest in page) == aligned
-    assert "the machine's own sensors of the set do not tell where it stands in use" in page
+    assert "the machine's own sensors of the set do not determine where it is in use" in page
     assert ("Accuracies are after alignment" in page) == aligned
 
 

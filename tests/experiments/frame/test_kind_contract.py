@@ -180,6 +180,8 @@ def test_the_page_is_written_again_from_files_alone(finished, tmp_path, pictures
     again = read_all(tmp_path / "moved")
     assert leave_out_pictures(again) == leave_out_pictures(read_all(out))
     page = again["report.html"].decode()
+    described = re.findall(r'<(?:svg|img) [^>]*(?:aria-label|alt)="([^"]*)"', page)
+    assert all(re.search(r"\w[^\s]*\.$", one) and not re.search(r"\b(nan|inf|None)\b", one) for one in described)
     for name, content in again.items():
         if name.endswith(".png"):
             assert content.startswith(b"\x89PNG"), name

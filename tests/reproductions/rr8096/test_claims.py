@@ -396,7 +396,7 @@ def summarise(position: float, orientation: float, evidence: float, distance: fl
         "without_model_error": {"log_evidence": evidence - 1.0},
         "calibration": errors,
         "verification": None,
-        "distance_from_nominal": {"rms_mm": distance},
+        "distance_from_nominal_mm": distance,
     }
 
 

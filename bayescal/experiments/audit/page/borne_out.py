@@ -57,7 +57,7 @@ def _judge_kept(simulated: dict[str, Any]) -> list[Statement]:
     ]
     if not words:
         return []
-    text = f"Calibrated machines do not keep {join_words(words)} as often as is claimed."
+    text = f"Calibrated machines do not meet {join_words(words)} as often as is claimed."
     return [Statement(text, "warning", "Requirements, simulated")]
 
 
@@ -100,7 +100,7 @@ def state_posterior(results: AuditResults) -> list[Statement]:
     lost = [name for name, value in drawn.items() if value < KEPT <= now.get(name, 0.0)]
     if lost:
         words = [f"{name_requirement(name)} ({format_probability(drawn[name])})" for name in lost]
-        text = f"By the draws the machine does not reliably keep {join_words(words)}, against the linear prediction."
+        text = f"By the draws the machine does not reliably meet {join_words(words)}, against the linear prediction."
         statements.append(Statement(text, "bad", "Requirements by draws"))
     return statements
 

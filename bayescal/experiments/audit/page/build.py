@@ -35,9 +35,9 @@ RIDGES = (
     "may."
 )
 FREEDOM = (
-    "Everything, each parameter with its tolerance as prior. What the poses do not tell stays as unknown as it was and "
-    "is part of every prediction; taken for nominal instead it would bend what is estimated, and no interval would say "
-    "so. A reduced set serves to reproduce calibrations that freed no more."
+    "Everything, each parameter with its tolerance as prior. What the poses do not determine stays as unknown as it "
+    "was and is part of every prediction; taken for nominal instead it would bend what is estimated, and no interval "
+    "would say so. A reduced set serves to reproduce calibrations that freed no more."
 )
 NO_RIDGES = "There are none: every combination of the parameters is determined."
 
@@ -121,7 +121,7 @@ def _build_sections(audit: AuditResults) -> tuple[Section, ...]:
         *show_variants(tables, audit.best),
         *((accuracy,) if accuracy is not None else ()),
         Section("Parameters: what will be known", _show_parameters(audit), "parameters", "Parameters"),
-        Section("Ridges: what cannot be told apart", (RIDGES if ridges else NO_RIDGES, *ridges), "ridges", "Ridges"),
+        Section("Undetermined combinations", (RIDGES if ridges else NO_RIDGES, *ridges), "ridges", "Ridges"),
         Section("What to free", _show_selection(audit), "selection"),
         Section("Requirements", _show_requirements(audit), "requirements"),
         *show_sets(tables, audit.summary),

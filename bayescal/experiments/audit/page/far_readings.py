@@ -22,7 +22,7 @@ def state_far_readings(results: AuditResults) -> list[Statement]:
         moved = f" (a tolerance of {angle} is {length} there)"
     text = (
         f"Of leg{'s' if len(legs) > 1 else ''} {join_words(legs)} the joint's place and the actuator's direction are "
-        f"hardly told apart: readings lie around {place} from where the direction's tolerance "
+        f"hardly distinguishable: readings lie around {place} from where the direction's tolerance "
         f"turns it{moved}; put the zero there, with base points and readings counted from it."
     )
     return [Statement(text, "plain", "Actuators' zero")]

@@ -92,7 +92,7 @@ def tabulate_selection(results: AuditResults) -> Table | None:
     extra = results.summary["could_also_be_freed"]
     notes = [
         Statement(
-            "The symbol that the measurements tell most of, given what is already chosen, is looked at next; it is "
+            "The symbol that the measurements determine best, given what is already chosen, is taken next; it is "
             f"taken where all chosen parameters stay at or above a contraction of {format_plain(INFORMED)}."
         )
     ]
@@ -137,7 +137,7 @@ def _tabulate_simulated(what: str, simulated: dict[str, Any]) -> Table:
         coverage = Cell(format_share(values["coverage_90"]), "plain" if values["coverage_90"] >= COVERED else "warning")
         rows.append([symbol, name_unit(values["unit"]), *sds, Cell(ratio, "warning" if off else "plain"), coverage])
     made = f"{simulated['n_converged']} of {count(simulated['n'], 'calibration')} converged"
-    caption = f"Errors of simulated calibrations beside the prediction, rms over legs; {what}; {made}."
+    caption = f"Errors of simulated calibrations and their prediction, rms over legs; {what}; {made}."
     return make_table(caption, columns, rows, [*_describe_simulated(simulated)])
 
 
@@ -152,4 +152,4 @@ def _describe_simulated(simulated: dict[str, Any]) -> list[Statement]:
         f"(expected {one['expected_low']} to {one['expected_high']})"
         for name, one in simulated["requirements"].items()
     ]
-    return [Statement(whole)] + ([Statement(f"Requirements kept: {join_words(kept)}.")] if kept else [])
+    return [Statement(whole)] + ([Statement(f"Requirements met: {join_words(kept)}.")] if kept else [])

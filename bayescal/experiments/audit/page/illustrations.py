@@ -60,8 +60,8 @@ def show_spectrum(results: AuditResults) -> Figure:
     caption = (
         "Left: singular values of the noise-free identification Jacobian over a wide workspace, per tolerance; what "
         "lies at the level of rounding is a combination that no measurement of this kind sees, and the gap decides the "
-        "rank. Right: what the planned measurements tell of each combination, its tolerance divided by what their "
-        "noise alone would leave; below the upper line the tolerance is not halved, below the lower one hardly "
+        "rank. Right: how well the planned measurements determine each combination, its tolerance divided by what "
+        "their noise alone would leave; below the upper line the tolerance is not halved, below the lower one hardly "
         "anything is learnt."
     )
     return Figure("spectrum", caption, partial(draw_spectrum, results.tables["spectrum"]))
@@ -72,7 +72,7 @@ def show_requirements(results: AuditResults) -> Figure:
     caption = (
         "Largest standard deviation of the predicted pose anywhere in the workspace, in per cent of each requirement's "
         "limit, logarithmic. The tick is the part of the geometry; the rest up to the dot are actuators and model "
-        f"error. Blue: kept with a probability of {format_percent(KEPT)} or more, as in the table; red: not reliably."
+        f"error. Blue: met with a probability of {format_percent(KEPT)} or more, as in the table; red: not reliably."
     )
     if not results.requirements:
         return Figure("requirements", caption, None, "the design states no requirement")
@@ -137,7 +137,7 @@ def show_profiles(results: AuditResults) -> Figure:
     """Return the profile likelihoods."""
     profiles = results.tables.get("profiles")
     caption = (
-        "Profile likelihoods: a parameter is held at a value, all others are fitted again, and the deviance tells what "
+        "Profile likelihoods: a parameter is held at a value, all others are fitted again, and the deviance shows what "
         "that costs. Where the full line stays below the dotted one, the measurements alone do not bound the parameter."
     )
     if profiles is None:
@@ -187,8 +187,8 @@ def _describe_plots(sources: set[str], left_out: object) -> str:
     }
     shown = join_words([text for source, text in words.items() if source in sources])
     caption = (
-        f"Ridges, two parameters each that the measurements do not tell apart: {shown}. Each draw is shown without its "
-        "moves along the other ridges."
+        f"Ridges, two parameters each that the measurements do not distinguish: {shown}. Each draw is shown without "
+        "its moves along the other ridges."
     )
     if "posterior" in sources:
         return f"{caption} Posterior draws as wide along a curve as the prior's are what is not identifiable."

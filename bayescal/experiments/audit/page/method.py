@@ -13,13 +13,13 @@ def describe_method(results: AuditResults) -> tuple[tuple[str, str], ...]:
     kind = "calibration" if results.is_measured else "planned"
     return (
         (
-            "Can it be told at all?",
+            "Can it be determined at all?",
             "The rank of the noise-free identification Jacobian J over a workspace far wider than the machine's, its "
             "columns in units of the tolerances, is counted at the gap of its singular values beside the level to "
             "which rounding moves them (computed again at machines that differ in the last digits).",
         ),
         (
-            "Is it told by these measurements?",
+            "Do these measurements determine it?",
             f"With the noise of sensors and actuators the {kind} poses carry the information Λ = Jᵀ Σ⁻¹ J; in units of "
             "the tolerances the posterior covariance is (1 + Λ)⁻¹ to first order, the contraction of a direction v is "
             "1 − vᵀ (1 + Λ)⁻¹ v, and −½ log(1 − contraction) nats are learnt of it.",

@@ -25,8 +25,8 @@ ENOUGH = 1.1  # times the error of the best set, which a smaller one may have
 WORTH = 0.02  # of the error, by which one more pose should lower it
 MANY = 12
 REASONS = {
-    "calibration": "readings do not tell where the machine stands in the calibration",
-    "use": "the machine's own sensors of the set do not tell where it stands in use",
+    "calibration": "readings do not determine where the machine is in the calibration",
+    "use": "the machine's own sensors of the set do not determine where it is in use",
 }
 
 
@@ -56,7 +56,7 @@ def state_sets(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> list
         return []
     n_sets = format_count(len(tables["sensor_sets"]))
     if "best_sets" not in tables:
-        return [Statement(f"None of {n_sets} sets of sensors tells where the machine stands.", "bad", "Sensors")]
+        return [Statement(f"None of {n_sets} sets of sensors determines where the machine is.", "bad", "Sensors")]
     row = find_enough(tables)
     words = f"{_name_sensors(row, summary)}, {_count_sensors(row)} of {len(summary['sensor_choice']['candidates'])}"
     words += f" at a price of {format_plain(row['price'])}" if "price" in row else ""
@@ -105,9 +105,7 @@ def state_counts(tables: dict[str, pd.DataFrame], best: str) -> list[Statement]:
     if enough >= most:
         gain = format_percent(float(mine["gain"].iloc[-1]))
         return [
-            Statement(
-                f"The last of {most} poses still lowers the error by {gain}: more are worth it.", "plain", "Poses"
-            )
+            Statement(f"The last of {most} poses still lowers the error by {gain}: measure more.", "plain", "Poses")
         ]
     share = format_percent(WORTH)
     return [Statement(f"From {enough} poses on, one more lowers the error by less than {share}.", "plain", "Poses")]
@@ -129,8 +127,8 @@ def show_sets(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> list[
     if "hopeless_sets" in tables:
         shown.append(_tabulate_hopeless(tables))
     text = (
-        "Each set takes in the planned poses. A sensor beside the machine serves the calibration alone; in use the "
-        "machine's own sensors of the set tell where it stands. Error is that of unknown parameters and of the noise "
+        "Each set takes in the planned poses. An external sensor serves the calibration alone; in use the "
+        "machine's own sensors of the set determine where it is. Error is that of unknown parameters and of the noise "
         "in use together.",
     )
     return [make_section("Which sensors to take", text, shown, drawn)]

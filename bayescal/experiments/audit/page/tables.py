@@ -70,7 +70,7 @@ def tabulate_symbols(results: AuditResults) -> Table:
             "Verdict: identifiable where the tolerance is at least halved (contraction 0.75 or more); not where most "
             "of what is left unknown lies along combinations of which nothing is learnt; weak else."
         ),
-        Statement("All parameters are free, also those that the poses do not tell: their tolerances hold them."),
+        Statement("All parameters are free, also those that the poses do not determine: their priors bound them."),
     ]
     return make_table(f"Parameters by symbol; ranges are over the {results.member}s.", columns, rows, notes)
 
@@ -153,14 +153,14 @@ def tabulate_requirements(results: AuditResults) -> Table | None:
         Column("by geometry", "", "Predicted sd"),
         Column("of limit", "", "Predicted sd"),
         Column("reduced set", "", "Predicted sd"),
-        Column("before", "", "Probability to keep it"),
-        Column("after", "", "Probability to keep it"),
-        Column("reduced set", "", "Probability to keep it"),
-        Column("Kept", kind="text"),
+        Column("before", "", "Probability to meet it"),
+        Column("after", "", "Probability to meet it"),
+        Column("reduced set", "", "Probability to meet it"),
+        Column("Met", kind="text"),
     ]
     drawn = read_drawn_probabilities(results)
     if drawn:
-        columns.insert(-1, Column("after, by draws", "", "Probability to keep it"))
+        columns.insert(-1, Column("after, by draws", "", "Probability to meet it"))
     rows: list[list[str | Cell]] = []
     for r in results.requirements:
         kept = is_kept(results, r)
@@ -183,7 +183,7 @@ def tabulate_requirements(results: AuditResults) -> Table | None:
         )
     note = (
         "Standard deviation: the largest anywhere in the workspace; probability: that no pose of the workspace exceeds "
-        f"the limit; kept: with a probability of {format_plain(KEPT)} or more. Reduced set: it alone is "
+        f"the limit; met: with a probability of {format_plain(KEPT)} or more. Reduced set: it alone is "
         "calibrated, the others are taken for nominal although they are off by their tolerances."
     )
     return make_table("Requirements on the pose before and after the calibration.", columns, rows, [Statement(note)])
@@ -216,7 +216,7 @@ def tabulate_changes(results: AuditResults) -> Table | None:
         notes.append(Statement("† needs larger displacements than the actuators have."))
     if any(not change.possible for change in results.changes):
         notes.append(Statement("‡ cannot be: the machine does not reach these poses."))
-    return make_table("What other plans would tell; the requirements stay.", columns, rows, notes)
+    return make_table("Other plans, with the same requirements.", columns, rows, notes)
 
 
 def _tabulate_plan(results: AuditResults) -> list[str | Cell]:
@@ -274,7 +274,7 @@ def tabulate_ridge_help(results: AuditResults) -> Table | None:
         Column("Contraction", "then"),
         Column("", kind="text"),
     ]
-    return make_table("For each weak combination the change that tells most of it.", columns, rows)
+    return make_table("For each weak combination the change that determines it best.", columns, rows)
 
 
 # --- checks ----------------------------------------------------------------------------------------------------------

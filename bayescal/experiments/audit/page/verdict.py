@@ -76,7 +76,7 @@ def describe_determined(results: AuditResults) -> str:
     these = "these" if results.is_measured else "the planned ones"
     parts = []
     if structural:
-        parts.append(f"{count(len(structural), 'combination')} can never be told by any measurement of this kind")
+        parts.append(f"{count(len(structural), 'combination')} cannot be determined by any measurement of this kind")
     if dead:
         parts.append(f"{_more(dead, bool(parts))} hardly touched by {these}")
     if in_part:
@@ -190,7 +190,7 @@ def _describe_cost(results: AuditResults) -> str:
     factor = max(r.reduced_sd / r.predicted_sd for r in results.requirements)
     shares = (
         f"({name_requirement(worst.name)}: {format_share(worst.reduced_sd / worst.limit)} of the limit in place of "
-        f"{format_share(worst.predicted_sd / worst.limit)}, probability to keep it "
+        f"{format_share(worst.predicted_sd / worst.limit)}, probability to meet it "
         f"{format_probability(worst.reduced_probability)})"
     )
     if factor < FIXING_COSTS:
@@ -214,7 +214,7 @@ def _state_harm(results: AuditResults) -> list[Statement]:
         else f"along each of the {len(results.ridges)} combinations that are not determined"
     )
     if worst is None:
-        text = f"Whether it matters {which} is not told: the design states no requirement."
+        text = f"Whether it matters {which} is unknown: the design states no requirement."
         return [Statement(text, "plain", lead)]
     which_limit = f"of a requirement ({name_requirement(worst.limit)})"
     matter = [ridge for ridge in results.ridges if ridge.effect in ("noticeable", "harmful")]
@@ -241,9 +241,7 @@ def _state_harm(results: AuditResults) -> list[Statement]:
 def _state_requirements(results: AuditResults) -> list[Statement]:
     requirements = results.requirements
     if not requirements:
-        return [
-            Statement("The design states none; whether the accuracy suffices is not told.", "plain", "Requirements")
-        ]
+        return [Statement("The design states none; whether the accuracy suffices is unknown.", "plain", "Requirements")]
     failing = [r for r in requirements if not is_kept(results, r)]
     lost = [r for r in requirements if math.isnan(r.predicted_sd)]
     if lost:

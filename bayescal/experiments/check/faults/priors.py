@@ -34,7 +34,7 @@ def check_priors(posterior: Found, draws: Array) -> Finding:
     off = {name: one for name, one in found.items() if one[1] and chi2.sf(*one) < level}
     if not off:
         square, n = found["all together"]
-        said = f"{np.sqrt(square / n):.2g} times as far from nominal as expected" if n else "not told by the data"
+        said = f"{np.sqrt(square / n):.2g} times as far from nominal as expected" if n else "not determined by the data"
         return Finding(CHECK, "", "good", f"the machine is {said} (rms along {n} informed directions).")
     worst = min(groups, key=lambda name: chi2.sf(*found[name]) if found[name][1] else 1.0)
     named = [name for name in groups if name in off] or [worst]

@@ -15,8 +15,7 @@ LEVELS: dict[str, Level] = dict(zip(VERDICTS, ("good", "bad", "plain"), strict=T
 PLURAL = {"holds": "hold", "does not hold": "do not hold", "not testable": "are not testable"}
 OWN = "own"  # section of findings that the publication does not state
 EXPLANATION = (
-    "A claim opens to say how it was tested and what its verdict depends on. “Not testable” stands where these data "
-    "cannot decide."
+    "A claim opens to say how it was tested and what its verdict depends on. “Not testable”: these data cannot decide."
 )
 
 

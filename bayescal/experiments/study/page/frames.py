@@ -9,7 +9,7 @@ from bayescal.report.numbers import count_decimals, format_estimate, format_sign
 
 TEXT = (
     "Where the instrument's frame lies against the base and the probe's against the platform was not known; both were "
-    "found with the machine. A frame and the joints that move with it are told apart by their tolerances alone, so "
+    "found with the machine. A frame and the joints that move with it are distinguished by their tolerances alone, so "
     "that a frame may stay as uncertain as before though every pose is predicted well."
 )
 

@@ -115,7 +115,7 @@ def illustrate_joints(results: StudyResults) -> Figure:
     joints = locate_joints(frame)
     first = choose_model(results)
     models = sorted(list_models(results), key=lambda model: model != first)
-    several = " The first model is shown large; of the others base and platform stand in one plan." * (len(models) > 1)
+    several = " The first model is shown large; of the others base and platform share one plan." * (len(models) > 1)
     caption = (
         f"The joints from above{cite_figure(results.publication, name)}: black dots are nominal, markers the posterior "
         "means (circle: no deformation, cross: linear, triangle: matrix), bars their standard deviations; moves and "

@@ -135,7 +135,7 @@ def _describe_rest(results: StudyResults, use: str) -> str:
         return ""
     n = len(list_contradictions(results, use))
     if not n:
-        return "; no pair that the evidence tells apart is reversed by more than two standard errors"
+        return "; no pair that the evidence distinguishes is reversed by more than two standard errors"
     return f"; further down {n} {'pair comes' if n == 1 else 'pairs come'} clearly in the other order"
 
 
@@ -169,8 +169,8 @@ def tabulate_stacking(results: StudyResults) -> Table | None:
     rows = [_describe_one(label_variant(results, n), weights[n], results.fit(n), uses, scales) for n in order]
     rows.append(_describe_one("all, stacked", 1.0, stacked, uses, scales))
     note = (
-        "Variants whose elpd LOO lies within two standard errors of the best one's predict alike as far as the "
-        "calibration poses can tell. Stacking weighs them so that the mixture predicts left-out poses best; a small "
+        "Variants whose elpd LOO lies within two standard errors of the best one's predict equally well on the "
+        "calibration poses. Stacking weighs them so that the mixture predicts left-out poses best; a small "
         "weight means that a variant adds nothing to the others, not that it is wrong."
     )
     caption = f"The stacked prediction of {name_variants(results, order)}."

@@ -73,7 +73,7 @@ def _illustrate_pits(results: StudyResults) -> Figure:
 
 def _illustrate_replicates(results: StudyResults) -> Figure:
     caption = (
-        "Errors of the calibration poses against the mean prediction, sorted, beside those that replicates of the "
+        "Errors of the calibration poses against the mean prediction, sorted, with those that replicates of the "
         "measurement would have (band: 95 %; line: median), with model error. A posterior that has seen a "
         "pose fits it somewhat better than a replicate. Poses far left of the band: noise or model error too large; "
         "right of it: too small, at the upper end single poses that are blunders."

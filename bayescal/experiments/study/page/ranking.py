@@ -172,7 +172,7 @@ def tabulate_effects(results: StudyResults) -> Table | None:
         row += [_format_difference(value, d, other, d) if model != models[0] else NOTHING for d in deformations]
         rows.append(row)
     note = (
-        "Variants of one letter are not told apart: within 1 nat, or within twice the error of the estimates, of the "
+        "Variants of one letter fit equally well: within 1 nat, or within twice the error of the estimates, of the "
         "best of their letter."
     )
     if find_free_sets(results):

@@ -98,7 +98,7 @@ def _state_combinations(results: StudyResults, variant: str) -> list[Statement]:
     kept, lost = int((left > KEPT).sum()), int((left < LOST).sum())
     text = (
         f"Of the {len(left)} independent combinations of its geometry (principal axes of the draws in prior standard "
-        f"deviations) {kept or 'none'} keep more than half of their prior variance, {lost or 'none'} less than 1 %."
+        f"deviations) {kept or 'none'} retain more than half of their prior variance, {lost or 'none'} less than 1 %."
     )
     if kept and lost:
         text += " So a parameter may stay uncertain by itself while the poses fix a combination of several."

@@ -147,7 +147,7 @@ def test_without_requirements_and_changes_the_page_says_so(tmp_path, no_pictures
     assert "Figure left out: the design states no requirement." in text
     assert "Figure left out: no change of the plan was looked at." in text
     assert "No reduced set was looked for." in text
-    assert "whether the accuracy suffices is not told" in text
+    assert "whether the accuracy suffices is unknown" in text
 
 
 def test_text_from_the_design_is_escaped(tmp_path, pictures):
@@ -191,7 +191,7 @@ def test_ridges_of_a_kind_stand_together_and_are_open_in_print(tmp_path, no_pict
 
 def test_the_headline_counts_what_is_determined():
     assert describe_determined(make()) == (
-        "Of 7 parameters the 40 planned poses determine 2; 3 combinations can never be told by any measurement of this "
+        "Of 7 parameters the 40 planned poses determine 2; 3 combinations cannot be determined by any measurement of this "
         "kind and 1 more is hardly touched by the planned ones."
     )
 
@@ -209,7 +209,7 @@ def test_the_headline_counts_what_is_determined():
             parameter["verdict"] = "weak"
 
     assert describe_determined(make(know_nothing, [9.0, 9.0, 9.0, 1.0, 0.0, 0.0, 0.0])) == (
-        "Of 7 parameters the 40 calibration poses determine none on its own; 3 combinations can never be told by any "
+        "Of 7 parameters the 40 calibration poses determine none on its own; 3 combinations cannot be determined by any "
         "measurement of this kind and 1 more is learnt only in part."
     )
 
@@ -378,7 +378,7 @@ def test_a_reduced_set_is_for_reproductions_and_says_what_it_is_off_by():
     assert "The pose hardly suffers" in text
     text = say(make(put(9.0, 0.4)))["Reduced set"][1]
     assert "up to 9.0 times as uncertain" in text
-    assert "probability to keep it 40 %" in text
+    assert "probability to meet it 40 %" in text
 
 
 def test_without_anything_left_out_there_is_no_reduced_set():
@@ -416,7 +416,7 @@ def test_simulated_calibrations_of_both_sets_stand_side_by_side(tmp_path):
         "the reduced set free, the rest off by its tolerances and taken for nominal",
     ]
     assert "hold 20 % of the true values, the errors are 74.0 times what is claimed" in tables[1].notes[0].text
-    assert tables[0].notes[1].text == "Requirements kept: x 200 of 200 (expected 198 to 200)."
+    assert tables[0].notes[1].text == "Requirements met: x 200 of 200 (expected 198 to 200)."
 
 
 def test_requirements_kept_less_often_than_claimed_are_a_warning(tmp_path):

@@ -92,7 +92,7 @@ def test_bars_reach_the_largest_error_and_the_line_is_the_mean(drawn):
         lines = [float(line.get_segments()[0][0, 1]) for line in axes.collections]
         assert lines[4] == pytest.approx(mean)
         assert max(lines[k] for k in range(8) if k != 4) < 0.5 * mean
-    assert "35/80" in list_texts(figure)
+    assert "35/\n80" in list_texts(figure)
     assert [label.get_text() for label in figure.axes[0].get_xticklabels()] == [
         "6-PUS",
         "Jacobian",
@@ -108,7 +108,7 @@ def test_orientation_errors_of_tables_and_figures_are_in_the_configs_unit(make_r
         summary["units"]["angle"] = angle
 
     page = read_page(make_results(change, variants=TWELVE))
-    own, usual = draw(page, "errors_linear").axes[1], drawn("errors_linear").axes[1]
+    own, usual = draw(page, "errors_none").axes[1], drawn("errors_none").axes[1]
     assert own.get_ylabel() == f"Orientation error ({label})"
     heights = [[bar.get_height() for bar in axes.patches] for axes in (own, usual)]
     np.testing.assert_allclose(heights[0], factor * np.array(heights[1]))

@@ -78,7 +78,7 @@ def test_a_ridge_of_three_is_counted_where_no_pair_shows_it(hexapod):
     pairs, combinations = state_ridges(results)
     assert "None of the 3 pairs exceeds 0.9" in pairs.text
     assert "Of the 3 independent combinations" in combinations.text
-    assert "2 keep more than half of their prior variance, 1 less than 1 %" in combinations.text
+    assert "2 retain more than half of their prior variance, 1 less than 1 %" in combinations.text
 
 
 def test_model_errors_are_no_combination_of_the_geometry(hexapod):

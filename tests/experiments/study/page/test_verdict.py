@@ -130,7 +130,7 @@ def test_the_same_leaders_in_prediction_agree(make_results):
     results = read_study(make_results(variants=TWELVE))
     text = find_statement(results, "Prediction", "LOO")
     assert "agrees: the same 3 lead with 0.4 nat between them, 149.6 ± 6.0 nat ahead of Jacobian/matrix" in text
-    assert "no pair that the evidence tells apart is reversed by more than two standard errors" in text
+    assert "no pair that the evidence distinguishes is reversed by more than two standard errors" in text
 
 
 def test_a_leader_that_predicts_badly_is_not_hidden(make_results):

@@ -38,7 +38,7 @@ def draw_requirements(requirements: Sequence[Requirement], kept: Sequence[bool])
     shape: dict[str, Any] = {"linestyle": "none", "markersize": 6.5}
     axes.plot(before, rows, marker="o", markerfacecolor="white", color=GREY, label="before the calibration", **shape)
     axes.plot(geometry, rows, marker="|", color=INK, label="after it, from the geometry alone", **shape)
-    for colour, label, which in ((BLUE, "after it, kept", True), (RED, "after it, not reliably kept", False)):
+    for colour, label, which in ((BLUE, "after it, met", True), (RED, "after it, not reliably met", False)):
         chosen = np.array(kept) == which
         if chosen.any():
             axes.plot(after[chosen], rows[chosen], marker="o", color=colour, label=label, **shape)

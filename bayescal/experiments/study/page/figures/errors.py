@@ -58,7 +58,7 @@ def draw_error_bars(
             for use, side in zip(uses, (-1, 1) if len(uses) > 1 else (0,), strict=True):
                 mean, largest = (float(errors[what][name, use]) for what in ("mean", "max"))
                 _draw_bar(axes, k, side, mean, largest, styles[name].colour, SHADES[use], crowded)
-        axes.set_ylim(0, (1.35 if crowded else 1.14) * float(errors["max"].max()) or 1.0)
+        axes.set_ylim(0, (1.35 if crowded else 1.3) * float(errors["max"].max()) or 1.0)
         axes.set_xlim(-0.6, max(len(variants), 3) - 0.4)
         axes.set_xticks(range(len(variants)), labels, **(SLANTED if crowded else {}))
         axes.tick_params(axis="x", length=0)
@@ -84,11 +84,12 @@ def _draw_bar(
     centre = place + 0.5 * side * WIDTH
     axes.bar(centre, largest, width=0.94 * WIDTH, color=colour, alpha=shade, linewidth=0)
     axes.hlines(mean, centre - 0.47 * WIDTH, centre + 0.47 * WIDTH, color=INK, linewidth=1.6)
-    text = f"{format_significant(mean, 2)}/{format_significant(largest, 2)}"
+    numbers = format_significant(mean, 2), format_significant(largest, 2)
     if upright:
+        text = "/".join(numbers)
         axes.annotate(text, (centre, largest), (0, 2), textcoords="offset points", ha="center", fontsize=6, rotation=90)
         return
-    align = {-1: "right", 0: "center", 1: "left"}[side]
+    align, text = {-1: "right", 0: "center", 1: "left"}[side], "/\n".join(numbers)  # in degrees they are long
     axes.annotate(text, (place, largest), (3 * side, 2), textcoords="offset points", ha=align, fontsize=7)
 
 
