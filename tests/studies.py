@@ -243,6 +243,6 @@ def assert_same_text(found: str, expected: str, name: str = "") -> None:
 
 def read_posterior(folder: Path, variant: str, setting: str = "free") -> dict[str, dict[str, Any]]:
     """Return the rows of a variant's parameters in a results directory, by their names."""
-    table = read_results(folder).table("parameters")
+    table = read_results(folder, ("parameters",)).table("parameters")
     mine = table[(table["variant"] == variant) & (table["model_error"] == setting)]
     return {str(row["parameter"]): row for row in mine.to_dict("records")}

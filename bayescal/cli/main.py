@@ -27,7 +27,6 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal without Greek letters
-    allow_own_classes(True)
     try:
         code = app(standalone_mode=False)
     except typer.TyperException as error:
@@ -53,6 +52,8 @@ def main() -> None:
         if os.environ.get(TRACEBACK):
             raise
         code = _complain(_describe_own_fault(error), NumericalError.exit_code)
+    finally:
+        allow_own_classes(True)  # what a call forbids holds for that call
     sys.exit(code or 0)
 
 
