@@ -191,8 +191,8 @@ def test_ridges_of_a_kind_stand_together_and_are_open_in_print(tmp_path, no_pict
 
 def test_the_headline_counts_what_is_determined():
     assert describe_determined(make()) == (
-        "Of 7 parameters the 40 planned poses determine 2; 3 combinations cannot be determined by any measurement of this "
-        "kind and 1 more is hardly touched by the planned ones."
+        "Of 7 parameters the 40 planned poses determine 2; 3 combinations cannot be determined by any measurement of "
+        "this kind and 1 more is hardly touched by the planned ones."
     )
 
     def know_all(summary):
@@ -209,8 +209,8 @@ def test_the_headline_counts_what_is_determined():
             parameter["verdict"] = "weak"
 
     assert describe_determined(make(know_nothing, [9.0, 9.0, 9.0, 1.0, 0.0, 0.0, 0.0])) == (
-        "Of 7 parameters the 40 calibration poses determine none on its own; 3 combinations cannot be determined by any "
-        "measurement of this kind and 1 more is learnt only in part."
+        "Of 7 parameters the 40 calibration poses determine none on its own; 3 combinations cannot be determined by "
+        "any measurement of this kind and 1 more is learnt only in part."
     )
 
 
