@@ -112,7 +112,7 @@ draws = 1000
 [drift]
 {drift}
 """
-TABLE = """calibration = "study.toml"
+TABLE = """study = "study.toml"
 variant = "{variant}"
 
 [axes]

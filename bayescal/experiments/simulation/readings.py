@@ -87,7 +87,8 @@ def plan_readings(config: SimulationConfig, folder: Path) -> ReadingPlan:
 
 def _simulate(plan: ReadingPlan, rng: np.random.Generator) -> tuple[dict[str, str], Array]:
     config, model = plan.config, plan.model
-    theta = round_as_written(_draw_machine(plan, rng) if plan.truth is None else plan.truth)
+    drawn = _draw_machine(plan, rng)  # in any case, so that a truth that is given leaves poses and noise as they are
+    theta = round_as_written(drawn if plan.truth is None else plan.truth)
     given = draw_given(config.given, plan.n_poses, rng)
     pose, exact = draw_standing(model, plan.workspace, theta, given, plan.n_poses, rng)
     measured = exact + plan.noise * rng.standard_normal(exact.shape)

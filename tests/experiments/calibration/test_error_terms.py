@@ -195,12 +195,12 @@ def test_an_own_term_and_functions_run_to_a_page(tmp_path, monkeypatch):
     text = path.read_text()
     path.write_text(text.replace(text[text.index('[[variants]]\nname = "one_rod"') : text.index("[sampler]")], ""))
     run_experiment(load(path)[1], path.parent, tmp_path / "out")
-    found = pd.read_csv(tmp_path / "out" / "functions.csv")
+    found = pd.read_csv(tmp_path / "out" / "tables" / "functions.csv")
     assert set(found["sensor"]) == {f"s[{k}]" for k in (1, 2, 3)}
     assert found["present"].between(0.0, 1.0).all()
-    assert set(pd.read_csv(tmp_path / "out" / "function_curves.csv")["of"]) == {"reading"}
+    assert set(pd.read_csv(tmp_path / "out" / "tables" / "function_curves.csv")["of"]) == {"reading"}
     provenance = json.loads((tmp_path / "out" / "provenance.json").read_text())
     assert "own_errors.py" in provenance["files"]
-    names = set(pd.read_csv(tmp_path / "out" / "parameters.csv")["parameter"])
+    names = set(pd.read_csv(tmp_path / "out" / "tables" / "parameters.csv")["parameter"])
     assert {"wander(wander)", "edge", "sigma_g(motors, s[1])"} <= names
     assert "Errors that are functions" in (tmp_path / "out" / "report.html").read_text()

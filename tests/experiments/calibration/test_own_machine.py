@@ -57,7 +57,7 @@ def test_the_class_belongs_to_the_identity(outcomes):
 
 def test_the_truth_lies_where_the_posterior_says(outcomes):
     folder, _ = outcomes
-    found = pd.read_csv(folder / "elsewhere" / "1" / "parameters.csv")
+    found = pd.read_csv(folder / "elsewhere" / "1" / "tables" / "parameters.csv")
     true = pd.read_csv(folder / "own_machine" / "data" / "true_parameters.csv", comment="#").set_index("parameter")
     every = found[found["variant"] == "all"].set_index("parameter")
     z = (every["mean"] - true["value"][every.index]) / every["sd"]
@@ -68,13 +68,13 @@ def test_the_truth_lies_where_the_posterior_says(outcomes):
 def test_arviz_judges_every_posterior(outcomes):
     folder, _ = outcomes
     files = sorted((folder / "elsewhere" / "1" / "posterior").glob("*.nc"))
-    variants = set(pd.read_csv(folder / "elsewhere" / "1" / "variants.csv")["variant"])
+    variants = set(pd.read_csv(folder / "elsewhere" / "1" / "tables" / "variants.csv")["variant"])
     assert {check_tree(path, k_is_good=False).attrs["variant"] for path in files} == variants
 
 
 def test_held_back_readings_lie_in_their_intervals(outcomes):
     folder, _ = outcomes
-    found = pd.read_csv(folder / "elsewhere" / "1" / "predictions.csv")
+    found = pd.read_csv(folder / "elsewhere" / "1" / "tables" / "predictions.csv")
     assert len(found) == 2 * 5 * 6
     assert 0.75 <= found["inside"].mean() <= 1.0
 
