@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from bayescal.report.blocks import Level, Statement
-from bayescal.report.numbers import format_fixed, format_odds, format_percent, format_significant, join_words
+from bayescal.report.numbers import format_odds, format_percent, join_words
 
 NOT_DISTINGUISHABLE = 1.0
 """Difference of log-evidences, nat, below which two variants fit equally well."""
@@ -232,13 +232,6 @@ def say_requirements(probabilities: Mapping[str, float], subject: str = "the cal
 def rate_probability(probability: float) -> Level:
     """Return how good the news is that a requirement is met with a probability."""
     return "good" if probability >= LIKELY else "warning" if probability >= 0.5 else "bad"
-
-
-def say_difference(nats: float, se: float = 0.0) -> str:
-    """Return a difference of log-evidences with its odds; that it distinguishes nothing where it is small."""
-    if abs(nats) <= max(NOT_DISTINGUISHABLE, 2.0 * se):
-        return f"{format_significant(abs(nats), 2)} nat, which distinguishes nothing"
-    return f"{format_fixed(abs(nats), 1)} nat ({say_odds(abs(nats))})"
 
 
 def write_headline(parts: Iterable[str]) -> str:

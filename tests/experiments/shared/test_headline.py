@@ -8,7 +8,6 @@ from bayescal.experiments.shared.headline import (
     group_candidates,
     say_accuracy,
     say_choice,
-    say_difference,
     say_probability,
     say_requirements,
     state_ruled_out,
@@ -74,11 +73,6 @@ def test_requirements_are_met_with_a_probability() -> None:
 def test_uncertainties_say_their_coverage() -> None:
     assert say_accuracy({"x": "13 µm"}) == "x 13 µm (standard uncertainty, k = 1)"
     assert say_accuracy({"x": "26 µm"}, 0.95) == "x 26 µm (95 % coverage)"
-
-
-def test_small_differences_say_that_they_distinguish_nothing() -> None:
-    assert say_difference(0.4) == "0.40 nat, which distinguishes nothing"
-    assert say_difference(-6.0) == "6.0 nat (odds of 400 to 1)"
 
 
 def test_a_headline_is_made_of_sentences() -> None:
