@@ -20,7 +20,7 @@ from bayescal.calibrated.recheck.statistics import choose_suspects
 from bayescal.calibrated.recheck.tables import expect_pose, place_poses
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.density.calibration.measurements import Measurements
-from bayescal.experiments.check.subject import Subject
+from bayescal.experiments.check.inputs import Subject
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.shared.measured import MeasuredVariant, see_legs
 from bayescal.machines.kinematics import solve_forward_kinematics
