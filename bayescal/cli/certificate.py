@@ -16,8 +16,8 @@ from bayescal.errors import InputError
 from bayescal.limits import LARGEST_SEED
 
 if TYPE_CHECKING:
+    from bayescal.calibrated.accuracy import Region
     from bayescal.calibrated.machine import CalibratedMachine
-    from bayescal.calibrated.region import Region
 
 
 @app.command(epilog="Example: bayescal certificate results/m2_hexapod --out certificate.html")
@@ -80,7 +80,7 @@ def _read_region(
 
     import numpy as np
 
-    from bayescal.calibrated.region import box_about_home
+    from bayescal.calibrated.accuracy import box_about_home
 
     if whole_range and (position_mm or rotation_deg):
         raise InputError("--whole-range: found beside --position-mm or --rotation-deg, expected either")

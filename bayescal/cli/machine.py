@@ -42,7 +42,7 @@ def export(
     trust: Trust = False,
 ) -> None:
     """Write the machine as calibrated, with covariance and draws, as files for the next tool."""
-    from bayescal.calibrated.export import export_machine
+    from bayescal.calibrated.formats import export_machine
     from bayescal.experiments.shared.calibrating import load_calibrated
     from bayescal.files.atomic import check_writable
 

@@ -71,9 +71,8 @@ def recheck(
     trust: Trust = False,
 ) -> None:
     """Name the fewest poses that show whether a calibration still holds, or judge what was read at them."""
-    from bayescal.calibrated.recheck.judge import judge_recheck
     from bayescal.calibrated.recheck.plan import list_candidates, plan_recheck
-    from bayescal.calibrated.recheck.statistics import choose_suspects
+    from bayescal.calibrated.recheck.statistics import choose_suspects, judge_recheck
     from bayescal.calibrated.recheck.tables import describe_plan, describe_recheck, expect_readings, format_plan
     from bayescal.calibrated.tables import read_commands
     from bayescal.experiments.shared.calibrating import load_calibrated

@@ -1,4 +1,4 @@
-"""What a check of one kind of fault says."""
+"""What the measured data say of a config: each kind of fault by itself, the gravest first."""
 
 from __future__ import annotations
 
@@ -46,11 +46,10 @@ NAMED_SLIPS = 3
 GRAVEST = ("derivative", "unit", "legs", "channel")
 """Faults that leave nothing else to be said."""
 
+type Level = Literal["good", "warning", "bad"]
 type Look = tuple[list[Finding], Array, Array]
 """Findings, and draws of the posterior of the measured data, (S, n) in natural units and in coordinates; none after the
 gravest faults."""
-
-type Level = Literal["good", "warning", "bad"]
 
 
 @dataclass(frozen=True)
@@ -347,7 +346,12 @@ def _log_density(errors: Array, covariance: Array) -> float:
 
 
 def check_priors(posterior: Found, draws: Array) -> Finding:
-    """Return whether the machine lies within its tolerances; draws of the posterior in natural units, (S, n)."""
+    """Return whether the machine lies within its tolerances; draws of the posterior in natural units, (S, n).
+
+    In units of the tolerances a posterior mean has the prior covariance 1 - C, with C that of the posterior. Along the
+    directions that the data inform, its squared length is χ²; a tolerance stated three times too small makes it nine
+    times as large.
+    """
     names = posterior.names[: posterior.n_geometry]
     priors = [posterior.priors[name] for name in names]
     values = (draws[:, : len(names)] - [p.mean for p in priors]) / [p.sd for p in priors]

@@ -93,7 +93,11 @@ def distribute(ranks: Array, at: Array) -> Array:
 
 @cache
 def find_band(n: int, false_alarms: float) -> Band:
-    """Return the band that n uniform numbers leave with a probability of ``false_alarms``."""
+    """Return the band that n uniform numbers leave with a probability of ``false_alarms``, all of it at once.
+
+    By simulation after Säilynoja, Bürkner and Vehtari (2022): the pointwise level is the one at which so many sets of
+    uniform numbers as asked for stay within the pointwise binomial limits at every point.
+    """
     at = np.arange(1, POINTS) / POINTS
     rng = np.random.default_rng(0)
     cells = rng.multinomial(n, np.full(POINTS, 1.0 / POINTS), SIMULATED)
