@@ -31,7 +31,7 @@ from telescope_problem import MODEL_ERROR_SCALE, simulate, time_interleaved  # f
 import numpy as np
 
 from bayescal.data.photogrammetry.poses import extract_poses
-from bayescal.experiments.simulation.twin import Twin, build_twin, simulate_survey
+from bayescal.experiments.simulation.twin import Twin, build_twin, survey_twin
 from bayescal.density.batches import BATCH
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.errors import KernelScale
@@ -77,7 +77,7 @@ def draw_deformation(twin: Twin, scale: float, spread: float, seed: int) -> tupl
 
 def survey(twin: Twin, config: StudyConfig, theta: Array, seed: int, n_blunders: int = 0) -> StudyInputs:
     """Return a study of a survey of a machine, some of its calibration poses blunders."""
-    measured = simulate_survey(twin, np.random.default_rng(seed), theta)
+    measured = survey_twin(twin, np.random.default_rng(seed), theta)[0]
     rng = np.random.default_rng([seed, 5])
     spoilt = rng.choice(np.flatnonzero(~measured.verification), n_blunders, replace=False)
     actuators = measured.actuators.copy()

@@ -17,7 +17,7 @@ from bayescal.density.sessions.model import DAYS_IN_MONTH, Drift, Part, SessionM
 from bayescal.experiments.check.inputs import Subject
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.sessions.compute import SessionFit, fit_sessions
-from bayescal.experiments.sessions.inputs import Session
+from bayescal.experiments.sessions.inputs import describe_free, pick_rows
 from bayescal.experiments.shared.measured import measure_variants
 from bayescal.numerics.geometry import Array
 
@@ -45,10 +45,10 @@ def make_sessions(subject: Subject, moves: bool, rng: np.random.Generator) -> tu
         plan = Subject(subject.measured.pick(rng.choice(legs.poses.n_poses, POSES, replace=False)))
         values = plan.simulate(posterior.adopt(now, posterior.zeta(truth))[0], rng)
         assert values is not None
-        parts.append(Part(Session(plan.measured.retake(values)).rows(np.arange(POSES)), session))
+        parts.append(Part(pick_rows(plan.measured.retake(values), np.arange(POSES)), session))
     units = tuple(f"l[{k}]" for k in range(1, len(lengths) + 1))
     drift = Drift(loadings, lengths, np.arange(len(lengths)), units, np.full(len(lengths), SCALE))
-    return SessionModel(tuple(parts), *Session(subject.measured).design("study"), drift, ()), moved
+    return SessionModel(tuple(parts), *describe_free(subject.measured, "study"), drift, ()), moved
 
 
 def compare(model: SessionModel, fit: SessionFit, moved: Array) -> tuple[Array, Array]:

@@ -24,9 +24,8 @@ from bayescal.density.legs import build_leg_posterior
 from bayescal.errors import BayescalError
 from bayescal.experiments.check.inputs import Subject
 from bayescal.experiments.frame.load import load
-from bayescal.experiments.shared.leg_slips import find_leg_slip, state_error, suspect_poses
 from bayescal.experiments.shared.measured import MeasuredVariant, measure_variants, see_legs
-from bayescal.experiments.shared.reading_slips import find_calibration_slip
+from bayescal.experiments.shared.measured_slips import find_calibration_slip, find_leg_slip, state_error, suspect_poses
 from bayescal.experiments.shared.readings.inputs import Variant, read_inputs
 from bayescal.experiments.shared.readings.workspace import find_starts
 from bayescal.numerics.geometry import Array

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import telescope_machines as machines
 
-from bayescal.calibrated.machine import CalibratedMachine, Source, build_calibrated_legs, build_leg_errors
+from bayescal.calibrated.machine import CalibratedMachine, Source, build_calibrated, build_leg_errors
 from bayescal.machines.kinematics import Machine
+from bayescal.machines.readings import Legs
 
 SOURCE = Source("made_up", "any/none", "Made up for the tests, never measured")
 
@@ -30,7 +31,7 @@ def build_made_up(
         "errors": build_leg_errors(machine, machine.layout.nominal, 1e-3, np.full(n_legs, 4e-6)),
         "source": SOURCE,
     }
-    return build_calibrated_legs(machine, draws.mean(axis=0), draws, **(fields | changes))
+    return build_calibrated(Legs(machine), draws.mean(axis=0), draws, **(fields | changes))
 
 
 def measurable_actuators(machine: Machine, n: int, rng: np.random.Generator) -> np.ndarray:

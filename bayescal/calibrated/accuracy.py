@@ -349,7 +349,6 @@ def fit_cube(calibrated: CalibratedMachine, centre: Array, most: float = np.inf)
 
     Parameters
     ----------
-    calibrated : CalibratedMachine
     centre : ndarray, shape (m,)
         The tool in its middle; it keeps its orientation.
     most : float

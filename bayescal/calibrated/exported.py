@@ -29,7 +29,7 @@ from bayescal.files.csv_tables import format_table, read_matrix, read_table
 from bayescal.files.netcdf import read_netcdf
 from bayescal.machines.deformations import MatrixDeformation, NominalDeformation
 from bayescal.machines.kinematics import check_home_pose
-from bayescal.machines.mechanism import BeamSection, ExternalLoad, Flexures, Mechanism
+from bayescal.machines.mechanism import ExternalLoad, Mechanism
 from bayescal.machines.read import LEGS, build_named_machine, list_machine_sources, load_mechanism, read_reading_model
 from bayescal.machines.readings import Legs, ReadingModel
 from bayescal.numerics.geometry import Array
@@ -101,12 +101,12 @@ def list_mechanism_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
     bends = isinstance(machine.deformation, MatrixDeformation)
     lines = [f'mechanism = "{MECHANISM}"', f'model = "{machine.model.name}"']
     lines += [f'deformation = "{"matrix" if bends else "none"}"', *([f'matrix = "{MATRIX}"'] if bends else [])]
-    texts = {
-        CALIBRATED: _format_calibrated(calibrated, lines),
-        MECHANISM: format_mechanism(machine.mechanism, calibrated.source.describe()),
-        **format_matrices(machine.deformation, calibrated.errors),
-        **_format_measured_file(calibrated),
-    }
+    texts = _format_calibrated(calibrated, lines)
+    texts[MECHANISM] = format_mechanism(machine.mechanism, calibrated.source.describe())
+    if isinstance(machine.deformation, MatrixDeformation):
+        texts[MATRIX] = format_matrix(machine.deformation.matrix)
+    if isinstance(calibrated.errors, LegErrors) and calibrated.errors.matrix_covariance is not None:
+        texts[MATRIX_COVARIANCE] = format_matrix_covariance(calibrated.errors.matrix_covariance)
     return {name: text.encode() for name, text in texts.items()}
 
 
@@ -120,11 +120,12 @@ def list_function_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
     if calibrated.workspace is not None:
         bounds = zip(calibrated.model.coordinates, calibrated.workspace.T, strict=True)
         lines += [f"workspace = {{ {', '.join(f'{one.name} = {format_value(ends)}' for one, ends in bounds)} }}"]
-    texts = {CALIBRATED: _format_calibrated(calibrated, lines), **_format_measured_file(calibrated)}
-    return {name: text.encode() for name, text in texts.items()} | dict(calibrated.files)
+    texts = {name: text.encode() for name, text in _format_calibrated(calibrated, lines).items()}
+    return texts | dict(calibrated.files)
 
 
-def _format_calibrated(calibrated: CalibratedMachine, machine: list[str]) -> str:
+def _format_calibrated(calibrated: CalibratedMachine, machine: list[str]) -> dict[str, str]:
+    """Return the file that names all others, and the table of the poses that calibrated a machine."""
     source, errors = calibrated.source, calibrated.errors
     if type(errors) not in (Errors, LegErrors):
         raise InputError(f"variant {source.variant!r}: found a structured model error, expected independent ones")
@@ -134,27 +135,20 @@ def _format_calibrated(calibrated: CalibratedMachine, machine: list[str]) -> str
         lines += [f'covariance = "{COVARIANCE}"']
     if calibrated.draws is not None:
         lines += [f'draws = "{DRAWS}"']
+    texts = {}
     if calibrated.measured is not None:
         lines += [f'measured = "{MEASURED}"']
+        texts[MEASURED] = format_measured(calibrated.model, calibrated.measured, calibrated.given)
     lines += ["", "[source]", *(f"{key} = {format_value(value)}" for key, value in vars(source).items())]
-    return "\n".join([*lines, "", "[errors]", *_format_errors(errors)]) + "\n"
-
-
-def _format_errors(errors: Errors) -> list[str]:
     sd = np.sqrt(np.diagonal(errors.noise))
-    lines = [f"noise = {format_value(sd)}", f"model_error = {format_value(np.sqrt(errors.model_variance))}"]
+    lines += ["", "[errors]", f"noise = {format_value(sd)}"]
+    lines += [f"model_error = {format_value(np.sqrt(errors.model_variance))}"]
     if np.any(errors.noise != np.diag(np.diagonal(errors.noise))):
         scale = np.where(sd > 0.0, sd, 1.0)
         lines += [f"correlation = {format_value(errors.noise / np.outer(scale, scale))}"]
     if isinstance(errors, LegErrors) and errors.matrix_covariance is not None:
         lines += [f'matrix_covariance = "{MATRIX_COVARIANCE}"']
-    return lines
-
-
-def _format_measured_file(calibrated: CalibratedMachine) -> dict[str, str]:
-    if calibrated.measured is None:
-        return {}
-    return {MEASURED: format_measured(calibrated.model, calibrated.measured, calibrated.given)}
+    return {CALIBRATED: "\n".join(lines) + "\n", **texts}
 
 
 def format_measured(model: ReadingModel, commands: Array, given: Mapping[str, Array]) -> str:
@@ -172,16 +166,6 @@ def read_measured(path: Path, model: ReadingModel) -> tuple[Array, dict[str, Arr
     channels = [model.channels[k] for k in model.select(model.commanded)]
     table = read_table(path, (*(f"{one.stem}_{one.unit}" for one in channels), *model.given))
     return read_quantities(table, channels), read_given(table, model.given)
-
-
-def format_matrices(deformation: object, errors: object) -> dict[str, str]:
-    """Return the files of a deformation matrix and of its covariance, where there are any."""
-    texts = {}
-    if isinstance(deformation, MatrixDeformation):
-        texts[MATRIX] = format_matrix(deformation.matrix)
-    if isinstance(errors, LegErrors) and errors.matrix_covariance is not None:
-        texts[MATRIX_COVARIANCE] = format_matrix_covariance(errors.matrix_covariance)
-    return texts
 
 
 def format_matrix(matrix: Array) -> str:
@@ -213,30 +197,18 @@ def read_matrix_covariance(path: Path, n_legs: int) -> Array:
 
 def list_posterior_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
     """Return the files beside a machine's: its parameters, and covariance and draws where they are known."""
-    texts = {PARAMETERS: _format_parameters(calibrated)}
-    files: dict[str, bytes] = {}
-    if calibrated.covariance is not None:
-        texts[COVARIANCE] = _format_covariance(calibrated)
+    layout, covariance, comments = calibrated.model.layout, calibrated.covariance, calibrated.source.describe()
+    columns = zip(layout.names, layout.units, calibrated.theta, calibrated.sd, strict=True)
+    known = covariance is not None
+    rows = [(name, unit, repr(float(value)), repr(float(s)) if known else "") for name, unit, value, s in columns]
+    files = {PARAMETERS: format_table(comments, ["parameter", "unit", "mean", "sd"], rows).encode()}
+    if covariance is not None:
+        about = [*comments, "Covariance of the uncertain parameters; lengths in mm, all else in 1"]
+        cells = [(name, *map(repr, row.tolist())) for name, row in zip(calibrated.names, covariance, strict=True)]
+        files[COVARIANCE] = format_table(about, ["parameter", *calibrated.names], cells).encode()
     if calibrated.draws is not None:
         files[DRAWS] = _encode_draws(calibrated)
-    return {name: text.encode() for name, text in texts.items()} | files
-
-
-def _format_parameters(calibrated: CalibratedMachine) -> str:
-    layout, known = calibrated.model.layout, calibrated.covariance is not None
-    columns = zip(layout.names, layout.units, calibrated.theta, calibrated.sd, strict=True)
-    rows = [(name, unit, repr(float(value)), repr(float(s)) if known else "") for name, unit, value, s in columns]
-    return format_table(calibrated.source.describe(), ["parameter", "unit", "mean", "sd"], rows)
-
-
-def _format_covariance(calibrated: CalibratedMachine) -> str:
-    assert calibrated.covariance is not None
-    comments = [*calibrated.source.describe(), "Covariance of the uncertain parameters; lengths in mm, all else in 1"]
-    rows = [
-        (name, *(repr(float(c)) for c in row))
-        for name, row in zip(calibrated.names, calibrated.covariance, strict=True)
-    ]
-    return format_table(comments, ["parameter", *calibrated.names], rows)
+    return files
 
 
 def _encode_draws(calibrated: CalibratedMachine) -> bytes:
@@ -259,7 +231,6 @@ def read_exported(folder: Path, trust: bool = False) -> CalibratedMachine:
 
     Parameters
     ----------
-    folder : Path
     trust : bool
         Whether the code of a machine's own class may be run.
 
@@ -280,7 +251,11 @@ def read_exported(folder: Path, trust: bool = False) -> CalibratedMachine:
     )
     theta = model.layout.nominal if config.parameters is None else _read_parameters(folder / config.parameters, model)
     names, covariance = _read_covariance(folder, config.covariance)
-    free = _find_names(model.layout.names, names, folder / (config.covariance or CALIBRATED))
+    for name in names:
+        if name not in model.layout.names:
+            path = folder / (config.covariance or CALIBRATED)
+            raise InputError(f"{path}: found parameter {name!r}, expected those of the machine")
+    free = np.array([model.layout.names.index(name) for name in names], dtype=int)
     draws = None if config.draws is None else _read_draws(folder / config.draws, names)
     source = config.source
     measured, given = None, dict[str, Array]()
@@ -379,13 +354,6 @@ def _read_covariance(folder: Path, name: str | None) -> tuple[tuple[str, ...], A
     covariance = covariance.reshape(len(names), len(names))
     check_covariance(folder / name, names, covariance)
     return names, covariance
-
-
-def _find_names(known: tuple[str, ...], names: tuple[str, ...], path: Path) -> np.ndarray:
-    for name in names:
-        if name not in known:
-            raise InputError(f"{path}: found parameter {name!r}, expected those of the machine")
-    return np.array([known.index(name) for name in names], dtype=int)
 
 
 def _read_draws(path: Path, names: tuple[str, ...]) -> Array:
@@ -487,53 +455,37 @@ def _list_own_classes(path: Path) -> list[str]:
 
 
 def format_mechanism(mechanism: Mechanism, comments: Sequence[str] = ()) -> str:
-    """Return the text of a mechanism's file, comment lines above."""
+    """Return the text of a mechanism's file that `bayescal.machines.read` takes, comment lines above."""
     lines = [f"# {comment}" for comment in comments]
     lines += [f"name = {format_value(mechanism.name)}"]
     lines += ["", "[base]", f"points_mm = {_format_rows(mechanism.base_points)}"]
-    lines += ["", "[platform]", f"points_mm = {_format_rows(mechanism.platform_points)}"]
-    lines += ["", *_format_home(mechanism), "", *_format_legs(mechanism)]
-    if mechanism.flexures is not None:
-        lines += _format_flexures(mechanism.flexures)
-    if mechanism.load != ExternalLoad():
-        lines += _format_load(mechanism.load)
-    return "\n".join(lines) + "\n"
-
-
-def _format_home(mechanism: Mechanism) -> list[str]:
+    lines += ["", "[platform]", f"points_mm = {_format_rows(mechanism.platform_points)}", "", "[home]"]
     if mechanism.home_position is not None:
-        return ["[home]", f"near_mm = {format_value(mechanism.home_position)}"]
-    return ["[home]", f'platform = "{"below" if mechanism.platform_below else "above"}"']
-
-
-def _format_legs(mechanism: Mechanism) -> list[str]:
-    lines = ["[legs]", f'drive = "{mechanism.drive}"', f"length_mm = {format_value(mechanism.leg_lengths)}"]
+        lines += [f"near_mm = {format_value(mechanism.home_position)}"]
+    else:
+        lines += [f'platform = "{"below" if mechanism.platform_below else "above"}"']
+    lines += ["", "[legs]", f'drive = "{mechanism.drive}"', f"length_mm = {format_value(mechanism.leg_lengths)}"]
     if mechanism.drive == "base":
-        lines.append(f"direction = {_format_rows(mechanism.directions)}")
-    lines.append(f"initial_actuator_position_mm = {format_value(mechanism.initial_actuator_positions)}")
-    return [*lines, f"actuator_range_mm = {format_value(mechanism.actuator_range)}"]
-
-
-def _format_flexures(flexures: Flexures) -> list[str]:
-    lines = ["", "[flexures]", f"length_mm = {format_value(flexures.lengths)}", f"beta = {format_value(flexures.beta)}"]
-    if flexures.section is None or flexures.leg_section is None:
-        return lines
-    sections = {"flexure": flexures.section, "leg": flexures.leg_section}
-    return [*lines, "", "[stiffness]", *(f"{key} = {_format_section(one)}" for key, one in sections.items())]
-
-
-def _format_section(section: BeamSection) -> str:
-    k1, k2, k3 = (format_value(k) for k in (section.k1, section.k2, section.k3))
-    return f"{{ k1_n_mm2 = {k1}, k2_n = {k2}, k3_n_mm2 = {k3} }}"
-
-
-def _format_load(load: ExternalLoad) -> list[str]:
-    lines = ["", "[load]", f"force_n = {format_value(load.force)}", f"moment_n_mm = {format_value(load.moment)}"]
-    mass = float(np.linalg.norm(load.weight)) / STANDARD_GRAVITY
-    if mass > 0.0:
-        lines.append(f"mass_kg = {format_value(mass)}")
-        lines.append(f"gravity_m_s2 = {format_value([w / mass for w in load.weight])}")
-    return [*lines, f"centre_of_mass_mm = {format_value(load.centre_of_mass)}"]
+        lines += [f"direction = {_format_rows(mechanism.directions)}"]
+    lines += [f"initial_actuator_position_mm = {format_value(mechanism.initial_actuator_positions)}"]
+    lines += [f"actuator_range_mm = {format_value(mechanism.actuator_range)}"]
+    flexures, load = mechanism.flexures, mechanism.load
+    if flexures is not None:
+        lines += ["", "[flexures]", f"length_mm = {format_value(flexures.lengths)}"]
+        lines += [f"beta = {format_value(flexures.beta)}"]
+        if flexures.section is not None and flexures.leg_section is not None:
+            lines += ["", "[stiffness]"]
+            for key, one in (("flexure", flexures.section), ("leg", flexures.leg_section)):
+                k1, k2, k3 = map(format_value, (one.k1, one.k2, one.k3))
+                lines += [f"{key} = {{ k1_n_mm2 = {k1}, k2_n = {k2}, k3_n_mm2 = {k3} }}"]
+    if load != ExternalLoad():
+        lines += ["", "[load]", f"force_n = {format_value(load.force)}", f"moment_n_mm = {format_value(load.moment)}"]
+        mass = float(np.linalg.norm(load.weight)) / STANDARD_GRAVITY
+        if mass > 0.0:
+            lines += [f"mass_kg = {format_value(mass)}"]
+            lines += [f"gravity_m_s2 = {format_value([w / mass for w in load.weight])}"]
+        lines += [f"centre_of_mass_mm = {format_value(load.centre_of_mass)}"]
+    return "\n".join(lines) + "\n"
 
 
 def _format_rows(rows: Array) -> str:

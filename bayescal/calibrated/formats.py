@@ -129,7 +129,6 @@ def check_perfect_legs(calibrated: CalibratedMachine, what: str, drives: tuple[s
 
     Parameters
     ----------
-    calibrated : CalibratedMachine
     what : str
         The format.
     drives : tuple of str

@@ -105,7 +105,6 @@ class LegErrors(Errors):
 
     Attributes
     ----------
-    machine : Machine
     theta : ndarray, shape (D,)
     matrix_covariance : ndarray, shape (N, N, N), or None
         Covariance of each row of a measured deformation matrix K, whose diagonal is a parameter and counts as known.
@@ -291,7 +290,17 @@ def build_calibrated(
     machine_file: str = "",
     files: Mapping[str, bytes] | None = None,
 ) -> CalibratedMachine:
-    """Return a calibrated machine by its posterior's mean θ (D,) and draws (S, D), or None; see `CalibratedMachine`."""
+    """Return a calibrated machine by its posterior's mean θ (D,) and draws (S, D), or None; see `CalibratedMachine`.
+
+    One with errors of its legs' closures is settled where drawings hold its kinematics; these errors are then its own.
+    """
+    if isinstance(model, Legs) and isinstance(errors, LegErrors):
+        machine = model.machine
+        if not find_hindrance(machine):
+            settled = settle_machine(machine, theta)
+            draws = None if draws is None else express_parameters(machine, settled, draws)
+            machine, theta = settled, settled.layout.nominal
+        model, errors = Legs(machine), replace(errors, machine=machine, theta=theta)
     free, covariance, kept = np.empty(0, dtype=int), None, None
     if draws is not None:
         free = np.flatnonzero(np.ptp(draws, axis=0) > LEAST_SPREAD * (1.0 + np.abs(theta)))
@@ -299,34 +308,3 @@ def build_calibrated(
         kept = draws[:, free]
     place = (measured, dict(given), workspace, machine_file, files or {})
     return CalibratedMachine(model, theta, free, covariance, kept, errors, source, *place)
-
-
-def build_calibrated_legs(
-    machine: Machine,
-    theta: Array,
-    draws: Array | None,
-    errors: LegErrors,
-    source: Source,
-    measured: Array | None = None,
-) -> CalibratedMachine:
-    """Return a calibrated machine on legs, settled where drawings hold its kinematics.
-
-    Parameters
-    ----------
-    machine : Machine
-        The nominal one.
-    theta : ndarray, shape (D,)
-        Posterior mean.
-    draws : ndarray, shape (S, D), or None
-    errors : LegErrors
-        Of the nominal machine: the calibrated one takes its place.
-    source : Source
-    measured : ndarray, shape (P, N), or None
-        Actuator positions of the poses that calibrated it, mm.
-    """
-    if not find_hindrance(machine):
-        settled = settle_machine(machine, theta)
-        draws = None if draws is None else express_parameters(machine, settled, draws)
-        machine, theta = settled, settled.layout.nominal
-    errors = replace(errors, machine=machine, theta=theta)
-    return build_calibrated(Legs(machine), theta, draws, errors, source, measured)

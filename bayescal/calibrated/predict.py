@@ -494,7 +494,6 @@ def _spread(
 
     Parameters
     ----------
-    calibrated : CalibratedMachine
     slope : ndarray, shape (P, M, D)
         What moves by the parameters.
     respond : callable

@@ -29,7 +29,6 @@ from bayescal.calibrated.machine import (
     CalibratedMachine,
     Errors,
     build_calibrated,
-    build_calibrated_legs,
     build_leg_errors,
 )
 from bayescal.calibrated.predict import bound_workspace, command_poses, draw_poses, is_pose, predict_poses
@@ -40,6 +39,7 @@ from bayescal.machines.deformations import NoDeformation
 from bayescal.machines.kinematics import build_machine
 from bayescal.machines.models.six_pus import SixPus
 from bayescal.machines.read import read_reading_model
+from bayescal.machines.readings import Legs
 
 ROOT = Path(__file__).parents[2]
 OWN = ROOT / "examples" / "own_machine" / "machine.toml"
@@ -98,7 +98,7 @@ def _build_legs(name: str, rng: np.random.Generator) -> CalibratedMachine:
     n_legs = mechanism.n_legs
     draws = theta + 1e-3 * machines.spread_of(machine.layout) * rng.standard_normal((N_DRAWS, len(theta)))
     errors = build_leg_errors(machine, theta, 1e-3, np.full(n_legs, 4e-6))
-    made = build_calibrated_legs(machine, draws.mean(axis=0), draws, errors, made_up.SOURCE)
+    made = build_calibrated(Legs(machine), draws.mean(axis=0), draws, errors, made_up.SOURCE)
     share = (0.1 if name == "hexaglide" else 0.3) * rng.uniform(-1, 1, (40, mechanism.n_legs))
     return replace(made, measured=mechanism.initial_actuator_positions + share * mechanism.actuator_range)
 

@@ -19,12 +19,13 @@ import telescope_machines as machines
 from scipy.spatial.transform import Rotation
 
 from bayescal.calibrated.formats import export_machine
-from bayescal.calibrated.machine import Source, build_calibrated_legs, build_leg_errors
+from bayescal.calibrated.machine import Source, build_calibrated, build_leg_errors
 from bayescal.calibrated.predict import predict_poses
 from bayescal.errors import InputError
 from bayescal.machines.deformations import NoDeformation
 from bayescal.machines.kinematics import build_machine
 from bayescal.machines.models.six_ups import SixUps
+from bayescal.machines.readings import Legs
 
 NANOMETRE = 1e-6  # mm
 COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
@@ -206,7 +207,7 @@ def test_formats_that_cannot_have_a_machine(name, model, deformation, n_legs, ex
     machine = machines.build_machine(deformation, machines.build_random_mechanism(n_legs, seed=n_legs), model)
     theta = machine.layout.nominal
     errors = build_leg_errors(machine, theta, 0.0, np.zeros(n_legs))
-    found = build_calibrated_legs(machine, theta, None, errors, calibrated.SOURCE)
+    found = build_calibrated(Legs(machine), theta, None, errors, calibrated.SOURCE)
     with pytest.raises(InputError) as refusal:
         export_machine(found, tmp_path / "out", name)
     assert expected in str(refusal.value)

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 import telescope_machines as machines
 
-from bayescal.calibrated.machine import Errors, build_calibrated_legs, build_leg_errors
+from bayescal.calibrated.machine import Errors, build_calibrated, build_leg_errors
 from bayescal.calibrated.predict import command_poses, draw_poses, predict_poses
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.errors import InputError
+from bayescal.machines.readings import Legs
 from bayescal.numerics.geometry import compute_pose_error, matrix_from_rotation_vector, rotation_vector_from_matrix
 
 
@@ -118,8 +119,12 @@ def test_along_a_bent_ridge_draws_tell_mean_and_covariance(rng):
     draws = np.tile(layout.nominal, (2000, 1))
     draws[:, layout.index["u_x"]] += 0.05 * rng.standard_normal((2000, 6))
     draws[:, layout.index["a_x"]] -= machines.INITIAL_POSITION * (draws[:, layout.index["u_x"]])  # joints stay at home
-    made_up = build_calibrated_legs(
-        machine, draws.mean(axis=0), draws, build_leg_errors(machine, draws[0], 0.0, np.zeros(6)), calibrated.SOURCE
+    made_up = build_calibrated(
+        Legs(machine),
+        draws.mean(axis=0),
+        draws,
+        build_leg_errors(machine, draws[0], 0.0, np.zeros(6)),
+        calibrated.SOURCE,
     )
     actuators = machines.INITIAL_POSITION + np.full((1, 6), machines.ACTUATOR_RANGE)
     found = predict_poses(made_up, actuators)

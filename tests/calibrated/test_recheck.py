@@ -25,7 +25,7 @@ from bayescal.calibrated.recheck.tables import build_covariance, expect_pose, pl
 from bayescal.data.actuators import name_actuators
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.errors import InputError
-from bayescal.experiments.shared.leg_slips import find_recheck_slip
+from bayescal.experiments.shared.measured_slips import find_recheck_slip
 from bayescal.machines.deformations import NoDeformation
 from bayescal.machines.kinematics import build_machine, solve_forward_kinematics
 from bayescal.machines.models.six_pus import SixPus

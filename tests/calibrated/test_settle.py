@@ -14,7 +14,7 @@ import telescope_machines as machines
 
 from bayescal.calibrated.exported import format_mechanism, read_exported
 from bayescal.calibrated.formats import export_machine
-from bayescal.calibrated.machine import Source, build_calibrated_legs, build_leg_errors
+from bayescal.calibrated.machine import Source, build_calibrated, build_leg_errors
 from bayescal.calibrated.predict import command_poses, predict_poses
 from bayescal.calibrated.settle import express_parameters, settle_machine
 from bayescal.errors import InputError
@@ -23,6 +23,7 @@ from bayescal.machines.kinematics import Machine, build_machine, solve_forward_k
 from bayescal.machines.mechanism import ExternalLoad
 from bayescal.machines.models.six_pus import SixPus
 from bayescal.machines.read import load_mechanism
+from bayescal.machines.readings import Legs
 
 SAME = {"rtol": 0, "atol": 1e-9}  # mm
 SAME_TURN = {"rtol": 0, "atol": 1e-12}
@@ -156,7 +157,7 @@ def test_without_draws_there_is_a_machine_but_no_covariance(rng, tmp_path):
     machine = machines.build_machine("none")
     theta = calibrated.draw_machines(machine, 1, rng)[0]
     errors = build_leg_errors(machine, theta, 1e-3, np.zeros(6))
-    found = build_calibrated_legs(machine, theta, None, errors, calibrated.SOURCE)
+    found = build_calibrated(Legs(machine), theta, None, errors, calibrated.SOURCE)
     written = {path.name for path in export_machine(found, tmp_path)}
     assert written == {"calibrated.toml", "mechanism.toml", "parameters.csv"}
     again = read_exported(tmp_path)
@@ -176,7 +177,7 @@ def test_a_model_of_ones_own_predicts_but_has_no_drawings(rng, tmp_path):
     own = Machine(built_in.mechanism, Own(), built_in.deformation)
     draws = calibrated.draw_machines(built_in, 50, rng)
     rest = (draws.mean(axis=0), draws, build_leg_errors(built_in, draws[0], 1e-3, np.full(6, 1e-6)), calibrated.SOURCE)
-    one, other = build_calibrated_legs(built_in, *rest), build_calibrated_legs(own, *rest)
+    one, other = build_calibrated(Legs(built_in), *rest), build_calibrated(Legs(own), *rest)
     assert [np.array_equal(m.theta, m.model.layout.nominal) for m in (one, other)] == [True, False]
     actuators = calibrated.measurable_actuators(built_in, 4, rng)
     first, second = predict_poses(one, actuators), predict_poses(other, actuators)

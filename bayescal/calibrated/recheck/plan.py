@@ -79,7 +79,6 @@ class RecheckPlan:
         Of all sessions.
     power : ndarray, shape (N,)
         With which the shift of each parameter is found.
-    demand : Demand
     """
 
     suspects: Suspects
@@ -163,14 +162,11 @@ def plan_recheck(
 
     Parameters
     ----------
-    calibrated : CalibratedMachine
-    suspects : Suspects
     candidates : ndarray, shape (C, n)
         Commands, in the channels' units.
     given : mapping of str to ndarray, shape (C,)
     planned : Measurements
         A row that says which channels are read, and their noise; see `predict_knowledge`.
-    demand : Demand
 
     Raises
     ------

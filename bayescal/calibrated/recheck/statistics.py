@@ -50,7 +50,6 @@ class Suspects:
         As texts call them.
     places : ndarray of int, shape (N,)
         In the machine's layout.
-    units : tuple of str
     kind : str
         What any of them is called.
     stated : bool
@@ -189,8 +188,6 @@ def predict_knowledge(
 
     Parameters
     ----------
-    calibrated : CalibratedMachine
-    suspects : Suspects
     commands : ndarray, shape (P, C)
         In the channels' units.
     given : mapping of str to ndarray, shape (P,)
@@ -221,8 +218,6 @@ def compute_knowledge(calibrated: CalibratedMachine, suspects: Suspects, session
 
     Parameters
     ----------
-    calibrated : CalibratedMachine
-    suspects : Suspects
     session : Measurements
         Readings of all channels; the noise of the commanded ones is the machine's own.
 
@@ -425,8 +420,6 @@ class Recheck:
         Whether no statistic of any session passed the threshold.
     statistic : ndarray, shape (J, N)
         t of every parameter, the sessions pooled from the first.
-    threshold : float
-    false_alarm : float
     shift, sd : ndarray, shape (N,)
         Of every parameter as if it alone had shifted, all sessions together, in its unit.
     probability : ndarray, shape (N,)
@@ -468,8 +461,6 @@ def judge_recheck(
 
     Parameters
     ----------
-    calibrated : CalibratedMachine
-    suspects : Suspects
     sessions : sequence of Measurements
         Readings of all channels, in their order.
     false_alarm : float

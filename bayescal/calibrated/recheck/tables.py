@@ -57,7 +57,6 @@ def place_poses(names: tuple[str, ...], actuators: Array, values: Array, covaria
 
     Parameters
     ----------
-    names : tuple of str
     actuators : ndarray, shape (P, N)
     values : ndarray, shape (P, 6)
         NaN where not measured.

@@ -19,7 +19,6 @@ from bayescal.config.sections import (
     Name,
     Names,
     NotNegative,
-    Number,
     Positive,
     Section,
     check_once,
@@ -28,6 +27,8 @@ from bayescal.density.schema import FixedConfig, PriorConfig
 from bayescal.experiments.shared.readings.schema import ChannelConfig, FreeConfig, InstrumentConfig, NextConfig
 from bayescal.experiments.shared.schema import (
     ActuatorNoiseConfig,
+    AnyWorkspaceConfig,
+    Bounds,
     DeformationConfig,
     FramesConfig,
     OwnSensorConfig,
@@ -39,7 +40,6 @@ from bayescal.experiments.shared.schema import (
 from bayescal.inference.schema import DrawsConfig
 
 type Count = Annotated[int, Field(ge=1, le=10_000)]
-type Bounds = Annotated[list[Number], Field(min_length=2, max_length=2)]
 
 # --- what measures, and where --------------------------------------------------------------------------------------
 
@@ -57,19 +57,6 @@ type SensorConfig = Annotated[
     | Annotated[OwnSensorConfig, Tag(OWN)]
     | Annotated[ChannelConfig, Tag(f"{MEASURED}channel")],
     Discriminator(_tag_sensor),
-]
-
-
-def _tag_workspace(section: Any) -> str:
-    legs = isinstance(section, WorkspaceConfig) or (
-        isinstance(section, dict) and not WorkspaceConfig.model_fields.keys().isdisjoint(section)
-    )
-    return f"{MEASURED}home" if legs else f"{MEASURED}coordinates"
-
-
-type AnyWorkspaceConfig = Annotated[
-    Annotated[WorkspaceConfig, Tag(f"{MEASURED}home")] | Annotated[dict[str, Bounds], Tag(f"{MEASURED}coordinates")],
-    Discriminator(_tag_workspace),
 ]
 
 

@@ -19,7 +19,7 @@ from bayescal.errors import NumericalError
 from bayescal.experiments.check.inputs import Subject, draw_posterior
 from bayescal.experiments.shared.chi_square import ChiSquare, format_chance
 from bayescal.experiments.shared.measured import Found, MeasuredReadings, MeasuredVariant, see_legs
-from bayescal.experiments.shared.reading_slips import audit_slips
+from bayescal.experiments.shared.measured_slips import audit_slips
 from bayescal.experiments.shared.slips import FoundSlip
 from bayescal.experiments.shared.soundness import fit_rows
 from bayescal.inference.mode import Mode, find_mode
@@ -262,14 +262,12 @@ class Left:
 
     Attributes
     ----------
-    found : ChiSquare
     errors : ndarray, shape (P, R)
         Free of the poses, as large as they would be had nothing been fitted.
     covariance : callable
         Takes what is unknown of the errors, (n,), to (P, R, R); see `bayescal.density.sessions.rows.LinearRows`.
     missing : ndarray, shape (P, R, R)
         The part of it that is no reading's; by the stated noise alone the whole is the identity.
-    n_errors : int
     largest : str
         Kind of the channels that are left with most.
     """

@@ -32,7 +32,6 @@ class CheckInputs:
 
     Attributes
     ----------
-    config : CheckConfig
     origin : str
         Of the data, in words.
     subjects : dict of str to Subject
@@ -80,12 +79,7 @@ def _refuse_function(measured: MeasuredVariant, where: str) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """A variant as a check sees it, whatever its machine.
-
-    Attributes
-    ----------
-    measured : MeasuredReadings
-    """
+    """A variant as a check sees it, whatever its machine."""
 
     measured: MeasuredReadings
 

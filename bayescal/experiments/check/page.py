@@ -9,6 +9,7 @@ import pandas as pd
 from matplotlib import figure as mpl
 
 from bayescal.experiments.frame.results import Results
+from bayescal.experiments.shared.headline import write_headline
 from bayescal.report.blocks import (
     Absent,
     Block,
@@ -88,7 +89,7 @@ def state_headline(results: Results) -> str:
         sound &= passes
         words.append(f"{name} passes" if passes else f"{name}: {join_words(faults)}")
     advice = "The study's config can be relied on" if sound else "Mend the study's config before relying on it"
-    return f"{advice}: {'; '.join(words)}."
+    return write_headline([f"{advice}: {'; '.join(words)}"])
 
 
 def order_findings(findings: pd.DataFrame) -> list[dict[str, str]]:
@@ -99,13 +100,9 @@ def order_findings(findings: pd.DataFrame) -> list[dict[str, str]]:
 
 def _state(row: dict[str, str], several: bool) -> Statement:
     level: Level = "bad" if row["level"] == "bad" else "warning" if row["level"] == "warning" else "good"
-    lead = f"{row['check']} ({row['variant']})" if several else row["check"]
-    return Statement(_begin(row["text"]), level, lead)
-
-
-def _begin(text: str) -> str:
-    """Return a sentence with a capital letter, a symbol such as χ² left as it is."""
-    return f"{text[0].upper()}{text[1:]}" if text[0].isascii() else text
+    text = row["text"]
+    said = f"{text[0].upper()}{text[1:]}" if text[0].isascii() else text  # χ² keeps its letter
+    return Statement(said, level, f"{row['check']} ({row['variant']})" if several else row["check"])
 
 
 def _show_variant(results: Results, name: str) -> Section:

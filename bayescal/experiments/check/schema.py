@@ -11,19 +11,7 @@ from bayescal.experiments.shared.of_another import OfAnotherConfig
 
 
 class CheckConfig(OfAnotherConfig):
-    """A check of a study's config.
-
-    Attributes
-    ----------
-    study : str
-        Its file.
-    variants : list of str
-        Which to check; the best by evidence where none is named.
-    data_sets : int
-        Simulated of the priors, and as many of the posterior.
-    draws : int
-        Of each data set's posterior.
-    """
+    """A check of a study's config."""
 
     kind: Literal["check"]
     """`"check"`."""

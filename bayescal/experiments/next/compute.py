@@ -33,7 +33,6 @@ class Ahead:
 
     Attributes
     ----------
-    steps : list of Step
     standings : dict of int to Standing
         How requirements are expected to stand after so many of them.
     """
@@ -49,11 +48,16 @@ def compute_next(inputs: NextInputs) -> Results:
         names = list(states)
         best = names[int(np.argmax(probabilities))]
         state = states[best]
-        ahead = _look_ahead(inputs, state, _tell_apart(inputs, states, probabilities, state))
+        telling = None
+        if inputs.config.aim == "variants":  # what each candidate is expected to tell of which variant is right, nats
+            predicted = [one.predict(state) for one in states.values()]
+            differences, covariances = (np.stack(part) for part in zip(*predicted, strict=True))
+            telling = compare_variants(probabilities, differences, covariances)
+        ahead = _look_ahead(inputs, state, telling)
         tables = {
             "next_poses": _list_poses(state, ahead),
             "requirements": _tabulate_requirements(inputs, state, ahead),
-            "course": pd.concat([_follow_course(inputs, state), _foresee(inputs, ahead, state)], ignore_index=True),
+            "course": _follow_course(inputs, state, ahead),
             "variants": pd.DataFrame(
                 {
                     "variant": names,
@@ -83,8 +87,8 @@ def _count_draws(subject: Subject, wanted: int) -> int:
     return max(FEWEST_DRAWS, min(wanted, MOST_ERRORS // subject.n_workspace))
 
 
-def _follow_course(inputs: NextInputs, last: State) -> pd.DataFrame:
-    """Return how requirements stood after the first poses, each time updated from the time before."""
+def _follow_course(inputs: NextInputs, last: State, ahead: Ahead) -> pd.DataFrame:
+    """Return how requirements were kept after the first poses, each time updated from before, and what is expected."""
     if not inputs.requirements:
         return pd.DataFrame()
     subject = last.subject
@@ -97,6 +101,8 @@ def _follow_course(inputs: NextInputs, last: State) -> pd.DataFrame:
             start = state.belief.y
         rough = state.belief.pareto_k > PARETO_K_LIMIT and state.belief.way == "updated"
         rows.append({**_describe_standing(inputs, n, "measured", state.standing), "rough": rough})
+    for n, standing in sorted(ahead.standings.items()):
+        rows.append({**_describe_standing(inputs, n_poses + n, "expected", standing), "rough": False})
     return pd.DataFrame(rows)
 
 
@@ -113,15 +119,6 @@ def _describe_standing(inputs: NextInputs, n: int, what: str, standing: Standing
 
 
 # --- what may come -----------------------------------------------------------------------------------------------
-
-
-def _tell_apart(inputs: NextInputs, states: dict[str, State], probabilities: Array, best: State) -> Array | None:
-    """Return what each candidate is expected to tell of which variant is right, nats, (C,); None where it is no aim."""
-    if inputs.config.aim != "variants":
-        return None
-    predicted = [state.predict(best) for state in states.values()]
-    differences, covariances = (np.stack(part) for part in zip(*predicted, strict=True))
-    return compare_variants(probabilities, differences, covariances)
 
 
 def _look_ahead(inputs: NextInputs, state: State, telling: Array | None) -> Ahead:
@@ -156,21 +153,6 @@ def find_goal(inputs: NextInputs, state: State) -> float:
     """Return the probability to be reached: the stated one, or its share of what an exactly known geometry reaches."""
     wanted, best = inputs.config.probability, state.at_best.probability
     return wanted if best >= wanted else wanted * best
-
-
-def count_needed(ahead: Ahead, probability: float) -> int | None:
-    """Return after how many further poses a probability is expected; None where it is not that soon."""
-    enough = [n for n, standing in ahead.standings.items() if standing.probability >= probability]
-    return min(enough, default=None)
-
-
-def _foresee(inputs: NextInputs, ahead: Ahead, state: State) -> pd.DataFrame:
-    n_poses = state.subject.n_poses
-    rows = [
-        {**_describe_standing(inputs, n_poses + n, "expected", standing), "rough": False}
-        for n, standing in sorted(ahead.standings.items())
-    ]
-    return pd.DataFrame(rows)
 
 
 def _list_poses(state: State, ahead: Ahead) -> pd.DataFrame:
@@ -235,13 +217,15 @@ def _summarise(inputs: NextInputs, state: State, best: str, of_best: float, ahea
         "requirements": None,
     }
     if inputs.requirements:
+        goal = find_goal(inputs, state)
+        enough = [n for n, standing in ahead.standings.items() if standing.probability >= goal]
         summary["requirements"] = {
             "probability": state.standing.probability,
             "standard_error": state.standing.standard_error,
             "after_next": ahead.standings[1].probability,
             "at_best": state.at_best.probability,
-            "goal": find_goal(inputs, state),
-            "poses_needed": count_needed(ahead, find_goal(inputs, state)),
+            "goal": goal,
+            "poses_needed": min(enough, default=None),
         }
     return {**summary, "decision": _decide(inputs, summary)}
 

@@ -17,7 +17,7 @@ from bayescal.experiments.next.schema import CandidatesConfig, NextConfig
 from bayescal.experiments.next.state import Poses, Subject
 from bayescal.experiments.shared.design import REQUIRED, find_actuators, read_workspace
 from bayescal.experiments.shared.measured import MeasuredReadings, measure_variants
-from bayescal.experiments.shared.reading_slips import find_measured_slip
+from bayescal.experiments.shared.measured_slips import find_measured_slip
 from bayescal.experiments.shared.schema import WorkspaceConfig
 from bayescal.experiments.shared.slips import FoundSlip
 from bayescal.identifiability.design import Knowledge
@@ -50,12 +50,10 @@ class NextInputs:
 
     Attributes
     ----------
-    config : NextConfig
     origin : str
         Of the data, in words.
     subjects : dict of str to Subject
         Those that may be right, with the poses measured so far.
-    n_candidates : int
     units : dict of str to str
         Of each requirement, as the config states it.
     slip : FoundSlip or None
@@ -93,7 +91,9 @@ def read_next(config: NextConfig, folder: Path) -> NextInputs:
         )
     first = next(iter(found.values()))
     there = first.posterior.likelihood.data.n_poses
-    n = _take_first(config.first, there, config.study)
+    n = there if config.first is None else config.first
+    if n > there:
+        raise InputError(f"first: found {n}, expected at most {there}, the calibration poses of {config.study}")
     if first.legs is None:
         _check_same_readings(found)
         _check_redundant(first)
@@ -110,12 +110,6 @@ def read_next(config: NextConfig, folder: Path) -> NextInputs:
     subjects = {name: Subject(one, requirements, workspace, candidates) for name, one in so_far.items()}
     origin = first.origin.partition(": study ")[0]
     return NextInputs(config, origin, subjects, len(candidates.values), units, find_measured_slip(list(found.values())))
-
-
-def _take_first(n: int | None, there: int, path: str) -> int:
-    if n is not None and n > there:
-        raise InputError(f"first: found {n}, expected at most {there}, the calibration poses of {path}")
-    return there if n is None else n
 
 
 def _read_requirements(config: NextConfig, measured: MeasuredReadings) -> tuple[list[Requirement], dict[str, str]]:

@@ -81,21 +81,20 @@ def configure_next(path: Path, variants: list[str], required: list[str], seed: i
             if given:
                 raise InputError(f"{option}: found beside {path}, which asks a question itself, expected a study")
         return found if seed is None else found.model_copy(update={"seed": seed})
+    limits = {}
+    for one in required:
+        name, _, value = one.partition("=")
+        try:
+            limits[name.strip()] = float(value)
+        except ValueError as error:
+            raise InputError(f"--require: found {one!r}, expected NAME=VALUE such as x=0.05") from error
     content = {
         "study": path.name,
         "name": f"{found.name}_next",
         "title": f"{found.title}: the pose to measure next",
         "seed": found.seed if seed is None else seed,
         "variants": variants,
-        "requirements": dict(_read_requirement(one) for one in required),
+        "requirements": limits,
         "aim": "requirements" if required else "variants",
     }
     return check_section(NextConfig, content, path, "")
-
-
-def _read_requirement(text: str) -> tuple[str, float]:
-    name, _, value = text.partition("=")
-    try:
-        return name.strip(), float(value)
-    except ValueError as error:
-        raise InputError(f"--require: found {text!r}, expected NAME=VALUE such as x=0.05") from error

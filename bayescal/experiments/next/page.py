@@ -11,6 +11,7 @@ from matplotlib import figure as mpl
 from matplotlib.axes import Axes
 
 from bayescal.experiments.frame.results import Results
+from bayescal.experiments.shared.headline import say_probability, write_headline
 from bayescal.experiments.shared.slips import state_slip
 from bayescal.report.blocks import (
     Cell,
@@ -27,7 +28,6 @@ from bayescal.report.blocks import (
 from bayescal.report.numbers import format_fixed, format_percent, format_significant
 from bayescal.report.style import GREY, INK, LEG_COLOURS, MARKERS, RED
 
-SURE = 0.9995  # rounds to a full hundred per cent
 METHOD = (
     (
         "What is known?",
@@ -89,27 +89,17 @@ def build_page(results: Results) -> Page:
 def state_headline(summary: dict[str, Any]) -> str:
     """Return whether to stop, in one sentence."""
     n, wanted = summary["n_poses"], format_percent(summary["stated_probability"])
+    stop = summary["decision"] == "stop"
+    order = "Stop" if stop else f"Measure one more pose, candidate {summary['next_candidate']}"
     if summary["aim"] == "variants":
-        sure = f"{summary['variant']} is right with {_say_chance(summary['variant_probability'])}"
-        return f"{_say_order(summary)}: after {_count(n)} {sure}, {wanted} wanted."
+        sure = f"{summary['variant']} is right with {say_probability(summary['variant_probability'], 1)}"
+        return write_headline([f"{order}: after {_count(n)} {sure}, {wanted} wanted"])
     standing = summary["requirements"]
     if summary["decision"] == "hopeless":
-        best = f"with the geometry known exactly they hold with {_say_chance(standing['at_best'])}"
-        return f"Stop: the requirements will not be met by measuring; {best}."
-    held = _say_chance(standing["probability"])
-    return f"{_say_order(summary)}: after {_count(n)} the requirements hold with {held}, {wanted} wanted."
-
-
-def _say_order(summary: dict[str, Any]) -> str:
-    if summary["decision"] == "stop":
-        return "Stop"
-    return f"Measure one more pose, candidate {summary['next_candidate']}"
-
-
-def _say_chance(probability: float) -> str:
-    if probability >= SURE:
-        return "more than 99.9 %"
-    return "less than 0.1 %" if probability <= 1.0 - SURE else format_percent(probability, 1)
+        best = f"with the geometry known exactly they hold with {say_probability(standing['at_best'], 1)}"
+        return write_headline([f"Stop: the requirements will not be met by measuring; {best}"])
+    held = say_probability(standing["probability"], 1)
+    return write_headline([f"{order}: after {_count(n)} the requirements hold with {held}, {wanted} wanted"])
 
 
 def _count(n: int) -> str:
@@ -120,17 +110,17 @@ def _state_all(results: Results) -> list[Statement]:
     summary = results.summary
     said = state_slip(summary)
     if summary["decision"] != "hopeless":
-        said.append(_state_pose(summary))
+        lead = "If one went on" if summary["decision"] == "stop" else "Next pose"
+        said.append(Statement(summary["next_pose"], "plain", lead))
     if summary["requirements"] is not None:
         said += [_state_gain(results), _state_needed(summary), _state_best(summary)]
     if len(results.table("variants")) > 1:
-        said.append(_state_variants(results))
+        table = results.table("variants").sort_values("probability", ascending=False)
+        each = [
+            f"{row['variant']} {say_probability(float(row['probability']), 1)}" for _, row in table.head(3).iterrows()
+        ]
+        said.append(Statement(f"{'; '.join(each)}, if one of them is right.", "plain", "Variants"))
     return [*said, _state_soundness(summary)]
-
-
-def _state_pose(summary: dict[str, Any]) -> Statement:
-    lead = "If one went on" if summary["decision"] == "stop" else "Next pose"
-    return Statement(summary["next_pose"], "plain", lead)
 
 
 def _state_gain(results: Results) -> Statement:
@@ -144,7 +134,7 @@ def _state_gain(results: Results) -> Statement:
         f"errs by more than {now} {unit} there, and by {then} {unit} after the next pose; allowed are "
         f"{format_significant(float(tightest['limit']))} {unit}. The mean error that the geometry causes falls by "
         f"{format_percent(gain, 1)}; all requirements then hold with "
-        f"{_say_chance(summary['requirements']['after_next'])}."
+        f"{say_probability(summary['requirements']['after_next'], 1)}."
     )
     return Statement(text, "plain", "What it brings")
 
@@ -159,25 +149,19 @@ def _state_needed(summary: dict[str, Any]) -> Statement:
         return Statement(f"{about.capitalize()} to the wanted {wanted}, if chosen as below.", "plain", lead)
     text = (
         f"Whether the wanted {wanted} can be reached depends on noise and model errors, which more poses will "
-        f"constrain: with {_say_chance(standing['at_best'])} they are small enough. After {about}, if chosen as below, "
-        "the geometry will hardly matter any more."
+        f"constrain: with {say_probability(standing['at_best'], 1)} they are small enough. After {about}, if chosen as "
+        "below, the geometry will hardly matter any more."
     )
     return Statement(text, "warning", lead)
 
 
 def _state_best(summary: dict[str, Any]) -> Statement:
     best, wanted = summary["requirements"]["at_best"], summary["stated_probability"]
-    text = f"With the geometry known exactly the requirements would hold with {_say_chance(best)}"
+    text = f"With the geometry known exactly the requirements would hold with {say_probability(best, 1)}"
     if best >= wanted:
         return Statement(f"{text}: measuring is what helps.", "good", "What can be reached")
     level: Level = "bad" if summary["decision"] == "hopeless" else "warning"
     return Statement(f"{text}: {summary['stays']}.", level, "What can be reached")
-
-
-def _state_variants(results: Results) -> Statement:
-    table = results.table("variants").sort_values("probability", ascending=False)
-    said = [f"{row['variant']} {_say_chance(float(row['probability']))}" for _, row in table.head(3).iterrows()]
-    return Statement(f"{'; '.join(said)}, if one of them is right.", "plain", "Variants")
 
 
 def _state_soundness(summary: dict[str, Any]) -> Statement:
@@ -257,7 +241,11 @@ def _tabulate_variants(results: Results) -> Table:
     table = results.table("variants").sort_values("probability", ascending=False)
     columns = [Column("Variant", kind="name"), Column("Log-evidence", "nats"), Column("Probability")]
     rows = [
-        [str(row["variant"]), format_fixed(float(row["log_evidence"]), 1), _say_chance(float(row["probability"]))]
+        [
+            str(row["variant"]),
+            format_fixed(float(row["log_evidence"]), 1),
+            say_probability(float(row["probability"]), 1),
+        ]
         for _, row in table.iterrows()
     ]
     caption = "Evidence by Laplace's approximation; `bayescal run` computes it more exactly."

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
 import numpy as np
-from pydantic import Discriminator, Field, Tag, model_validator
+from pydantic import Field, model_validator
 
-from bayescal.config.load import MEASURED
-from bayescal.config.sections import InputFile, Names, Number, Positive, Section
+from bayescal.config.sections import InputFile, Names, Positive, Section
 from bayescal.experiments.shared.of_another import OfAnotherConfig
-from bayescal.experiments.shared.schema import Extent, Turns, UnitsConfig, WorkspaceConfig
+from bayescal.experiments.shared.schema import AnyWorkspaceConfig, Extent, Turns, UnitsConfig
 from bayescal.numerics.geometry import Array
 
 
@@ -51,15 +50,6 @@ class CandidatesConfig(Section):
         return np.concatenate([self.position_mm, np.radians(self.rotation_deg)])
 
 
-OF_LEGS, OF_BOUNDS = f"{MEASURED}legs", f"{MEASURED}bounds"
-type Bounds = Annotated[list[Number], Field(min_length=2, max_length=2)]
-
-
-def _tag_workspace(section: Any) -> str:
-    legs = {"position_mm", "rotation_deg", "shape", "poses"}
-    return OF_LEGS if isinstance(section, WorkspaceConfig) or legs & set(section or ()) else OF_BOUNDS
-
-
 class NextConfig(OfAnotherConfig):
     """Which pose to measure next, and whether to stop."""
 
@@ -77,13 +67,7 @@ class NextConfig(OfAnotherConfig):
     """How probable it has to be that the requirements hold, or which variant is right, before one stops [1]."""
     units: UnitsConfig = UnitsConfig()
     """Units of the requirements."""
-    workspace: (
-        Annotated[
-            Annotated[WorkspaceConfig, Tag(OF_LEGS)] | Annotated[dict[str, Bounds], Tag(OF_BOUNDS)],
-            Discriminator(_tag_workspace),
-        ]
-        | None
-    ) = None
+    workspace: AnyWorkspaceConfig | None = None
     """Where accuracy counts; without legs by coordinate: smallest and largest value, the calibration's where nothing is
     said [units].
     """

@@ -41,13 +41,7 @@ EXPECTED = "Own sensors, expected"
 
 @dataclass(frozen=True)
 class Shown:
-    """A column of the poses to come, as the page shows it.
-
-    Attributes
-    ----------
-    column, heading, unit, group : str
-    decimals : int
-    """
+    """A column of the poses to come, as the page shows it."""
 
     column: str
     heading: str
@@ -81,14 +75,7 @@ class Poses:
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """One variant of a machine with the poses measured so far, and those that may be measured.
-
-    Attributes
-    ----------
-    measured : MeasuredReadings
-    requirements : list of Requirement
-    workspace, candidates : Poses
-    """
+    """One variant of a machine with the poses measured so far, and those that may be measured."""
 
     measured: MeasuredReadings
     requirements: list[Requirement]
@@ -156,14 +143,7 @@ class Subject:
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """A variant after the poses measured so far; S draws, m parameters in the posterior's coordinates, C candidates.
-
-    Attributes
-    ----------
-    belief : Belief
-    seed : int
-    subject : Subject
-    """
+    """A variant after the poses measured so far; S draws, m parameters in the posterior's coordinates, C candidates."""
 
     belief: Belief
     seed: int

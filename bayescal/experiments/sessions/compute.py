@@ -18,7 +18,7 @@ from bayescal.density.sessions.linear import LinearSessions, find_state
 from bayescal.density.sessions.model import SessionModel
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
-from bayescal.experiments.sessions.inputs import PPM, UNITS, Motions, SessionsInputs
+from bayescal.experiments.sessions.inputs import PPM, UNITS, Motions, SessionsInputs, find_motions
 from bayescal.experiments.shared.origin import name_origin
 from bayescal.inference.scales import Scales, find_scales_mode, keep_by_weight, sample_scales
 from bayescal.limits import PARETO_K_LIMIT
@@ -39,7 +39,9 @@ def compute_sessions(inputs: SessionsInputs, run: Run) -> Results:
     """Return what sessions tell of drift, of legs, and of expansion."""
     model, config = inputs.model, inputs.config
     units = model.drift.units
-    tasks = {ALL: units, NONE: ()} | {f"{STILL}{one}": tuple(u for u in units if u != one) for one in _single(units)}
+    tasks: dict[str, tuple[str, ...]] = {ALL: units, NONE: ()}
+    if len(units) > 1:  # a single one held still is no drift at all
+        tasks |= {f"{STILL}{one}": tuple(other for other in units if other != one) for one in units}
     fits = run.map("sessions", _fit, (model, config.draws, config.seed), tasks, (SessionFit,))
     found = Found(inputs, fits[ALL])
     tables = tabulate(found)
@@ -56,7 +58,7 @@ def compute_sessions(inputs: SessionsInputs, run: Run) -> Results:
         "symbols": config.drift.symbols,
         "per_leg": config.drift.per_leg,
         "shift_um": config.shift_um,
-        **({} if inputs.first.by_leg else {"shift_arcsec": config.shift_arcsec or SHIFT_ARCSEC}),
+        **({} if inputs.by_leg else {"shift_arcsec": config.shift_arcsec or SHIFT_ARCSEC}),
         "has_temperature": config.thermal is not None,
         "n_sessions": model.n_sessions,
         "n_poses": int(inputs.n_poses.sum()),
@@ -67,11 +69,6 @@ def compute_sessions(inputs: SessionsInputs, run: Run) -> Results:
         **({"denied_slips": inputs.denied} if inputs.denied else {}),
     }
     return Results(summary, tables)
-
-
-def _single(units: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the units that are worth holding still by themselves: a single one is no drift at all."""
-    return units if len(units) > 1 else ()
 
 
 def _fit(shared: Task, units: tuple[str, ...]) -> SessionFit:
@@ -113,47 +110,54 @@ class Found:
         """Coefficients α, shape (T, A), 1/K."""
         return self._states[1]
 
-    @property
-    def labels(self) -> list[str]:
-        """Of the sessions."""
-        return [one.label for one in self.inputs.config.sessions]
-
-    @property
-    def pairs(self) -> list[tuple[int, int]]:
-        """Which sessions are set against each other: neighbours, then first and last; machines against their mean."""
-        n = self.inputs.model.n_sessions
-        if self.inputs.config.drift.hierarchy == "machines":
-            return [(-1, k) for k in range(n)]
-        return [(k - 1, k) for k in range(1, n)] + ([(0, n - 1)] if n > 2 else [])
-
-    def name(self, session: int) -> str:
-        """Return a session's label; that of the mean of all machines for -1."""
-        return "mean" if session < 0 else self.labels[session]
-
-    def move(self, pair: tuple[int, int]) -> Array:
-        """Return by how much parameters moved between two sessions, shape (T, m)."""
-        x = self.parameters
-        before = x.mean(axis=1) if pair[0] < 0 else x[:, pair[0]]
-        return np.asarray(x[:, pair[1]] - before)
-
     @cached_property
     def motions(self) -> Motions:
         """What a free parameter does to each leg, or to each channel, at home."""
         model, x = self.inputs.model, self.parameters.mean(axis=(0, 1))
-        return self.inputs.first.move(model.start + (x - model.mean) @ model.moves, model.moves)
+        return find_motions(self.inputs.first, model.start + (x - model.mean) @ model.moves, model.moves)
+
+    def list_moves(self) -> list[tuple[dict[str, str], Array]]:
+        """Return which sessions are compared, and by how much parameters moved between them, shape (T, m).
+
+        Neighbours, then first and last; machines with the mean of all.
+        """
+        x, n, labels = self.parameters, self.inputs.model.n_sessions, self.inputs.labels
+        if self.inputs.config.drift.hierarchy == "machines":
+            return [({"since": "mean", "session": labels[k]}, x[:, k] - x.mean(axis=1)) for k in range(n)]
+        pairs = [(k - 1, k) for k in range(1, n)] + ([(0, n - 1)] if n > 2 else [])
+        return [({"since": labels[one], "session": labels[other]}, x[:, other] - x[:, one]) for one, other in pairs]
+
+    def compare(self, ends: dict[str, str], what: dict[str, Any], draws: Array, unit: str) -> dict[str, Any]:
+        """Return a row of what moved between two sessions by draws (T,), and how probably beyond the limit."""
+        config, (shown, size) = self.inputs.config, show_in(unit)
+        limit = {"mm": config.shift_um, "rad": config.shift_arcsec or SHIFT_ARCSEC}.get(unit, np.inf)
+        beyond = float(np.mean(np.abs(draws) > limit * size))
+        shown_in = {} if self.inputs.by_leg else {"unit": shown}
+        return {**ends, **what, **shown_in, **_describe(draws, size), "beyond": beyond}
+
+
+def show_in(unit: str) -> tuple[str, float]:
+    """Return the unit that a motion is shown in, and its size in the inner one."""
+    return UNITS.get(unit, (unit, 1.0))
 
 
 def tabulate(found: Found) -> dict[str, pd.DataFrame]:
     """Return all tables of sessions."""
+    inputs = found.inputs
+    days = [np.nan if one.day is None else one.day for one in inputs.config.sessions]
+    measured = {"session": inputs.labels, "day": days, "n_poses": inputs.n_poses}
+    tau = inputs.model.read_scales(found.fit.zeta)[0]
+    errors = [{"leg": k + 1, **_describe(tau[:, k], MICROMETRE)} for k in range(tau.shape[1])]
+    motions, nothing = _tabulate_motions(found), pd.DataFrame()
     return {
-        "sessions": _tabulate_sessions(found),
+        "sessions": pd.DataFrame({**measured, "temperature_celsius": inputs.temperature}),
         "scales": _tabulate_scales(found),
-        "legs": _tabulate_legs(found) if found.inputs.first.by_leg else pd.DataFrame(),
-        "channels": pd.DataFrame() if found.inputs.first.by_leg else _tabulate_channels(found),
+        "legs": motions if inputs.by_leg else nothing,
+        "channels": nothing if inputs.by_leg else motions,
         "shifts": _tabulate_shifts(found),
         "parameters": _tabulate_parameters(found),
         "expansion": _tabulate_expansion(found),
-        "model_error": _tabulate_model_error(found) if found.inputs.first.by_leg else pd.DataFrame(),
+        "model_error": pd.DataFrame(errors) if inputs.by_leg else nothing,
     }
 
 
@@ -163,77 +167,41 @@ def _describe(draws: Array, unit: float) -> dict[str, float]:
     return {"mean": draws.mean() / unit, "sd": draws.std(ddof=1) / unit, "q05": low, "q95": high}
 
 
-def _tabulate_sessions(found: Found) -> pd.DataFrame:
-    inputs = found.inputs
-    days = [np.nan if one.day is None else one.day for one in inputs.config.sessions]
-    return pd.DataFrame(
-        {"session": found.labels, "day": days, "n_poses": inputs.n_poses, "temperature_celsius": inputs.temperature}
-    )
-
-
 def _tabulate_scales(found: Found) -> pd.DataFrame:
-    sigma = found.inputs.model.read_scales(found.fit.zeta)[1]
-    units = found.inputs.model.drift.units
-    kinds = [found.inputs.model.units[found.inputs.model.drift.index[unit]] for unit in _first_of(found)]
-    rows = [(unit, *_tell_in(kind)) for unit, kind in zip(units, kinds, strict=True)]
-    told = [{"unit": unit, **_describe(sigma[:, k], size)} for k, (unit, _, size) in enumerate(rows)]
-    if not found.inputs.first.by_leg:
-        told = [{**one, "in": word} for one, (_, word, _) in zip(told, rows, strict=True)]
-    return pd.DataFrame(told)
-
-
-def _first_of(found: Found) -> list[int]:
-    """Return the first of what moves with each scale, by its place in the drift."""
-    unit = found.inputs.model.drift.unit
-    return [int(np.argmax(unit == k)) for k in range(len(found.inputs.model.drift.units))]
-
-
-def _tell_in(unit: str) -> tuple[str, float]:
-    """Return the unit that a motion is told in, and its size in the inner one."""
-    return UNITS.get(unit, (unit, 1.0))
-
-
-def _compare(found: Found, pair: tuple[int, int], what: dict[str, Any], draws: Array, unit: str) -> dict[str, Any]:
-    config, (_, size) = found.inputs.config, _tell_in(unit)
-    limit = {"mm": config.shift_um, "rad": config.shift_arcsec or SHIFT_ARCSEC}.get(unit, np.inf)
-    ends = {"since": found.name(pair[0]), "session": found.name(pair[1])}
-    return {**ends, **what, **_describe(draws, size), "beyond": float(np.mean(np.abs(draws) > limit * size))}
-
-
-def _tabulate_legs(found: Found) -> pd.DataFrame:
-    rows = []
-    for pair in found.pairs:
-        legs = found.move(pair) @ found.motions.slope.T
-        rows += [_compare(found, pair, {"leg": k + 1}, legs[:, k], "mm") for k in range(legs.shape[1])]
+    model, rows = found.inputs.model, []
+    sigma = model.read_scales(found.fit.zeta)[1]
+    for k, name in enumerate(model.drift.units):
+        first = int(np.argmax(model.drift.unit == k))  # of what moves with this scale
+        shown, size = show_in(model.units[model.drift.index[first]])
+        row = {"unit": name, **_describe(sigma[:, k], size)}
+        rows.append(row if found.inputs.by_leg else {**row, "in": shown})
     return pd.DataFrame(rows)
 
 
-def _tabulate_channels(found: Found) -> pd.DataFrame:
+def _tabulate_motions(found: Found) -> pd.DataFrame:
     rows, motions = [], found.motions
-    for pair in found.pairs:
-        moved = found.move(pair) @ motions.slope.T
+    for ends, moved in found.list_moves():
+        by = moved @ motions.slope.T
         for k, (name, unit) in enumerate(zip(motions.names, motions.units, strict=True)):
-            what = {"channel": name, "unit": _tell_in(unit)[0]}
-            rows.append(_compare(found, pair, what, moved[:, k], unit))
+            what = {"leg": k + 1} if found.inputs.by_leg else {"channel": name}
+            rows.append(found.compare(ends, what, by[:, k], unit))
     return pd.DataFrame(rows)
 
 
 def _tabulate_shifts(found: Found) -> pd.DataFrame:
-    model, rows = found.inputs.model, []
-    for pair in found.pairs:
-        moved = found.move(pair)
-        for k in model.drift.index:
-            what = {"parameter": model.names[k]}
-            if not found.inputs.first.by_leg:
-                what["unit"] = _tell_in(model.units[k])[0]
-            rows.append(_compare(found, pair, what, moved[:, k], model.units[k]))
+    model = found.inputs.model
+    rows = [
+        found.compare(ends, {"parameter": model.names[k]}, moved[:, k], model.units[k])
+        for ends, moved in found.list_moves()
+        for k in model.drift.index
+    ]
     return pd.DataFrame(rows)
 
 
 def _tabulate_parameters(found: Found) -> pd.DataFrame:
     x, model = found.parameters, found.inputs.model
     rows = []
-    for s, label in enumerate(found.labels):
+    for s, label in enumerate(found.inputs.labels):
         for k, name in enumerate(model.names):
             one = {"mean": x[:, s, k].mean(), "sd": x[:, s, k].std(ddof=1)}
             rows.append({"session": label, "parameter": name, **one, "prior_sd": model.sd[k]})
@@ -246,11 +214,6 @@ def _tabulate_expansion(found: Found) -> pd.DataFrame:
         prior = {"prior_mean": one.mean / PPM, "prior_sd": one.sd / PPM}
         rows.append({"body": one.name, **prior, **_describe(found.expansion[:, k], PPM)})
     return pd.DataFrame(rows, columns=["body", "prior_mean", "prior_sd", "mean", "sd", "q05", "q95"])
-
-
-def _tabulate_model_error(found: Found) -> pd.DataFrame:
-    tau = found.inputs.model.read_scales(found.fit.zeta)[0]
-    return pd.DataFrame([{"leg": k + 1, **_describe(tau[:, k], MICROMETRE)} for k in range(tau.shape[1])])
 
 
 @dataclass(frozen=True, eq=False)

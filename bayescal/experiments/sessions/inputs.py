@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.priors import NormalPrior
 from bayescal.density.sessions.model import Drift, Expansion, Part, SessionModel, walk_loadings
@@ -19,8 +18,8 @@ from bayescal.errors import InputError, name_faults
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.sessions.schema import SessionConfig, SessionsConfig, ThermalConfig
 from bayescal.experiments.shared.measured import MeasuredReadings, MeasuredVariant, measure_variants
-from bayescal.experiments.shared.reading_slips import find_measured_slip
-from bayescal.experiments.shared.slips import FoundSlip, tell_denial
+from bayescal.experiments.shared.measured_slips import find_measured_slip
+from bayescal.experiments.shared.slips import tell_denial
 from bayescal.files.csv_tables import read_table
 from bayescal.machines.kinematics import Machine, solve_forward_kinematics
 from bayescal.machines.parameters import ParameterLayout
@@ -45,9 +44,7 @@ class SessionsInputs:
 
     Attributes
     ----------
-    config : SessionsConfig
-    model : SessionModel
-    first : Session
+    first : MeasuredReadings
         The first of them.
     temperature : ndarray, shape (S,)
         Mean of each session's poses, °C; NaN where none is stated.
@@ -58,10 +55,20 @@ class SessionsInputs:
 
     config: SessionsConfig
     model: SessionModel
-    first: Session
+    first: MeasuredReadings
     temperature: Array
     n_poses: np.ndarray
     denied: list[str]
+
+    @property
+    def labels(self) -> list[str]:
+        """Of the sessions."""
+        return [one.label for one in self.config.sessions]
+
+    @property
+    def by_leg(self) -> bool:
+        """Whether what moved is stated by leg."""
+        return self.first.legs is not None
 
 
 def read_sessions(config: SessionsConfig, folder: Path) -> SessionsInputs:
@@ -80,27 +87,20 @@ def read_sessions(config: SessionsConfig, folder: Path) -> SessionsInputs:
     _check_apart(config, measured)
     warmth = [_read_temperatures(one, it, folder) for one, it in zip(config.sessions, measured, strict=True)]
     parts = [part for k, it in enumerate(measured) for part in _split(config, k, it, warmth[k])]
-    design = first.design(config.study)
-    model = SessionModel(
-        tuple(parts),
-        design.start,
-        design.moves,
-        design.names,
-        design.units,
-        design.mean,
-        design.sd,
+    drift, expansions = (
         _build_drift(config, first),
-        _build_expansions(config.thermal, first.layout),
+        _build_expansions(config.thermal, first.posterior.likelihood.model.layout),
     )
-    legs = [one.measured.legs for one in measured if one.measured.legs is not None]
+    model = SessionModel(tuple(parts), *describe_free(first, config.study), drift, expansions)
+    legs = [one.legs for one in measured if one.legs is not None]
     if config.drift.hierarchy == "walk" and legs:
         check_same_machine(model, legs, [one.label for one in config.sessions])
     mean_temperature = np.array([np.nan if one is None else one.mean() for one in warmth])
-    n_poses = np.array([len(one.poses) for one in measured])
+    n_poses = np.array([one.posterior.likelihood.data.n_poses for one in measured])
     return SessionsInputs(config, model, first, mean_temperature, n_poses, [one for one in denied if one is not None])
 
 
-def _judge_slip(session: SessionConfig, measured: Session) -> str | None:
+def _judge_slip(session: SessionConfig, measured: MeasuredReadings) -> str | None:
     """Return the slip that a session looks like and the config denies; None where it looks like none.
 
     Raises
@@ -108,58 +108,62 @@ def _judge_slip(session: SessionConfig, measured: Session) -> str | None:
     InputError
         Where a slip explains a session many times better: joined to others it would pass for drift.
     """
-    slip = measured.find_slip(session.denied_slips)
+    slip = find_measured_slip([measured], session.denied_slips)
     if slip is not None:
         raise InputError(
             f"session {session.label!r}: found data that no machine within the tolerances comes near, expected this "
             f"machine's; {slip.say()}{tell_denial('denied_slips of the session')}"
         )
-    slip = measured.find_slip() if session.denied_slips else None
+    slip = find_measured_slip([measured]) if session.denied_slips else None
     return None if slip is None else f"Session {session.label!r}: {slip.say()}"
 
 
-def _check_apart(config: SessionsConfig, measured: list[Session]) -> None:
+def _check_apart(config: SessionsConfig, measured: list[MeasuredReadings]) -> None:
     """Raise InputError where a session is another one once more."""
-    for k, one in enumerate(measured):
+    values = [one.posterior.likelihood.data.values for one in measured]
+    for k, one in enumerate(values):
         for earlier in range(k):
-            if np.array_equal(one.values, measured[earlier].values, equal_nan=True):
+            if np.array_equal(one, values[earlier], equal_nan=True):
                 raise InputError(
                     f"session {config.sessions[k].label!r}: found the readings of session "
                     f"{config.sessions[earlier].label!r} to the last digit, expected another measurement"
                 )
 
 
-def _read_temperatures(session: SessionConfig, measured: Session, folder: Path) -> Array | None:
+def _read_temperatures(session: SessionConfig, measured: MeasuredReadings, folder: Path) -> Array | None:
     """Return the temperature at each calibration pose (P,), °C; None where none is stated."""
+    poses = measured.posterior.likelihood.data.poses
     if session.temperature_celsius is not None:
-        return np.full(len(measured.poses), session.temperature_celsius)
+        return np.full(len(poses), session.temperature_celsius)
     if session.temperatures is None:
         return None
     table = read_table(folder / session.temperatures, ("pose", "temperature_celsius"), ("use",))
     names = table.text("pose")
     table.check_unique([(name,) for name in names], "pose")
-    for name in measured.poses:
+    for name in poses:
         if name not in names:
             raise InputError(f"{folder / session.temperatures}: found no row of pose {str(name)!r}, expected one")
-    return table.numbers(["temperature_celsius"])[[names.index(name) for name in measured.poses], 0]
+    return table.numbers(["temperature_celsius"])[[names.index(name) for name in poses], 0]
 
 
-def _split(config: SessionsConfig, session: int, measured: Session, warmth: Array | None) -> list[Part]:
+def _split(config: SessionsConfig, session: int, measured: MeasuredReadings, warmth: Array | None) -> list[Part]:
     """Return a session's poses, those of one temperature together."""
     if config.thermal is None or warmth is None:
-        return [Part(measured.rows(np.arange(len(measured.poses))), session)]
+        every = np.arange(measured.posterior.likelihood.data.n_poses)
+        return [Part(pick_rows(measured, every), session)]
     return [
-        Part(measured.rows(np.flatnonzero(warmth == one)), session, float(one - config.thermal.reference_celsius))
+        Part(pick_rows(measured, np.flatnonzero(warmth == one)), session, float(one - config.thermal.reference_celsius))
         for one in np.unique(warmth)
     ]
 
 
-def _build_drift(config: SessionsConfig, first: Session) -> Drift:
-    drift, layout, names = config.drift, first.layout, first.names
+def _build_drift(config: SessionsConfig, first: MeasuredReadings) -> Drift:
+    drift, layout, names = config.drift, first.posterior.likelihood.model.layout, first.posterior.sampling.names
+    free = dict.fromkeys(name.partition("[")[0] for name in names)
     index, units, scales = [], [], []
     for symbol in drift.symbols:
-        if symbol not in first.free:
-            raise InputError(f"drift.symbols: found {symbol!r}, expected one of {', '.join(first.free)}")
+        if symbol not in free:
+            raise InputError(f"drift.symbols: found {symbol!r}, expected one of {', '.join(free)}")
         unit = layout.block(symbol).unit
         scale = {"mm": drift.scale_um, "rad": drift.scale_arcsec}.get(unit)
         if unit not in UNITS:
@@ -207,17 +211,6 @@ def _build_expansions(thermal: ThermalConfig | None, layout: ParameterLayout) ->
     return tuple(found)
 
 
-class Design(NamedTuple):
-    """Free parameters: see `bayescal.density.sessions.model.SessionModel`."""
-
-    start: Array
-    moves: Array
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    mean: Array
-    sd: Array
-
-
 class Motions(NamedTuple):
     """What the free parameters do at home: names and units of legs or channels (N,), and the slope (N, m)."""
 
@@ -226,96 +219,58 @@ class Motions(NamedTuple):
     slope: Array
 
 
-@dataclass(frozen=True, eq=False)
-class Session:
-    """One session, seen through the variant."""
-
-    measured: MeasuredReadings
-
-    @property
-    def by_leg(self) -> bool:
-        """Whether what moved is stated by leg."""
-        return self.measured.legs is not None
-
-    @property
-    def _posterior(self) -> CalibrationPosterior:
-        return self.measured.posterior
-
-    @property
-    def poses(self) -> tuple[str, ...]:
-        """Names of the P poses that count."""
-        return self._posterior.likelihood.data.poses
-
-    @property
-    def values(self) -> Array:
-        """The readings, by which copies are known."""
-        return self._posterior.likelihood.data.values
-
-    @property
-    def layout(self) -> ParameterLayout:
-        """All parameters of the machine."""
-        return self._posterior.likelihood.model.layout
-
-    @property
-    def free(self) -> tuple[str, ...]:
-        """Symbols that are free."""
-        return tuple(dict.fromkeys(name.partition("[")[0] for name in self.names))
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the m free parameters, in the order of θ."""
-        return self._posterior.sampling.names
-
-    def rows(self, chosen: np.ndarray) -> ReadingRows:
-        """Return some of the poses, (Q,)."""
-        anchored = self.measured.anchored
-        return ReadingRows(replace(anchored, likelihood=anchored.likelihood.pick(chosen)))
-
-    def find_slip(self, denied: Collection[str] = ()) -> FoundSlip | None:
-        """Return what explains the data many times better than they are; None without any."""
-        return find_measured_slip([self.measured], denied)
-
-    def design(self, study: str) -> Design:
-        """Return the free parameters; InputError for a prior that is not normal."""
-        posterior = self._posterior
-        moves = np.where(posterior.around(np.zeros(posterior.n_parameters))[1].T != 0.0, 1.0, 0.0)
-        priors = [posterior.priors[name] for name in self.names]
-        for name, prior in zip(self.names, priors, strict=True):
-            if not isinstance(prior, NormalPrior):
-                raise InputError(
-                    f"{study}: parameters: found a uniform prior of {name}, expected normal ones, since sessions are "
-                    "joined in closed form"
-                )
-        mean, sd = (np.array([getattr(one, key) for one in priors]) for key in ("mean", "sd"))
-        units = tuple(self.layout.units[int(np.argmax(move))] for move in moves)
-        return Design(posterior.sampling.start, moves, self.names, units, mean, sd)
-
-    def move(self, theta: Array, model_moves: Array) -> Motions:
-        """Return what free parameters, by moves (m, D), do at home of a machine (D,), its pose as it is.
-
-        To the readings of the machine's own channels; to each leg in terms of its length l.
-        """
-        model, data = self._posterior.likelihood.model, self._posterior.likelihood.data
-        if self.measured.legs is not None:
-            return _move_legs(self.measured.legs.machine, theta, model_moves)
-        own = np.flatnonzero(self.measured.internal)
-        home = np.array([one.home for one in model.coordinates])
-        given = {name: np.array(np.median(value)) for name, value in data.given.items()}
-        slope = model.linearise(theta, home, True, given).by_parameters[own] @ model_moves.T
-        channels = [model.channels[k] for k in own]
-        return Motions(tuple(one.name for one in channels), tuple(one.unit for one in channels), slope)
+def pick_rows(measured: MeasuredReadings, chosen: np.ndarray) -> ReadingRows:
+    """Return some of the poses of a session, (Q,)."""
+    anchored = measured.anchored
+    return ReadingRows(replace(anchored, likelihood=anchored.likelihood.pick(chosen)))
 
 
-def _move_legs(machine: Machine, theta: Array, model_moves: Array) -> Motions:
+def describe_free(
+    measured: MeasuredReadings, study: str
+) -> tuple[Array, Array, tuple[str, ...], tuple[str, ...], Array, Array]:
+    """Return what `SessionModel` has of the free parameters; InputError for a prior that is not normal."""
+    posterior = measured.posterior
+    names, layout = posterior.sampling.names, posterior.likelihood.model.layout
+    moves = np.where(posterior.around(np.zeros(posterior.n_parameters))[1].T != 0.0, 1.0, 0.0)
+    priors = [posterior.priors[name] for name in names]
+    for name, prior in zip(names, priors, strict=True):
+        if not isinstance(prior, NormalPrior):
+            raise InputError(
+                f"{study}: parameters: found a uniform prior of {name}, expected normal ones, since sessions are "
+                "joined in closed form"
+            )
+    mean, sd = (np.array([getattr(one, key) for one in priors]) for key in ("mean", "sd"))
+    units = tuple(layout.units[int(np.argmax(move))] for move in moves)
+    return posterior.sampling.start, moves, names, units, mean, sd
+
+
+def find_motions(measured: MeasuredReadings, theta: Array, moves: Array) -> Motions:
+    """Return what free parameters, by moves (m, D), do at home of a machine (D,), its pose as it is.
+
+    To the readings of the machine's own channels; to each leg in terms of its length l.
+    """
+    if measured.legs is not None:
+        return _move_legs(measured.legs.machine, theta, moves)
+    model, data = measured.posterior.likelihood.model, measured.posterior.likelihood.data
+    own = np.flatnonzero(measured.internal)
+    given = {name: np.array(np.median(value)) for name, value in data.given.items()}
+    slope = model.linearise(theta, model.home_pose, True, given).by_parameters[own] @ moves.T
+    channels = [model.channels[k] for k in own]
+    return Motions(tuple(one.name for one in channels), tuple(one.unit for one in channels), slope)
+
+
+def _move_legs(machine: Machine, theta: Array, moves: Array) -> Motions:
     actuators = machine.mechanism.initial_actuator_positions
     home = solve_forward_kinematics(machine, theta, actuators)
     slope = machine.linearise(theta, home.position, home.rotation, actuators).parameters
     length = np.diagonal(slope[:, machine.layout.index["l"]])
     names = tuple(str(k + 1) for k in range(len(slope)))
-    return Motions(names, ("mm",) * len(slope), (slope @ model_moves.T) / length[:, None])
+    return Motions(names, ("mm",) * len(slope), (slope @ moves.T) / length[:, None])
 
 
-def measure_sessions(experiment: object, study: Any, path: Path, config: SessionsConfig, folder: Path) -> list[Session]:
+def measure_sessions(
+    experiment: object, study: Any, path: Path, config: SessionsConfig, folder: Path
+) -> list[MeasuredReadings]:
     """Return what each session measured, in place of the data of a study or a calibration.
 
     Raises
@@ -323,7 +278,7 @@ def measure_sessions(experiment: object, study: Any, path: Path, config: Session
     InputError
         Names the session.
     """
-    found: list[Session] = []
+    found: list[MeasuredReadings] = []
     place = _place_tables if getattr(study, "by_tables", False) else _place_files
     for session in config.sessions:
         with name_faults(f"session {session.label!r}"):
@@ -338,7 +293,7 @@ def measure_sessions(experiment: object, study: Any, path: Path, config: Session
                 raise InputError(
                     f"{path}: found errors common to all rows, expected a variant without: sessions have none"
                 )
-            found.append(Session(measured))
+            found.append(measured)
     return found
 
 
@@ -380,8 +335,6 @@ def check_same_machine(model: SessionModel, sessions: Sequence[MeasuredVariant],
     ----------
     model : SessionModel
         Of a walk.
-    sessions : sequence of MeasuredVariant
-    labels : sequence of str
     """
     first = sessions[0].posterior
     theta = first.theta(first.approach()[None])[0]  # the machine that explains the first session best by itself

@@ -10,13 +10,13 @@ import pandas as pd
 from matplotlib import figure as mpl
 
 from bayescal.experiments.frame.results import Results
+from bayescal.experiments.shared.headline import say_odds, write_headline
 from bayescal.experiments.shared.slips import state_denied
 from bayescal.limits import PARETO_K_LIMIT
 from bayescal.report.blocks import Block, Cell, Column, Definitions, Figure, Page, Section, Statement, Table, make_table
 from bayescal.report.numbers import (
     format_estimate,
     format_fixed,
-    format_odds,
     format_percent,
     format_plain,
     format_significant,
@@ -89,27 +89,22 @@ def _find_motions(results: Results) -> tuple[str, pd.DataFrame, list[str]]:
 
 def state_headline(results: Results) -> str:
     """Return in one sentence what to do, whether anything moved, and what."""
-    summary = results.summary
+    summary, scales = results.summary, results.table("scales")
     walk, nats = summary["hierarchy"] == "walk", summary["log_evidence_drift"]
-    what, differs = ("moved", "moved") if walk else ("differ", "differs")
+    differ, differs = ("moved", "moved") if walk else ("differ", "differs")
     if nats < -CLEAR:
         advice = "Keep the calibration" if walk else "One calibration serves all machines"
-        return f"{advice}: nothing {differs}, odds of {format_odds(-nats)} against it."
+        return write_headline([f"{advice}: nothing {differs}, {say_odds(-nats)} against it"])
     if nats < CLEAR:
-        open_ = f"whether anything {differs} is open, the evidence differs by {format_significant(abs(nats), 2)} nats"
-        return f"Measure more poses: {open_}."
-    moved, advice = _list_moved(results), "Calibrate anew" if walk else "Calibrate each machine for itself"
-    odds = format_odds(nats)
+        apart = f"the evidence differs by {format_significant(abs(nats), 2)} nats"
+        return write_headline([f"Measure more poses: whether anything {differs} is open, {apart}"])
+    advice = "Calibrate anew" if walk else "Calibrate each machine for itself"
+    moved = [name_parameter(str(one)) for one in scales.loc[scales["log_odds_moved"] > CLEAR, "unit"]]
     if not moved:
-        return f"{advice}: something {differs}, odds of {odds}; which part is open."
-    verb = "moved" if walk else differs if len(moved) == 1 else what
+        return write_headline([f"{advice}: something {differs}, {say_odds(nats)}; which part is open"])
+    verb = differs if len(moved) == 1 else differ
     against = "no motion at all" if walk else "machines that are all alike"
-    return f"{advice}: {join_words(moved)} {verb}, odds of {odds} against {against}."
-
-
-def _list_moved(results: Results) -> list[str]:
-    scales = results.table("scales")
-    return [name_parameter(str(one)) for one in scales.loc[scales["log_odds_moved"] > CLEAR, "unit"]]
+    return write_headline([f"{advice}: {join_words(moved)} {verb}, {say_odds(nats)} against {against}"])
 
 
 def _list_statements(results: Results, walk: bool) -> list[Statement]:
@@ -160,42 +155,28 @@ def _name_shift(summary: dict[str, Any], unit: str) -> str:
 
 def _tabulate_motions(results: Results, walk: bool) -> Table:
     what, table, units = _find_motions(results)
-    if what == "channel":
-        return _tabulate_channels(results, table, units, walk)
+    by_leg, summary = what == "leg", results.summary
+    unit = "µm" if by_leg else ""
     columns = [
         Column("Since" if walk else "From", kind="name"),
         Column("Session" if walk else "Machine", kind="name"),
-        Column("Leg", kind="text"),
-        Column("moved by", "µm"),
-        Column("90 % interval", "µm"),
-        Column("beyond", f"{format_plain(results.summary['shift_um'])} µm"),
+        Column(what.capitalize(), kind="text" if by_leg else "name"),
+        Column("moved by", unit),
+        Column("90 % interval", unit),
+        *([] if by_leg else [Column("Unit", kind="text")]),
+        Column("beyond", _name_shift(summary, unit) if by_leg else "the limit"),
     ]
     rows: list[list[str | Cell]] = []
-    for one in results.table("legs").to_dict("records"):
+    for one, own in zip(table.to_dict("records"), units, strict=True):
         interval = f"{format_fixed(one['q05'], 1)} to {format_fixed(one['q95'], 1)}"
         sure = Cell(format_percent(one["beyond"], 1), "warning" if one["beyond"] > 0.5 else "plain")
         moved = format_estimate(one["mean"], one["sd"], sign=True)
-        rows.append([str(one["since"]), str(one["session"]), str(one["leg"]), moved, interval, sure])
-    return make_table("Motion of every leg, as a change of its length, with its standard deviation.", columns, rows)
-
-
-def _tabulate_channels(results: Results, table: pd.DataFrame, units: list[str], walk: bool) -> Table:
-    columns = [
-        Column("Since" if walk else "From", kind="name"),
-        Column("Session" if walk else "Machine", kind="name"),
-        Column("Channel", kind="name"),
-        Column("moved by"),
-        Column("90 % interval"),
-        Column("Unit", kind="text"),
-        Column("beyond", "the limit"),
-    ]
-    rows: list[list[str | Cell]] = []
-    for one, unit in zip(table.to_dict("records"), units, strict=True):
-        interval = f"{format_fixed(one['q05'], 1)} to {format_fixed(one['q95'], 1)}"
-        sure = Cell(format_percent(one["beyond"], 1), "warning" if one["beyond"] > 0.5 else "plain")
-        moved = format_estimate(one["mean"], one["sd"], sign=True)
-        rows.append([str(one["since"]), str(one["session"]), str(one["channel"]), moved, interval, unit, sure])
-    limits = " and ".join(_name_shift(results.summary, unit) for unit in dict.fromkeys(units))
+        unit_of = [] if by_leg else [own]
+        rows.append([str(one["since"]), str(one["session"]), str(one[what]), moved, interval, *unit_of, sure])
+    if by_leg:
+        caption = "Motion of every leg, as a change of its length, with its standard deviation."
+        return make_table(caption, columns, rows)
+    limits = " and ".join(_name_shift(summary, one) for one in dict.fromkeys(units))
     caption = f"What every channel of the machine reads more at home, with its standard deviation; limit {limits}."
     return make_table(caption, columns, rows)
 

@@ -17,22 +17,7 @@ type ExpansionSd = Annotated[FiniteFloat, Field(gt=0.0, le=1000.0)]
 
 
 class SessionConfig(Section):
-    """One session: what was measured, when, and how warm it was.
-
-    Attributes
-    ----------
-    label : str
-    day : float or None
-        Of a walk.
-    targets, poses, actuators, reference : str or None
-        Files in place of the study's.
-    readings : list of str
-        Files in place of the calibration's.
-    temperature_celsius : float or None
-    temperatures : str or None
-        File of a temperature for each pose.
-    denied_slips : list of str
-    """
+    """One session: what was measured, when, and how warm it was."""
 
     label: Annotated[str, Field(min_length=1, max_length=60)]
     """Name of the session, or of the machine."""
@@ -63,15 +48,7 @@ class SessionConfig(Section):
 
 
 class DriftConfig(Section):
-    """What may move between sessions, and how much of it is expected.
-
-    Attributes
-    ----------
-    hierarchy : str
-    symbols : list of str
-    scale_um, scale_arcsec : float or None
-    per_leg : bool
-    """
+    """What may move between sessions, and how much of it is expected."""
 
     hierarchy: Literal["walk", "machines"] = "walk"
     """`"walk"`: one machine, whose parameters walk at random; `"machines"`: several of a design, each off its mean."""
@@ -104,14 +81,7 @@ class OwnBodyConfig(BodyConfig):
 
 
 class ThermalConfig(Section):
-    """Lengths by temperature: L (1 + α (T - reference)).
-
-    Attributes
-    ----------
-    reference_celsius : float
-    struts, base, platform : BodyConfig or None
-    bodies : dict of str to OwnBodyConfig
-    """
+    """Lengths by temperature: L (1 + α (T - reference))."""
 
     reference_celsius: Temperature
     """Temperature at which the parameters are what they are called [deg C]."""
@@ -126,20 +96,7 @@ class ThermalConfig(Section):
 
 
 class SessionsConfig(OfAnotherConfig):
-    """Sessions of one machine, or of machines of one design.
-
-    Attributes
-    ----------
-    study : str
-        Its file.
-    variant : str
-    origin : OriginConfig
-    sessions : list of SessionConfig
-    drift : DriftConfig
-    thermal : ThermalConfig or None
-    shift_um : float
-    draws : int
-    """
+    """Sessions of one machine, or of machines of one design."""
 
     kind: Literal["sessions"]
     """`"sessions"`."""

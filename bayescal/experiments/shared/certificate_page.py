@@ -28,7 +28,6 @@ from bayescal.report.blocks import (
 from bayescal.report.numbers import format_percent, format_significant
 from bayescal.report.style import LEG_COLOURS
 
-KIND = "Certificate"
 SOURCES = {
     GEOMETRY: "geometry (the posterior of the calibration)",
     NOISE: "noise of the actuators, as stated",
@@ -38,8 +37,6 @@ SOURCES = {
 COLOURS = dict(zip(SOURCES, (LEG_COLOURS[4], LEG_COLOURS[1], LEG_COLOURS[0], LEG_COLOURS[3]), strict=True))
 STATED = {"_um": "µm", "_mm": "mm", "_arcsec": "arcsec", "_deg": "°", "_rad": "rad", " noise": ""}
 """Endings of keys that state standard deviations, and their units."""
-HELD_BACK = "from the data's held-back poses"
-PREDICTED = "predicted"
 MUCH_BEYOND = 0.05
 """Share of poses beyond those that calibrated the machine from which on it is said."""
 
@@ -48,8 +45,13 @@ def build_certificate(found: Certificate) -> Page:
     """Return the page of a certificate."""
     source = found.calibrated.source
     failures = tuple(Statement(f"Not converged, certified by force: {one}.", "bad") for one in source.problems)
+    figures: Table | Statement = Statement(f"Not meaningful: {found.without}.", "plain", "Figures")
+    if found.poses is not None:
+        figures = _tabulate_figures(found, found.poses)
+    caption = "Share of each source in the variance of each axis, mean over the workspace."
+    shares = Figure("budget", caption, partial(draw_shares, _find_shares(found), found.axis_names))
     return Page(
-        kind=KIND,
+        kind="Certificate",
         name=source.experiment,
         title=f"Uncertainty of a calibrated machine: {found.calibrated.name}",
         origin=source.data,
@@ -57,8 +59,8 @@ def build_certificate(found: Certificate) -> Page:
         verdict=tuple(_state_verdict(found)),
         sections=(
             Section("What is certified", (_tabulate_subject(found),), "subject", "Subject"),
-            Section("Budget by source", (_tabulate_budget(found), _plot_shares(found)), "budget", "Budget"),
-            Section("Figures of ISO 9283 and ISO 230-2", _show_figures(found), "figures", "Figures"),
+            Section("Budget by source", (_tabulate_budget(found), shares), "budget", "Budget"),
+            Section("Figures of ISO 9283 and ISO 230-2", (figures,), "figures", "Figures"),
             Section("Inputs and software", _list_inputs(found), "inputs", "Inputs"),
             Section("How it was computed", (Definitions(_explain(found)),), "method", "Method"),
         ),
@@ -69,7 +71,7 @@ def build_certificate(found: Certificate) -> Page:
 
 def state_headline(found: Certificate) -> str:
     """Return the expanded uncertainty of the tool's position, of all its numbers where it has none, in one sentence."""
-    typical, largest = _summarise(found, found.expanded)
+    typical, largest = found.summarise(found.expanded)
     chosen = _choose_main(found)
     unit = found.units[chosen[0]]
     each = say_accuracy({found.axis_names[k]: f"±{_micro(typical[k])} {unit}" for k in chosen}, found.wishes.coverage)
@@ -90,85 +92,49 @@ def _micro(value: float) -> str:
     return format_significant(float(value), 2)
 
 
-def _summarise(found: Certificate, values: Array) -> tuple[Array, Array]:
-    """Return rms and largest of values (P, m) over the workspace, in the units in which they are stated."""
-    return np.sqrt(np.mean(values**2, axis=0)) * found.scale, np.abs(values).max(axis=0) * found.scale
-
-
 # --- the verdict -------------------------------------------------------------------------------------------------
 
 
 def _state_verdict(found: Certificate) -> list[Statement]:
-    shares = _find_shares(found)
-    main = _choose_main(found)
-    first = max(shares, key=lambda source: shares[source][main].mean())
-    share = format_percent(float(shares[first][main].mean()))
-    worst = found.ratios[np.argmax(np.abs(found.ratios - 1.0))] - 1.0
-    said = (
-        f"k u and Monte Carlo by {found.spread.n_draws} draws of the posterior differ by {100 * worst:+.1f} % at most"
-    )
-    statements = [
-        Statement(
-            f"{_begin(SOURCES[first])} makes {share} of the variance of position."
-            if len(found.calibrated.lengths)
-            else f"{_begin(SOURCES[first])} makes {share} of the variance.",
-            "plain",
-            "Where it comes from",
-        ),
-        Statement(f"{said}, within {format_percent(AGREED)}: k u is stated.", "good", "Checked")
-        if found.agrees
-        else Statement(f"{said}: what is stated is that of Monte Carlo.", "warning", "Checked"),
-    ]
-    return _state_tool(found) + _state_beyond(found) + statements + _state_held_back(found)
-
-
-def _state_tool(found: Certificate) -> list[Statement]:
-    model = found.calibrated.model
-    if model.states_tool:
-        return []
-    names = ", ".join(one.name for one in model.coordinates)
-    return [
-        Statement(
-            f"The machine's class states no tool: its coordinates {names} are certified instead.", "warning", "Tool"
-        )
-    ]
-
-
-def _state_beyond(found: Certificate) -> list[Statement]:
-    if found.beyond <= MUCH_BEYOND:
-        return []
-    return [
-        Statement(
+    model, shares, main, said = found.calibrated.model, _find_shares(found), _choose_main(found), list[Statement]()
+    if not model.states_tool:
+        names = ", ".join(one.name for one in model.coordinates)
+        text = f"The machine's class states no tool: its coordinates {names} are certified instead."
+        said.append(Statement(text, "warning", "Tool"))
+    if found.beyond > MUCH_BEYOND:
+        text = (
             f"{format_percent(found.beyond)} of the poses lie outside of the box of the poses that calibrated the "
             "machine: there the uncertainty is extrapolated by the model, and mostly larger. Certify the region that "
-            "was measured (leave out --whole-range, --position-mm and --rotation-deg), or measure poses there.",
-            "warning",
-            "Extrapolated",
+            "was measured (leave out --whole-range, --position-mm and --rotation-deg), or measure poses there."
         )
-    ]
-
-
-def _begin(words: str) -> str:
-    return words[:1].upper() + words[1:]
-
-
-def _find_fit(found: Certificate) -> dict[str, object]:
-    fit: dict[str, object] = found.summary.get("variants", {}).get(found.calibrated.source.variant, {})
-    return fit
-
-
-def _state_held_back(found: Certificate) -> list[Statement]:
-    held_back, n = _find_fit(found).get("verification"), found.summary.get("n_poses", {}).get("verification", 0)
-    if not isinstance(held_back, dict) or not n:
-        return []
-    inside = held_back["interval_90_coverage"]
-    return [
-        Statement(
-            f"{format_percent(inside)} of the pose components of {n} held-back poses lie within their 90 % intervals.",
-            "good" if abs(inside - 0.9) <= 3 * np.sqrt(0.09 / (6 * n)) else "warning",
-            "Confirmed by held-back data",
+        said.append(Statement(text, "warning", "Extrapolated"))
+    first = max(shares, key=lambda source: shares[source][main].mean())
+    text = f"{SOURCES[first]} makes {format_percent(float(shares[first][main].mean()))} of the variance"
+    text += " of position." if len(found.calibrated.lengths) else "."
+    said.append(Statement(f"{text[:1].upper()}{text[1:]}", "plain", "Where it comes from"))
+    worst = found.ratios[np.argmax(np.abs(found.ratios - 1.0))] - 1.0
+    text = (
+        f"k u and Monte Carlo by {found.spread.n_draws} draws of the posterior differ by {100 * worst:+.1f} % at most"
+    )
+    if found.agrees:
+        said.append(Statement(f"{text}, within {format_percent(AGREED)}: k u is stated.", "good", "Checked"))
+    else:
+        said.append(Statement(f"{text}: what is stated is that of Monte Carlo.", "warning", "Checked"))
+    held_back, n = _find_held_back(found), found.summary.get("n_poses", {}).get("verification", 0)
+    if held_back and n:
+        inside = held_back["interval_90_coverage"]
+        text = (
+            f"{format_percent(inside)} of the pose components of {n} held-back poses lie within their 90 % intervals."
         )
-    ]
+        good = abs(inside - 0.9) <= 3 * np.sqrt(0.09 / (6 * n))
+        said.append(Statement(text, "good" if good else "warning", "Confirmed by held-back data"))
+    return said
+
+
+def _find_held_back(found: Certificate) -> dict[str, Any]:
+    fit = found.summary.get("variants", {}).get(found.calibrated.source.variant, {})
+    held_back = fit.get("verification")
+    return held_back if isinstance(held_back, dict) else {}
 
 
 # --- tables ------------------------------------------------------------------------------------------------------
@@ -204,15 +170,15 @@ def _tabulate_budget(found: Certificate) -> Table:
     def write(title: str, values: Array) -> list[str | Cell]:
         return [title, *(_micro(value) for value in values)]
 
-    rows = [write(SOURCES[source], _summarise(found, found.budget.sd(source))[0]) for source in found.budget.parts]
-    rows.append(write("combined standard uncertainty u", _summarise(found, found.budget.sd())[0]))
+    rows = [write(SOURCES[source], found.summarise(found.budget.sd(source))[0]) for source in found.budget.parts]
+    rows.append(write("combined standard uncertainty u", found.summarise(found.budget.sd())[0]))
     percent = format_percent(found.wishes.coverage)
     rows.append(
-        write(f"expanded, k = {found.factor:.2f} ({percent})", _summarise(found, found.factor * found.budget.sd())[0])
+        write(f"expanded, k = {found.factor:.2f} ({percent})", found.summarise(found.factor * found.budget.sd())[0])
     )
-    rows.append(write(f"expanded, Monte Carlo ({percent})", _summarise(found, found.spread.half_width)[0]))
-    rows.append(write("stated expanded uncertainty U", _summarise(found, found.expanded)[0]))
-    rows.append(write("stated U at the worst pose", _summarise(found, found.expanded)[1]))
+    rows.append(write(f"expanded, Monte Carlo ({percent})", found.summarise(found.spread.half_width)[0]))
+    rows.append(write("stated expanded uncertainty U", found.summarise(found.expanded)[0]))
+    rows.append(write("stated U at the worst pose", found.summarise(found.expanded)[1]))
     radius = float(np.sqrt(np.mean(found.spread.radius**2))) * 1e3
     notes = [
         Statement(
@@ -244,12 +210,6 @@ def _describe_machine(found: Certificate) -> list[tuple[str, str]]:
     return rows + ([("At", f"{typical}, the median of the poses that calibrated it")] if typical else [])
 
 
-def _show_figures(found: Certificate) -> tuple[Table | Statement, ...]:
-    if found.poses is None:
-        return (Statement(f"Not meaningful: {found.without}.", "plain", "Figures"),)
-    return (_tabulate_figures(found, found.poses),)
-
-
 def _tabulate_figures(found: Certificate, poses: PoseFigures) -> Table:
     columns = [
         Column("Figure", kind="text"),
@@ -261,7 +221,7 @@ def _tabulate_figures(found: Certificate, poses: PoseFigures) -> Table:
 
     def add(title: str, values: Array) -> None:
         ends = (values.mean() * 1e3, np.quantile(values, BOUND) * 1e3)
-        rows.append([title, *(_micro(one) for one in ends), PREDICTED])
+        rows.append([title, *(_micro(one) for one in ends), "predicted"])
 
     shape = ("line", "square", "cube")[len(found.calibrated.lengths) - 1]
     edge = f"{shape} of {found.cube_mm:g} mm about home"
@@ -271,11 +231,18 @@ def _tabulate_figures(found: Certificate, poses: PoseFigures) -> Table:
         add(f"ISO 230-2 accuracy A of {name}, one direction", axis.accuracy)
         add(f"ISO 230-2 systematic deviation E of {name}, one direction", axis.systematic)
         add(f"ISO 230-2 repeatability R of {name}, one direction", axis.repeatability)
-    held_back = _find_fit(found).get("verification")
-    if isinstance(held_back, dict):
+    held_back = _find_held_back(found)
+    if held_back:
         error = held_back["position_error_mm"]
         mean, largest = (_micro(error[key] * 1e3) for key in ("mean", "max"))
-        rows.append(["position error, mean and largest of the held-back poses", mean, largest, HELD_BACK])
+        rows.append(
+            [
+                "position error, mean and largest of the held-back poses",
+                mean,
+                largest,
+                "from the data's held-back poses",
+            ]
+        )
     notes = [
         Statement(
             "Predicted figures are those of machines of the posterior commanded by the calibrated one. They hold "
@@ -314,11 +281,6 @@ def _list_inputs(found: Certificate) -> tuple[Table, ...]:
 
 
 # --- the figure and the method -----------------------------------------------------------------------------------
-
-
-def _plot_shares(found: Certificate) -> Figure:
-    caption = "Share of each source in the variance of each axis, mean over the workspace."
-    return Figure("budget", caption, partial(draw_shares, _find_shares(found), found.axis_names))
 
 
 def draw_shares(shares: dict[str, Array], names: tuple[str, ...]) -> mpl.Figure:

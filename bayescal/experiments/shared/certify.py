@@ -63,7 +63,6 @@ class Wishes:
         Of the posterior, at most.
     cube_mm : float or None
         Edge of the cube of ISO 9283; by default the largest about home that is within reach and within the region.
-    seed : int
     region : Region or None
         Where; by default that of the poses that calibrated the machine, where they are known.
     whole_range : bool
@@ -85,9 +84,6 @@ class Certificate:
 
     Attributes
     ----------
-    calibrated : CalibratedMachine
-    wishes : Wishes
-    budget : Budget
     factor : float
         k of the law of propagation.
     spread : Spread
@@ -159,12 +155,20 @@ class Certificate:
         expanded = self.factor * self.budget.sd()
         return np.asarray(expanded if self.agrees else expanded / self.ratios)
 
+    def summarise(self, values: Array) -> tuple[Array, Array]:
+        """Return rms and largest of values (P, m) over the workspace, in the units in which they are stated."""
+        return _rms(values) * self.scale, np.abs(values).max(axis=0) * self.scale
+
     def list_figures(self) -> dict[str, Any]:
         """Return what is stated as numbers for files: µm and µrad, root mean squares over the workspace."""
 
         def name(values: Array) -> dict[str, float]:
             return dict(zip(self.axis_names, (float(f"{one:.6g}") for one in values), strict=True))
 
+        typical, largest = self.summarise(self.expanded)
+        alike: dict[str, list[str]] = {}
+        for one, unit in zip(self.axis_names, self.units, strict=True):
+            alike.setdefault(unit, []).append(one)
         return {
             "experiment": self.calibrated.source.experiment,
             "variant": self.calibrated.source.variant,
@@ -174,16 +178,16 @@ class Certificate:
             "poses": len(self.budget.commands),
             "workspace": self.where,
             "share_extrapolated": float(f"{self.beyond:.4g}"),
-            "unit": _group(self.axis_names, self.units),
+            "unit": {", ".join(names): unit for unit, names in alike.items()},
             "standard_uncertainty": {
-                **{source: name(_rms(self.budget.sd(source)) * self.scale) for source in self.budget.parts},
-                "combined": name(_rms(self.budget.sd()) * self.scale),
+                **{source: name(self.summarise(self.budget.sd(source))[0]) for source in self.budget.parts},
+                "combined": name(self.summarise(self.budget.sd())[0]),
             },
             "coverage_factor": float(f"{self.factor:.6g}"),
             "expanded_uncertainty": {
-                "stated": name(_rms(self.expanded) * self.scale),
-                "largest": name(self.expanded.max(axis=0) * self.scale),
-                "monte_carlo": name(_rms(self.spread.half_width) * self.scale),
+                "stated": name(typical),
+                "largest": name(largest),
+                "monte_carlo": name(self.summarise(self.spread.half_width)[0]),
                 "propagated_over_monte_carlo": name(self.ratios),
                 "method": "k u" if self.agrees else "Monte Carlo",
             },
@@ -192,14 +196,6 @@ class Certificate:
 
 def _rms(values: Array) -> Array:
     return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
-
-
-def _group(names: tuple[str, ...], units: tuple[str, ...]) -> dict[str, str]:
-    """Return the units of names, those of one unit together."""
-    return {
-        ", ".join(name for name, other in zip(names, units, strict=True) if other == unit): unit
-        for unit in dict.fromkeys(units)
-    }
 
 
 def certify(calibrated: CalibratedMachine, path: Path, wishes: Wishes) -> Certificate:

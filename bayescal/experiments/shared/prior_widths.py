@@ -36,8 +36,6 @@ class WidthTask:
 
     Attributes
     ----------
-    variant : str
-    factor : float
     modes : ndarray, shape (M, n)
         Those with the study's own priors, in sampling coordinates.
     behind : float
@@ -99,10 +97,6 @@ def weigh_widths(
         With the wider or narrower priors.
     known : Fittable
         The posterior with the priors as stated, in whose coordinates the task has its modes.
-    task : WidthTask
-    seed : int
-    sampler : SamplerConfig
-    effort : EvidenceConfig
     """
     seeds = np.random.SeedSequence([seed, zlib.crc32(task.key.encode())]).spawn(3)
     posterior, n = subject.posterior, subject.posterior.n_geometry

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from bayescal.config.classes import ClassMark, OwnSection
-from bayescal.config.load import OWN
+from bayescal.config.load import MEASURED, OWN
 from bayescal.config.sections import FileMark, Names, NotNegative, Number, Positive, Section
 from bayescal.limits import LARGEST_KAPPA
 from bayescal.machines.schema import PointsConfig, TargetRingConfig
@@ -15,6 +15,7 @@ from bayescal.numerics.units import choose_arcseconds
 
 type Axes = Literal["x", "y", "z", "xy", "xz", "yz", "xyz"]
 type Turns = Annotated[list[Annotated[NotNegative, Field(le=180.0)]], Field(min_length=3, max_length=3)]
+type Bounds = Annotated[list[Number], Field(min_length=2, max_length=2)]
 type Extent = Annotated[list[NotNegative], Field(min_length=3, max_length=3)]
 
 
@@ -50,17 +51,32 @@ class ModelConfig(Section):
     """Symbols that are free; all that have a prior where nothing is said."""
 
 
-class PoseSensorConfig(Section):
+class RotationNoiseConfig(Section):
+    """The noise of a measured rotation, in one of two units."""
+
+    orientation_arcsec: Positive | None = None
+    """Standard deviation of a rotation, each axis; none is measured where neither this nor a table states it."""
+    orientation_urad: Positive | None = Field(default=None, exclude_if=lambda value: value is None)
+    """The same in microradians, in place of arcseconds."""
+
+    @model_validator(mode="after")
+    def _check_one_unit(self) -> Self:
+        choose_arcseconds(self.orientation_arcsec, self.orientation_urad)
+        return self
+
+    @property
+    def arcseconds(self) -> float | None:
+        """The noise of a rotation in arcseconds, whichever unit states it."""
+        return choose_arcseconds(self.orientation_arcsec, self.orientation_urad)
+
+
+class PoseSensorConfig(RotationNoiseConfig):
     """An instrument that hands out poses, or a part of them."""
 
     kind: Literal["pose"]
     """`"pose"`."""
     position_um: Positive | None = None
     """Standard deviation of a position, each axis; without it positions are not seen."""
-    orientation_arcsec: Positive | None = None
-    """Standard deviation of a rotation, each axis; without it rotations are not seen."""
-    orientation_urad: Positive | None = Field(default=None, exclude_if=lambda value: value is None)
-    """The same in microradians, in place of arcseconds."""
     axes: Axes = "xyz"
     """Which axes are seen."""
 
@@ -69,11 +85,6 @@ class PoseSensorConfig(Section):
         if self.position_um is None and self.arcseconds is None:
             raise ValueError("expected position_um or orientation_arcsec, or both")
         return self
-
-    @property
-    def arcseconds(self) -> float | None:
-        """The noise of a rotation in arcseconds, whichever unit states it."""
-        return choose_arcseconds(self.orientation_arcsec, self.orientation_urad)
 
 
 class TargetSensorConfig(Section):
@@ -150,6 +161,18 @@ class WorkspaceConfig(Section):
     """All axes together within an `ellipsoid`, every combination (`box`), or one axis at a time (`axes`)."""
     poses: Annotated[int, Field(ge=12, le=5000)] = 200
     """How many poses stand for the workspace."""
+
+
+def _tag_workspace(section: Any) -> str:
+    keys = WorkspaceConfig.model_fields.keys()
+    legs = isinstance(section, WorkspaceConfig) or (isinstance(section, dict) and not keys.isdisjoint(section))
+    return f"{MEASURED}home" if legs else f"{MEASURED}coordinates"
+
+
+type AnyWorkspaceConfig = Annotated[
+    Annotated[WorkspaceConfig, Tag(f"{MEASURED}home")] | Annotated[dict[str, Bounds], Tag(f"{MEASURED}coordinates")],
+    Discriminator(_tag_workspace),
+]
 
 
 class RequirementsConfig(Section):

@@ -9,16 +9,19 @@ the list of what may have happened to columns of numbers.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
-from itertools import combinations
+from dataclasses import asdict, dataclass, replace
+from itertools import combinations, permutations
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import AfterValidator
+from scipy.spatial.transform import Rotation
 
 from bayescal.config.sections import check_once
+from bayescal.data.instruments.rotations import FIXED, ROLL_PITCH_YAW, name_angles
+from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.errors import BayescalError
-from bayescal.numerics.geometry import Array
+from bayescal.numerics.geometry import Array, matrix_from_rotation_vector, rotation_vector_from_matrix
 from bayescal.report.blocks import Statement
 from bayescal.report.numbers import format_significant, join_words
 
@@ -46,6 +49,11 @@ LENGTHS = {
 ANGLES = {"in degrees": np.pi / 180.0, "in radians where degrees are stated": 180.0 / np.pi, "of the other sign": -1.0}
 GEARS = {"twice too large": 0.5, "half as large as they should be": 2.0}
 """What happens to a single sensor: another gear ratio, edges counted once or twice."""
+REREAD = 1.5
+"""Factor by which errors have to fall where what was measured is read in another way: at tilts of some degrees the legs
+are then off by two to five times what was stated. Clean twins that err by 50 µm besides gain less than a nat by it."""
+SUSPECT = 10.0
+"""Legs' errors in units of what was stated, below which no slip of the actuators is tried."""
 TURN = 2.0 * float(np.pi)
 
 type DeniedSlips = Annotated[list[Literal["unit", "legs", "rows"]], AfterValidator(check_once)]
@@ -68,10 +76,8 @@ class Slip[D]:
 
     Attributes
     ----------
-    fault : str
     text : str
         What the slip would be.
-    data : D
     chosen : ndarray of int, shape (Q,), or None
         Which of the rows they are; all of them without it.
     log_volume : float
@@ -97,8 +103,6 @@ class FoundSlip:
 
     Attributes
     ----------
-    fault, text : str
-    gain : float
     factor : float or None
         None where no machine within the tolerances has the data as they are.
     """
@@ -136,7 +140,6 @@ def find_slip[D](
         Returns how well data fit, some of their rows alone where these are given.
     data : D
         As they are.
-    slips : iterable of Slip
     fits : float
         Misfit up to which nothing has slipped.
     denied : collection of str, optional
@@ -306,6 +309,112 @@ def list_unnoticed[D](
     """Return how many slips are planted in data that fit, one by one, and those after which they fit all the same."""
     texts = [(slip.text, weigh(slip.data, slip.chosen).misfit <= fits) for slip in slips]
     return len(texts), [text for text, fit in texts if fit]
+
+
+# --- what may happen to actuators and measured poses of a machine on legs ----------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class LegData:
+    """Actuator positions (P, N), mm, and the poses that were measured; None for points in place of poses."""
+
+    actuators: Array
+    poses: MeasuredPoses | None = None
+
+    def pick(self, chosen: np.ndarray) -> LegData:
+        """Return some of them."""
+        return LegData(self.actuators[chosen], None if self.poses is None else self.poses.select(chosen))
+
+
+def list_leg_slips(data: LegData, start: Array) -> Iterator[Slip[LegData]]:
+    """Yield what may have happened to actuator positions, whose initial ones are ``start``, and to poses."""
+    for fault, text, actuators, chosen in _list_actuators(data.actuators, start):
+        poses = (data if chosen is None else data.pick(chosen)).poses
+        yield Slip(fault, text, LegData(actuators, poses), chosen, tried_from=SUSPECT)
+    if data.poses is not None:
+        for text, poses in list_rereads(data.poses):
+            yield Slip(POSES, text, LegData(data.actuators, poses), least=REREAD)
+
+
+def list_pose_units(data: LegData) -> Iterator[Slip[LegData]]:
+    """Yield measured poses as if they had other units."""
+    assert data.poses is not None
+    poses, count = data.poses, 3 * data.poses.n_poses
+    for words, factor in LENGTHS.items():
+        if factor > 0.0:
+            scaled, volume = replace(poses, position=factor * poses.position), count * float(np.log(factor))
+            text = f"positions of the poses seem to be {words}"
+            yield Slip(UNIT, text, LegData(data.actuators, scaled), None, volume)
+    for words, factor in ANGLES.items():
+        turned = matrix_from_rotation_vector(factor * rotation_vector_from_matrix(poses.rotation))
+        text = f"rotations of the poses seem to be {'inverted' if factor < 0.0 else words}"
+        moved = LegData(data.actuators, replace(poses, rotation=turned))
+        yield Slip(UNIT, text, moved, None, count * float(np.log(abs(factor))))
+
+
+def _list_actuators(actuators: Array, start: Array) -> Iterator[tuple[str, str, Array, np.ndarray | None]]:
+    """Yield what may have happened to actuator positions (P, N), mm: fault, words, positions, and which poses."""
+    n_poses, n_legs = actuators.shape
+    for words, factor in LENGTHS.items():
+        yield UNIT, f"actuator displacements seem to be {words}", start + factor * (actuators - start), None
+        if factor > 0.0:
+            yield UNIT, f"actuator positions seem to be {words}", factor * actuators, None
+    if start.any():
+        yield UNIT, "displacements seem to stand in place of actuator positions", actuators + start, None
+    for one, other in combinations(range(n_legs), 2):
+        order = np.arange(n_legs)
+        order[[one, other]] = other, one
+        yield LEGS, f"legs {one + 1} and {other + 1} seem to be exchanged", actuators[:, order], None
+    yield LEGS, "legs seem to be numbered the other way round", actuators[:, ::-1], None
+    for step in range(1, n_legs):
+        order = np.roll(np.arange(n_legs), -step)
+        yield LEGS, f"legs seem to be counted from leg {step + 1}", actuators[:, order], None
+    every = np.arange(n_poses)
+    for step, words in ((1, "earlier"), (-1, "later")):
+        if n_poses > 2:
+            there = every[step:] if step > 0 else every[:step]
+            text = f"rows seem to be shifted by one: readings belong to the actuator positions of the row {words}"
+            yield ROWS, text, actuators[there - step], there
+
+
+def list_rereads(poses: MeasuredPoses) -> Iterator[tuple[str, MeasuredPoses]]:
+    """Yield what may have happened to poses, in words, and the poses without it; their covariances stay as they are.
+
+    They are tried from a misfit on that one of them could mend: angles taken for rotation vectors are off by little
+    where tilts are small.
+    """
+    position, rotation = poses.position, poses.rotation
+    vectors = rotation_vector_from_matrix(rotation)
+    for axes in permutations(FIXED):
+        order = [FIXED.index(axis) for axis in axes]
+        turned = Rotation.from_euler("".join(axes), vectors[:, order]).as_matrix()
+        yield _describe_angles("".join(axes)), replace(poses, rotation=turned)
+    back = np.swapaxes(rotation, 1, 2)
+    yield (
+        "rotations seem to be those of the base seen from the platform, the other way round",
+        replace(poses, rotation=back),
+    )
+    yield (
+        "poses seem to be those of the base in the platform's frame",
+        replace(poses, position=-np.einsum("pij,pj->pi", back, position), rotation=back),
+    )
+    for k, axis in enumerate(FIXED):
+        flipped = position * np.where(np.arange(3) == k, -1.0, 1.0)
+        yield f"{axis}_mm seems to be of the other sign", replace(poses, position=flipped)
+    for one, other in combinations(range(3), 2):
+        exchanged = position.copy()
+        exchanged[:, [one, other]] = position[:, [other, one]]
+        text = f"{FIXED[one]}_mm and {FIXED[other]}_mm seem to be exchanged"
+        yield text, replace(poses, position=exchanged)
+
+
+def _describe_angles(axes: str) -> str:
+    columns = ROLL_PITCH_YAW if axes == FIXED else name_angles(axes)
+    return (
+        "rx_deg, ry_deg and rz_deg seem to be no rotation vectors but angles about the fixed axes "
+        f"{', '.join(axes)} one after the other: call them {', '.join(columns)}"
+        + ("" if axes == FIXED else ", in that order of axes")
+    )
 
 
 # --- words -------------------------------------------------------------------------------------------------------

@@ -20,7 +20,6 @@ from bayescal.config.sections import (
     Name,
     Names,
     NotNegative,
-    Number,
     Positive,
     Section,
     check_once,
@@ -41,9 +40,8 @@ from bayescal.experiments.shared.readings.schema import (
     ValidationConfig,
     check_bounds,
 )
-from bayescal.experiments.shared.schema import DeformationConfig, FramesConfig, UnitsConfig
+from bayescal.experiments.shared.schema import Bounds, DeformationConfig, FramesConfig, RotationNoiseConfig, UnitsConfig
 from bayescal.inference.schema import EvidenceConfig, SamplerConfig
-from bayescal.numerics.units import choose_arcseconds
 
 TABLES = ("targets", "poses", "points")
 """Kinds of measurement, and the keys of their tables."""
@@ -86,7 +84,7 @@ class TargetDataConfig(MeasuredConfig):
     """How a body's pose is found: `robust` (targets may be wrong), `line` (RR-8096) or `least_squares`."""
 
 
-class PoseDataConfig(MeasuredConfig):
+class PoseDataConfig(RotationNoiseConfig, MeasuredConfig):
     """Poses that an instrument handed out, whole or in part; the table states its noise, or these keys do."""
 
     measurement: Literal["poses"]
@@ -97,20 +95,6 @@ class PoseDataConfig(MeasuredConfig):
     """CSV file of actuator positions, where the table of poses lacks them."""
     position_um: Positive | None = None
     """Standard deviation of a position, each axis, where the table does not state it."""
-    orientation_arcsec: Positive | None = None
-    """Standard deviation of a rotation, each axis, where the table does not state it."""
-    orientation_urad: Positive | None = Field(default=None, exclude_if=lambda value: value is None)
-    """The same in microradians, in place of arcseconds."""
-
-    @model_validator(mode="after")
-    def _check_one_unit(self) -> Self:
-        choose_arcseconds(self.orientation_arcsec, self.orientation_urad)
-        return self
-
-    @property
-    def arcseconds(self) -> float | None:
-        """The noise of a rotation in arcseconds, whichever unit states it."""
-        return choose_arcseconds(self.orientation_arcsec, self.orientation_urad)
 
 
 class PointDataConfig(MeasuredConfig):
@@ -336,9 +320,7 @@ class StudyConfig(ExperimentConfig):
     """By name: errors common to all rows, such as functions of what is read, or those of a class of one's own."""
     blunders: BlundersConfig | None = Field(default=None, exclude_if=lambda value: value is None)
     """Whether single poses of an instrument may be wrong; a variant's `robust` lets those of tables be."""
-    workspace: dict[str, Annotated[list[Number], Field(min_length=2, max_length=2)]] = Field(
-        default={}, exclude_if=lambda value: not value
-    )
+    workspace: dict[str, Bounds] = Field(default={}, exclude_if=lambda value: not value)
     """By coordinate: smallest and largest value where accuracy counts; the machine's own where nothing is said [unit
     of the coordinate].
     """

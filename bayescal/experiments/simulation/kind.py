@@ -17,7 +17,7 @@ from bayescal.experiments.shared.look import look_at_machine
 from bayescal.experiments.shared.readings.machine_kind import MachineExperiment
 from bayescal.experiments.simulation.readings import ReadingPlan, plan_readings
 from bayescal.experiments.simulation.schema import SimulationConfig
-from bayescal.experiments.simulation.twin import InstrumentPlan, plan_instrument
+from bayescal.experiments.simulation.twin import Twin, build_twin
 from bayescal.machines.parameters import ParameterLayout
 from bayescal.numerics.geometry import Array
 from bayescal.report.blocks import Column, Page, Section, Statement, make_table
@@ -27,7 +27,7 @@ KIND = "Simulation"
 TEXT = 30
 """Doubles that a simulated number takes, with the text of its line."""
 
-type Plan = InstrumentPlan | ReadingPlan
+type Plan = Twin | ReadingPlan
 
 
 class Simulation(MachineExperiment[SimulationConfig, Plan]):
@@ -42,7 +42,7 @@ class Simulation(MachineExperiment[SimulationConfig, Plan]):
 
     def read(self, config: SimulationConfig, folder: Path) -> Plan:
         """Return the machine, its truth, its noise and where it is measured."""
-        return plan_instrument(config, folder) if config.sees_platform else plan_readings(config, folder)
+        return build_twin(config, folder) if config.sees_platform else plan_readings(config, folder)
 
     def list_file_faults(self, content: Mapping[str, Any], folder: Path) -> list[str]:
         """Return what is wrong with the machine's file by itself."""

@@ -21,9 +21,8 @@ from bayescal.config.sections import (
 )
 from bayescal.density.schema import PriorConfig
 from bayescal.experiments.shared.readings.schema import ChannelConfig, FreeConfig, InstrumentConfig, OriginConfig
-from bayescal.experiments.shared.schema import UnitsConfig
+from bayescal.experiments.shared.schema import Bounds, RotationNoiseConfig, UnitsConfig
 from bayescal.machines.schema import TargetRingConfig
-from bayescal.numerics.units import choose_arcseconds
 
 
 class TruthConfig(Section):
@@ -109,29 +108,15 @@ class FramesTruthConfig(Section):
     """True frame of the probe on the platform."""
 
 
-class PoseInstrumentConfig(Section):
+class PoseInstrumentConfig(RotationNoiseConfig):
     """An instrument that hands out poses, or their positions alone."""
 
     kind: Literal["poses"]
     """`"poses"`."""
     position_um: Positive
     """Standard deviation of a position, each axis."""
-    orientation_arcsec: Positive | None = None
-    """Standard deviation of a rotation, each axis; positions alone without it."""
-    orientation_urad: Positive | None = Field(default=None, exclude_if=lambda value: value is None)
-    """The same in microradians, in place of arcseconds."""
     frames: FramesTruthConfig = FramesTruthConfig()
     """True frames of instrument and probe."""
-
-    @model_validator(mode="after")
-    def _check_one_unit(self) -> Self:
-        choose_arcseconds(self.orientation_arcsec, self.orientation_urad)
-        return self
-
-    @property
-    def arcseconds(self) -> float | None:
-        """The noise of a rotation in arcseconds, whichever unit states it."""
-        return choose_arcseconds(self.orientation_arcsec, self.orientation_urad)
 
 
 class PointInstrumentConfig(Section):
@@ -199,9 +184,9 @@ class SimulationConfig(FreeConfig, ExperimentConfig):
     """Noise of each channel that is read, or of all of a kind."""
     parameters: dict[str, PriorConfig] = Field(default={})
     """Tolerance of each symbol, within which the true machine is drawn."""
-    workspace: dict[str, Annotated[list[Number], Field(min_length=2, max_length=2)]] = Field(default={})
+    workspace: dict[str, Bounds] = Field(default={})
     """By coordinate: smallest and largest value of the poses [unit of the coordinate]."""
-    given: dict[str, Annotated[list[Number], Field(min_length=2, max_length=2)]] = Field(default={})
+    given: dict[str, Bounds] = Field(default={})
     """By column: smallest and largest value of what the machine has to know of a row [unit of the column]."""
     n_poses: Annotated[int, Field(ge=1, le=100_000)] | None = None
     """Number of random poses to calibrate with."""

@@ -8,9 +8,7 @@ deformation and which leaves the ring as it is. So targets give back K, and a ca
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -67,29 +65,78 @@ type Poses = tuple[Array, Array]
 
 @dataclass(frozen=True, eq=False)
 class Twin:
-    """The machine behind simulated data.
+    """The machine behind simulated data, and where it is measured.
 
     Attributes
     ----------
     machine : Machine
         Mechanism, model and matrix deformation.
     theta : ndarray, shape (D,)
-        True parameters.
-    config : SimulationConfig
+        True parameters of the machine.
+    folder : Path
+        Where the config's file names start.
     calibration, verification : ndarray, shapes (P, N)
         Displacements of the actuators from their initial positions, mm.
+    frames : ndarray, shape (S + 1, 6), or None
+        True frames of the instrument's stations and of its probe, mm and rad; None for photogrammetry.
     """
 
     machine: Machine
     theta: Array
     config: SimulationConfig
+    folder: Path
     calibration: Array
     verification: Array
+    frames: Array | None
 
     @property
     def mechanism(self) -> Mechanism:
         """The nominal geometry."""
         return self.machine.mechanism
+
+    @property
+    def layout(self) -> ParameterLayout:
+        """All true parameters', those of the instrument's frames among them."""
+        own = self.machine.layout
+        return own if self.frames is None else own.extend(frame_blocks(len(self.frames) - 1))
+
+    @property
+    def n_held_back(self) -> int:
+        """How many poses are held back."""
+        return len(self.verification)
+
+    @property
+    def n_poses(self) -> int:
+        """Number of poses, those held back among them."""
+        return len(self.calibration) + self.n_held_back
+
+    @property
+    def width(self) -> int:
+        """How many coordinates of targets or of the platform, and actuators, are seen at each."""
+        targets, n_legs = self.config.targets, self.mechanism.n_legs
+        if targets is None:
+            return n_legs + DEGREES_OF_FREEDOM
+        n_targets = sum(ring.count for ring in (*targets.base, *targets.platform)) + n_legs * targets.per_pad
+        return n_legs + 3 * n_targets
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all poses, those for verification last."""
+        names = [f"C{k:02d}" for k in range(1, len(self.calibration) + 1)]
+        return (*names, *(f"V{k:02d}" for k in range(1, self.n_held_back + 1)))
+
+    @property
+    def held_back(self) -> np.ndarray:
+        """Which poses are for verification."""
+        return np.arange(self.n_poses) >= len(self.calibration)
+
+    def simulate(self, rng: np.random.Generator) -> tuple[dict[str, str], Array]:
+        """Return the texts of all files by their names, and all true parameters."""
+        if self.frames is None:
+            survey, poses = survey_twin(self, rng)
+            return format_survey(survey, self.config.origin.text) | format_truth(self, poses), self.theta
+        files, poses = _simulate_readings(self, self.frames, rng)
+        return files | format_truth(self, poses), np.concatenate([self.theta, self.frames.ravel()])
 
 
 def build_twin(config: SimulationConfig, folder: Path) -> Twin:
@@ -98,8 +145,8 @@ def build_twin(config: SimulationConfig, folder: Path) -> Twin:
     Raises
     ------
     InputError
-        For another machine than one on legs, unknown models or parameters, lists without one entry per leg, or tables
-        of another width.
+        For another machine than one on legs, unknown models or parameters, lists without one entry per leg or station,
+        or tables of another width.
     """
     model = read_model(config, folder)
     if not isinstance(model, Legs):
@@ -119,12 +166,19 @@ def build_twin(config: SimulationConfig, folder: Path) -> Twin:
     calibration, verification = (read_moves(folder / name, poses.unit_mm, model.n_legs) for name in tables)
     theta = read_truth(config, machine.layout, folder)
     assert theta is not None
-    return Twin(machine, theta, config, calibration, verification)
+    frames = None if config.instrument is None else _read_frames(config.instrument, folder)
+    return Twin(machine, theta, config, folder, calibration, verification, frames)
 
 
-def simulate_survey(twin: Twin, rng: np.random.Generator, theta: Array | None = None) -> Survey:
-    """Return one survey of the twin as `survey_twin` does, without the true poses."""
-    return survey_twin(twin, rng, theta)[0]
+def _read_frames(config: PlatformInstrumentConfig, folder: Path) -> Array:
+    """Return the true frames of each station and of the probe, shape (S + 1, 6), mm and rad."""
+    n_stations = 1
+    if isinstance(config, PointInstrumentConfig) and config.stations is not None:
+        n_stations = len(read_stations(folder / config.stations).names)
+    bases = config.frames.base or [FrameTruthConfig()] * n_stations
+    if len(bases) != n_stations:
+        raise InputError(f"instrument.frames.base: found {len(bases)} frames, expected {n_stations}, one per station")
+    return np.array([[*one.position_mm, *np.radians(one.rotation_deg)] for one in (*bases, config.frames.tool)])
 
 
 def survey_twin(twin: Twin, rng: np.random.Generator, theta: Array | None = None) -> tuple[Survey, Array]:
@@ -152,7 +206,9 @@ def survey_twin(twin: Twin, rng: np.random.Generator, theta: Array | None = None
     assert config.noise.target_um is not None
     commanded, actual, pose = move(twin, rng, twin.theta if theta is None else theta)
     base, platform = make_targets(twin.config, mechanism)
-    deflection = (actual - mechanism.initial_actuator_positions) @ _ring_matrix(twin).T
+    deformation = twin.machine.deformation  # which the pads follow; offsets of κ are not in it
+    ring = deformation.matrix if isinstance(deformation, MatrixDeformation) else np.zeros((mechanism.n_legs,) * 2)
+    deflection = (actual - mechanism.initial_actuator_positions) @ ring.T
     moved = np.broadcast_to(platform.reference, (len(actual), *platform.reference.shape)).copy()
     pads = platform.leg > 0
     moved[:, pads, 2] += deflection[:, platform.leg[pads] - 1]
@@ -166,7 +222,8 @@ def survey_twin(twin: Twin, rng: np.random.Generator, theta: Array | None = None
         seen = origin[:, None] + points @ np.swapaxes(rotation, -1, -2)
         measured.append(seen + rng.normal(0.0, config.noise.target_um * MICROMETRE, seen.shape))
     survey = Survey(
-        *name_poses(twin),
+        twin.names,
+        twin.held_back,
         commanded,
         BodyTargets(base.names, base.leg, base.reference, measured[0]),
         BodyTargets(platform.names, platform.leg, platform.reference, measured[1]),
@@ -194,7 +251,7 @@ def _name_unreached(twin: Twin, index: int) -> str:
     file, row = (poses.verification, index - n_calibration) if later else (poses.calibration, index)
     moves = (twin.verification if later else twin.calibration)[row]
     return (
-        f"{file}: row {row + 1} below the header, pose {name_poses(twin)[0][index]!r}: found displacements "
+        f"{file}: row {row + 1} below the header, pose {twin.names[index]!r}: found displacements "
         f"{', '.join(f'{move:g}' for move in moves)} mm, at which forward kinematics finds no pose, expected ones that "
         "the machine can take: smaller ones, in the unit of unit_mm, columns in the order of the machine's legs"
     )
@@ -203,20 +260,6 @@ def _name_unreached(twin: Twin, index: int) -> str:
 def stack_poses(found: ForwardKinematics) -> Array:
     """Return poses as position in mm and rotation vector in rad, base frame, shape (P, 6)."""
     return np.concatenate([found.position, rotation_vector_from_matrix(found.rotation)], axis=1)
-
-
-def name_poses(twin: Twin) -> tuple[tuple[str, ...], np.ndarray]:
-    """Return the names of all poses, and which are for verification."""
-    n_calibration = len(twin.calibration)
-    names = [f"C{k:02d}" for k in range(1, n_calibration + 1)]
-    names += [f"V{k:02d}" for k in range(1, len(twin.verification) + 1)]
-    return tuple(names), np.arange(len(names)) >= n_calibration
-
-
-def _ring_matrix(twin: Twin) -> Array:
-    """Return K, which the pads follow; offsets of κ are not in it."""
-    deformation, n = twin.machine.deformation, twin.mechanism.n_legs
-    return deformation.matrix if isinstance(deformation, MatrixDeformation) else np.zeros((n, n))
 
 
 def make_targets(config: SimulationConfig, mechanism: Mechanism) -> tuple[BodyTargets, BodyTargets]:
@@ -252,14 +295,14 @@ def format_actuators(names: tuple[str, ...], verification: np.ndarray, actuators
     return format_table([origin, text], ("pose", "use", *name_actuators(actuators.shape[1])), rows)
 
 
-def format_truth(twin: Twin, names: Sequence[str], poses: Array) -> dict[str, str]:
+def format_truth(twin: Twin, poses: Array) -> dict[str, str]:
     """Return the texts of two CSV files by their names: the twin's true parameters, and true poses (P, 6)."""
     origin = twin.config.origin.text
     about_parameters = "True parameters of the machine that the survey is of."
     about_poses = "True poses of the platform frame in the base frame at the survey: position, rotation vector."
     return {
         PARAMETERS_FILE: format_true_parameters([origin, about_parameters], twin.machine.layout, twin.theta),
-        POSES_FILE: format_true_poses([origin, about_poses], POSE_COORDINATES, names, poses),
+        POSES_FILE: format_true_poses([origin, about_poses], POSE_COORDINATES, twin.names, poses),
     }
 
 
@@ -293,100 +336,18 @@ def format_survey(survey: Survey, origin: str) -> dict[str, str]:
     }
 
 
-@dataclass(frozen=True, eq=False)
-class InstrumentPlan:
-    """A twin, and the folder where its config's file names start."""
-
-    twin: Twin
-    folder: Path
-
-    @property
-    def config(self) -> SimulationConfig:
-        """The twin's."""
-        return self.twin.config
-
-    @cached_property
-    def layout(self) -> ParameterLayout:
-        """The true parameters', those of the instrument's frames among them."""
-        if self.config.instrument is None:
-            return self.twin.machine.layout
-        return self.twin.machine.layout.extend(frame_blocks(count_stations(self.config.instrument, self.folder)))
-
-    @cached_property
-    def theta(self) -> Array:
-        """The true parameters, shape (D,)."""
-        found = self.config.instrument
-        if found is None:
-            return self.twin.theta
-        return np.concatenate([self.twin.theta, true_frames(found, count_stations(found, self.folder))])
-
-    @property
-    def n_held_back(self) -> int:
-        """How many poses are held back."""
-        return len(self.twin.verification)
-
-    @property
-    def n_poses(self) -> int:
-        """Number of poses, those held back among them."""
-        return len(self.twin.calibration) + self.n_held_back
-
-    @property
-    def width(self) -> int:
-        """How many coordinates of targets or of the platform, and actuators, are seen at each."""
-        targets, n_legs = self.config.targets, self.twin.mechanism.n_legs
-        if targets is None:
-            return n_legs + DEGREES_OF_FREEDOM
-        n_targets = sum(ring.count for ring in (*targets.base, *targets.platform)) + n_legs * targets.per_pad
-        return n_legs + 3 * n_targets
-
-    def simulate(self, rng: np.random.Generator) -> tuple[dict[str, str], Array]:
-        """Return the texts of all files by their names, and the true parameters (D,)."""
-        twin, instrument = self.twin, self.config.instrument
-        if instrument is None:
-            survey, poses = survey_twin(twin, rng)
-            files = format_survey(survey, self.config.origin.text)
-        else:
-            files, poses = simulate_readings(twin, instrument, self.folder, rng)
-        return files | format_truth(twin, name_poses(twin)[0], poses), self.theta
-
-
-def plan_instrument(config: SimulationConfig, folder: Path) -> InstrumentPlan:
-    """Return what is simulated; InputError for every fault of the config or its files."""
-    plan = InstrumentPlan(build_twin(config, folder), folder)
-    assert plan.theta.shape == (plan.layout.size,)
-    return plan
-
-
-def true_frames(config: PlatformInstrumentConfig, n_stations: int) -> Array:
-    """Return the true frames as parameters, each station's and the tool's, shape (6 S + 6,), mm and rad."""
-    bases = config.frames.base or [FrameTruthConfig()] * n_stations
-    if len(bases) != n_stations:
-        raise InputError(f"instrument.frames.base: found {len(bases)} frames, expected {n_stations}, one per station")
-    return np.concatenate([[*one.position_mm, *np.radians(one.rotation_deg)] for one in (*bases, config.frames.tool)])
-
-
-def count_stations(config: PlatformInstrumentConfig, folder: Path) -> int:
-    """Return how many stations an instrument has."""
-    if isinstance(config, PoseInstrumentConfig) or config.stations is None:
-        return 1
-    return len(read_stations(folder / config.stations).names)
-
-
-def simulate_readings(
-    twin: Twin, config: PlatformInstrumentConfig, folder: Path, rng: np.random.Generator
-) -> tuple[dict[str, str], Array]:
+def _simulate_readings(twin: Twin, frames: Array, rng: np.random.Generator) -> tuple[dict[str, str], Array]:
     """Return the texts of the tables that an instrument leaves of a twin, by their names, and the true poses (P, 6)."""
+    config, origin = twin.config.instrument, twin.config.origin.text
     commanded, _, found = move(twin, rng, twin.theta)
-    frames = true_frames(config, count_stations(config, folder)).reshape(-1, 6)
     pairs = np.concatenate([frames[:-1], np.broadcast_to(frames[-1:], frames[:-1].shape)], axis=1)
     seen = move_frames(pairs, found.position[None], found.rotation[None])
-    names, held = name_poses(twin)
-    origin = twin.config.origin.text
-    files = {"actuators.csv": format_actuators(names, held, commanded, origin)}
-    if isinstance(config, PoseInstrumentConfig):
-        files["poses.csv"] = _format_poses(names, (seen[0][0], seen[1][0]), config, origin, rng)
+    files = {"actuators.csv": format_actuators(twin.names, twin.held_back, commanded, origin)}
+    if isinstance(config, PointInstrumentConfig):
+        files["points.csv"] = _format_points(twin.names, seen, config, twin.folder, origin, rng)
     else:
-        files["points.csv"] = _format_points(names, seen, config, folder, origin, rng)
+        assert config is not None
+        files["poses.csv"] = _format_poses(twin.names, (seen[0][0], seen[1][0]), config, origin, rng)
     return files, stack_poses(found)
 
 

@@ -12,9 +12,9 @@ from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.shared.knowledge_page import NO_TOOL
 from bayescal.experiments.shared.measured import MeasuredReadings
+from bayescal.experiments.shared.measured_slips import find_calibration_slip
 from bayescal.experiments.shared.origin import name_origin
 from bayescal.experiments.shared.outlook import join_outlooks
-from bayescal.experiments.shared.reading_slips import find_calibration_slip
 from bayescal.experiments.shared.readings.inputs import ReadingInputs, read_inputs
 from bayescal.experiments.shared.readings.memory import estimate_calibration
 from bayescal.experiments.shared.study_schema import StudyConfig

@@ -21,7 +21,7 @@ from bayescal.calibrated.exported import (
     read_matrix_covariance,
     read_measured,
 )
-from bayescal.calibrated.machine import CalibratedMachine, Source, build_calibrated_legs, build_leg_errors
+from bayescal.calibrated.machine import CalibratedMachine, Source, build_calibrated, build_leg_errors
 from bayescal.config.registry import list_references, list_sources
 from bayescal.config.trust import check_same, check_trust
 from bayescal.density.schema import FixedConfig
@@ -100,7 +100,7 @@ def calibrate_study(
     errors = build_leg_errors(machine, theta, config.measured.actuator_noise_um * MICROMETRE, variance, covariance)
     source = Source(config.name, name, name_origin(config.origin.model_dump()), list_problems(fit))
     draws = _read_draws(results, name, machine.layout, theta)
-    return build_calibrated_legs(machine, theta, draws, errors, source, _read_measured(results, machine))
+    return build_calibrated(Legs(machine), theta, draws, errors, source, _read_measured(results, machine))
 
 
 def _choose(results: Results, config: StudyConfig, name: str | None) -> tuple[VariantConfig, str]:

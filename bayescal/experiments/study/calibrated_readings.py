@@ -18,7 +18,6 @@ from bayescal.calibrated.machine import (
     LegErrors,
     Source,
     build_calibrated,
-    build_calibrated_legs,
 )
 from bayescal.config.registry import list_references, list_sources
 from bayescal.config.trust import check_same, check_trust
@@ -166,7 +165,7 @@ def calibrate_machine(
         machine, size = model.machine, model.machine.layout.size
         by_legs = LegErrors(errors.noise, errors.model_variance, machine, theta[:size])
         some = None if draws is None else draws[:, :size]
-        legs = build_calibrated_legs(machine, theta[:size], some, by_legs, source, commands)
+        legs = build_calibrated(Legs(machine), theta[:size], some, by_legs, source, commands)
         return replace(legs, noise=noise[model.select(legs.model.names)])
     own = [path.name, *list_machine_sources(path)]
     found = build_calibrated(

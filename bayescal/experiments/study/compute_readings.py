@@ -13,9 +13,9 @@ from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results, Writer
 from bayescal.experiments.shared.estimate import TREE, Fit
+from bayescal.experiments.shared.measured_slips import find_calibration_slip
 from bayescal.experiments.shared.prior_widths import WidthTask, begin_widths, tabulate_widths, weigh_widths
 from bayescal.experiments.shared.reading_fit import ReadingFit, ReadingSubject, fit_readings
-from bayescal.experiments.shared.reading_slips import find_calibration_slip
 from bayescal.experiments.shared.readings.inputs import ReadingInputs
 from bayescal.experiments.shared.readings.knowledge import Knowledge, assess
 from bayescal.experiments.shared.trees import name_file, write_packed

@@ -8,9 +8,9 @@ import numpy as np
 
 from bayescal.density.instruments import InstrumentLikelihood
 from bayescal.density.likelihood import Likelihood
-from bayescal.experiments.shared.leg_slips import LegData, Suspect, Tolerances, find_leg_slip, weigh_poses
+from bayescal.experiments.shared.measured_slips import Suspect, find_leg_slip, weigh_poses
 from bayescal.experiments.shared.outlook import join_outlooks, tell_outlook
-from bayescal.experiments.shared.slips import FoundSlip
+from bayescal.experiments.shared.slips import FoundSlip, LegData
 from bayescal.experiments.shared.study_schema import VariantConfig
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.measurement import InstrumentMeasurement
@@ -65,8 +65,9 @@ def _suspect(inputs: StudyInputs, variant: VariantConfig, stated: float) -> Susp
     # those of targets have no form of their own
     stated_poses = measured.poses if isinstance(measured, InstrumentMeasurement) and measured.has_poses else None
     known = inputs.posterior(variant, with_model_error=False).sampling.coordinates
-    tolerances = Tolerances(known.start, known.free, known.scale)
-    return Suspect(likelihood_of, tolerances, LegData(measured.actuators, stated_poses), stated)
+    return Suspect(
+        likelihood_of, known.start, known.free, known.scale, LegData(measured.actuators, stated_poses), stated
+    )
 
 
 def _without_measured_matrix(inputs: StudyInputs, variant: VariantConfig) -> VariantConfig:

@@ -29,9 +29,6 @@ class SweepInputs:
 
     Attributes
     ----------
-    config : SweepConfig
-    folder : Path
-    base : Base
     experiment : Experiment
         Its kind.
     sources : tuple of str

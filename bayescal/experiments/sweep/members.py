@@ -47,7 +47,6 @@ class Base:
     ----------
     name : str
         Of its file.
-    kind : str
     text : str
         Of the file.
     content : dict

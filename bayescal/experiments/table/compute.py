@@ -13,7 +13,7 @@ from bayescal.errors import NumericalError
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.shared.estimate import Estimate, estimate_posterior
-from bayescal.experiments.shared.reading_slips import find_calibration_slip
+from bayescal.experiments.shared.measured_slips import find_calibration_slip
 from bayescal.experiments.table.inputs import TableInputs
 from bayescal.experiments.table.responses import (
     Plan,

@@ -26,7 +26,6 @@ class TableInputs:
 
     Attributes
     ----------
-    config : TableConfig
     study : ReadingInputs
         With the one variant that the table is made of.
     cells : ndarray, shape (G, A)

@@ -8,8 +8,8 @@ from bayescal.experiments.frame.memory import Need, estimate_arrays
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.shared.estimate import KEPT_DRAWS
+from bayescal.experiments.shared.measured_slips import find_calibration_slip
 from bayescal.experiments.shared.of_another import OfAnother
-from bayescal.experiments.shared.reading_slips import find_calibration_slip
 from bayescal.experiments.shared.readings.memory import list_variant
 from bayescal.experiments.shared.search_memory import list_sampling
 from bayescal.experiments.table.compute import compute_table

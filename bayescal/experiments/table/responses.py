@@ -206,8 +206,6 @@ def plan_measurements(inputs: TableInputs, posterior: CalibrationPosterior, y: A
 
     Parameters
     ----------
-    inputs : TableInputs
-    posterior : CalibrationPosterior
     y : ndarray, shape (n,)
         The mode.
     covariance : ndarray, shape (m, m)

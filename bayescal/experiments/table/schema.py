@@ -26,13 +26,7 @@ class TablePlanConfig(Section):
 
 
 class TableConfig(OfAnotherConfig):
-    """What the actuators have to do where what is known of each pose changes, of a study's posterior.
-
-    Attributes
-    ----------
-    axes : mapping of str to list of float
-        One or two, the first of which figures have as their abscissa.
-    """
+    """What the actuators have to do where what is known of each pose changes, of a study's posterior."""
 
     gone: ClassVar[Mapping[str, str]] = {"calibration": "study"}
 

@@ -24,7 +24,7 @@ from bayescal.experiments.check.faults import (
     state_slips,
 )
 from bayescal.experiments.check.inputs import draw_posterior
-from bayescal.experiments.shared.reading_slips import audit_slips
+from bayescal.experiments.shared.measured_slips import audit_slips
 from bayescal.experiments.shared.soundness import find_misfit
 from bayescal.inference.mode import find_modes
 from bayescal.machines.readings import Legs

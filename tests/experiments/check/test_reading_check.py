@@ -14,7 +14,7 @@ from bayescal.experiments.check.faults import check_derivatives, check_noise, ch
 from bayescal.experiments.check.inputs import Subject, draw_posterior, read_check
 from bayescal.experiments.check.kind import configure_check
 from bayescal.experiments.check.ranks import rank_truth
-from bayescal.experiments.shared.reading_slips import audit_slips
+from bayescal.experiments.shared.measured_slips import audit_slips
 
 FUNCTION = """
 [errors.motors]

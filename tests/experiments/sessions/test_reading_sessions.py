@@ -13,7 +13,7 @@ import studies
 
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.run import run_experiment
-from bayescal.experiments.sessions.inputs import Session
+from bayescal.experiments.sessions import inputs
 from bayescal.experiments.shared.slips import FoundSlip
 from bayescal.report.pictures import Picture
 
@@ -125,7 +125,7 @@ def test_what_is_at_fault_is_one_line(fault, written, call, tmp_path):
 
 def test_a_denied_slip_is_said_and_not_refused(written, tmp_path, monkeypatch):
     found = FoundSlip("rows", "rows of s seem to be shifted by one", 50.0, 4.0)
-    monkeypatch.setattr(Session, "find_slip", lambda self, denied=(): None if "rows" in denied else found)
+    monkeypatch.setattr(inputs, "find_measured_slip", lambda measured, denied=(): None if "rows" in denied else found)
     path = session_studies.copy_sessions(written, tmp_path)
     for k in (1, 2, 3):
         studies.edit(path, f'label = "M{k}"', f'label = "M{k}"\ndenied_slips = ["rows"]')

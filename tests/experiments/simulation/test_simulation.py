@@ -17,7 +17,7 @@ from bayescal.data.photogrammetry.survey import read_survey
 from bayescal.errors import InputError, NumericalError
 from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.simulation.readings import read_model
-from bayescal.experiments.simulation.twin import Twin, build_twin, format_survey, simulate_survey
+from bayescal.experiments.simulation.twin import Twin, build_twin, format_survey, survey_twin
 from bayescal.files.csv_tables import read_matrix, read_table
 from bayescal.machines.kinematics import solve_forward_kinematics
 from bayescal.machines.read import read_reading_model
@@ -57,7 +57,7 @@ def test_files_and_back_recover_the_true_poses(config):
     studies.edit(config, "actuator_um = 1.0", "actuator_um = 0.0")
     studies.edit(config, "count = 5", "count = 12")
     twin = load_twin(config)
-    survey = simulate_survey(twin, np.random.default_rng(3))
+    survey = survey_twin(twin, np.random.default_rng(3))[0]
     for name, text in format_survey(survey, "test").items():
         (config.parent / name).write_text(text)
     read = read_survey(*(config.parent / name for name in FILES), 6)
@@ -72,7 +72,7 @@ def test_files_and_back_recover_the_true_poses(config):
 
 def test_wrong_noise_fails_the_same_check(config):
     studies.edit(config, "target_um = 3.0", "target_um = 6.0")
-    survey = simulate_survey(load_twin(config), np.random.default_rng(3))
+    survey = survey_twin(load_twin(config), np.random.default_rng(3))[0]
     extraction = extract_poses(survey, 3e-3)
     dof = int(extraction.base.dof.sum() + extraction.platform.dof.sum())
     assert stats.chi2.sf(extraction.chi2_per_dof * dof, dof) < RARE
@@ -80,7 +80,7 @@ def test_wrong_noise_fails_the_same_check(config):
 
 def test_round_trip_through_text_keeps_every_digit(config):
     twin = load_twin(config)
-    survey = simulate_survey(twin, np.random.default_rng(3))
+    survey = survey_twin(twin, np.random.default_rng(3))[0]
     texts = format_survey(survey, "test")
     for name, text in texts.items():
         (config.parent / name).write_text(text)
@@ -93,14 +93,14 @@ def test_round_trip_through_text_keeps_every_digit(config):
 
 def test_same_seed_same_bytes_other_seed_others(config):
     twin = load_twin(config)
-    one, same, other = (format_survey(simulate_survey(twin, np.random.default_rng(seed)), "test") for seed in (1, 1, 2))
+    one, same, other = (format_survey(survey_twin(twin, np.random.default_rng(seed))[0], "test") for seed in (1, 1, 2))
     assert one == same
     assert one["targets.csv"] != other["targets.csv"]
     assert one["actuators.csv"] == other["actuators.csv"]  # commanded, not noisy
 
 
 def test_measurement_frame_differs_from_pose_to_pose(config):
-    survey = simulate_survey(load_twin(config), np.random.default_rng(3))
+    survey = survey_twin(load_twin(config), np.random.default_rng(3))[0]
     first = survey.base.measured[:, 0]
     assert np.ptp(first, axis=0).min() > 500
 
@@ -218,7 +218,7 @@ def test_offset_of_kappa_leaves_the_ring_alone(config):
     studies.edit(config, "target_um = 3.0", "target_um = 1e-3")
     studies.edit(config, "actuator_um = 1.0", "actuator_um = 0.0")
     for theta in (twin.theta, without):
-        survey = simulate_survey(load_twin(config), np.random.default_rng(1), theta)
+        survey = survey_twin(load_twin(config), np.random.default_rng(1), theta)[0]
         pads = survey.platform.leg > 0
         fit = extract_poses(survey, 1e-6).platform
         local = np.einsum("pmi,pi->pm", survey.platform.measured[:, pads] - fit.position[:, None], fit.rotation[..., 2])
@@ -347,4 +347,4 @@ def test_table_of_another_machine(config):
 def test_unreachable_pose_is_a_numerical_failure(config):
     studies.edit(config, "unit_mm = 1.3", "unit_mm = 2000.0")
     with pytest.raises(NumericalError, match=r"pose .C\d+.: found displacements"):
-        simulate_survey(load_twin(config), np.random.default_rng(1))
+        survey_twin(load_twin(config), np.random.default_rng(1))[0]

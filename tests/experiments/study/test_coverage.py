@@ -7,7 +7,7 @@ import pytest
 
 from bayescal.data.photogrammetry.poses import extract_poses
 from bayescal.experiments.frame.load import load_experiment
-from bayescal.experiments.simulation.twin import build_twin, simulate_survey
+from bayescal.experiments.simulation.twin import build_twin, survey_twin
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.measurement import TargetMeasurement
 from bayescal.inference.ensemble import run_ensemble
@@ -37,7 +37,7 @@ def draw_truth(twin, config, variant, rng):
 
 def infer(twin, config, theta, seed):
     """Return z-scores and posterior ranks of the true geometry, K estimated from the targets of the same survey."""
-    survey = simulate_survey(twin, np.random.default_rng(seed), theta)
+    survey = survey_twin(twin, np.random.default_rng(seed), theta)[0]
     noise = 1e-3 * config.measured.target_noise_um
     inputs = StudyInputs(
         config, TELESCOPE, twin.mechanism, TargetMeasurement(survey, extract_poses(survey, noise), "robust")

@@ -17,7 +17,7 @@ from bayescal.data.photogrammetry.poses import PoseExtraction, extract_poses
 from bayescal.data.photogrammetry.survey import Survey
 from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.shared.study_schema import StudyConfig
-from bayescal.experiments.simulation.twin import Twin, build_twin, simulate_survey
+from bayescal.experiments.simulation.twin import Twin, build_twin, survey_twin
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.measurement import TargetMeasurement
 from bayescal.inference.ensemble import run_ensemble
@@ -137,7 +137,7 @@ def test_intervals_and_predictions_of_many_twins_come_true(twin, configs):
     outcomes: dict[str, list[Outcome]] = {name: [] for name in configs}
     for seed in range(N_SURVEYS):
         theta = draw_truth(twin, configs["study"], np.random.default_rng([seed, 2]))
-        survey = simulate_survey(twin, np.random.default_rng(seed), theta)
+        survey = survey_twin(twin, np.random.default_rng(seed), theta)[0]
         poses = extract_poses(survey, 1e-3 * configs["study"].data.target_noise_um)
         for name, config in configs.items():
             outcomes[name].append(calibrate(twin, config, survey, poses, theta, seed))

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.experiments.frame.load import load_experiment
-from bayescal.experiments.shared.leg_slips import list_rereads
+from bayescal.experiments.shared.slips import list_rereads
 from bayescal.experiments.study.doubts import find_study_slip
 from bayescal.experiments.study.load import load_inputs
 from bayescal.experiments.study.tables import format_poses

@@ -13,7 +13,7 @@ import studies
 
 from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load_experiment
-from bayescal.experiments.simulation.twin import build_twin, format_survey, simulate_survey
+from bayescal.experiments.simulation.twin import build_twin, format_survey, survey_twin
 from bayescal.experiments.study.doubts import find_study_slip
 from bayescal.experiments.study.load import load_inputs
 
@@ -96,7 +96,7 @@ def test_no_clean_twin_is_suspected(drawn, seed, tmp_path):
     theta = twin.theta.copy()
     lengths = twin.machine.layout.index["l"]
     theta[lengths] = twin.machine.layout.nominal[lengths] + rng.normal(0.0, 2.0, len(lengths))
-    survey = simulate_survey(twin, rng, theta)
+    survey = survey_twin(twin, rng, theta)[0]
     studies.write_texts(tmp_path, {f"data/{n}": text for n, text in format_survey(survey, config.origin.text).items()})
     assert find_study_slip(load(tmp_path)) is None
 

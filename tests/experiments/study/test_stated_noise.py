@@ -16,7 +16,7 @@ from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.frame.run import run_experiment
 from bayescal.experiments.shared.chi_square import ChiSquare
 from bayescal.experiments.shared.soundness import find_misfit, measure_pulls
-from bayescal.experiments.simulation.twin import build_twin, format_survey, simulate_survey
+from bayescal.experiments.simulation.twin import build_twin, format_survey, survey_twin
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.load import load_inputs
 from bayescal.inference.exploration import explore
@@ -36,7 +36,7 @@ def draw_survey(folder: Path, seed: int) -> None:
         text = re.sub(rf"^{symbol} = .*$", f"{symbol} = {[float(x) for x in values]}", text, flags=re.MULTILINE)
     (folder / "simulate.toml").write_text(text)
     config = load_experiment(folder / "simulate.toml")
-    survey = simulate_survey(build_twin(config, folder), np.random.default_rng(seed))
+    survey = survey_twin(build_twin(config, folder), np.random.default_rng(seed))[0]
     for name, table in format_survey(survey, config.origin.text).items():
         (folder / "data" / name).write_text(table)
 

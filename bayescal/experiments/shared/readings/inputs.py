@@ -17,8 +17,8 @@ from bayescal.density.elimination import project_out
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import Prior
 from bayescal.errors import InputError, name_faults
+from bayescal.experiments.shared.measured_slips import Suspicion, check_reach
 from bayescal.experiments.shared.outlook import tell_outlook
-from bayescal.experiments.shared.reading_slips import Suspicion, check_reach
 from bayescal.experiments.shared.readings.beside import Beside, read_beside
 from bayescal.experiments.shared.readings.errors import build_terms
 from bayescal.experiments.shared.readings.instruments import list_seen_files, read_instruments, read_model

@@ -1,49 +1,63 @@
-"""Readings that no machine within its priors comes near, or that the nominal one cannot have: what may have happened.
+"""Data that no machine within its priors comes near, or that the nominal one cannot have: what may have happened.
 
 Both are looked for to first order about the nominal machine, poses found from the readings anew for each case: where
-readings have slipped, their poses have, too, and a machine may have no reading there at all.
+readings have slipped, their poses have, too, and a machine may have no reading there at all. Measured poses of a
+machine on legs are weighed by what its legs err by there.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
+from bayescal.calibrated.machine import CalibratedMachine
+from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.density.calibration.likelihood import CalibrationLikelihood, CalibrationPosterior
 from bayescal.density.calibration.poses import search_poses
 from bayescal.density.elimination import find_step, project_out
-from bayescal.errors import InputError, NumericalError
-from bayescal.experiments.shared.leg_slips import audit_legs, find_slip_of_legs
-from bayescal.experiments.shared.measured import MeasuredReadings
+from bayescal.density.likelihood import Likelihood
+from bayescal.density.pose_likelihood import PoseLikelihood
+from bayescal.errors import BayescalError, InputError, NumericalError
+from bayescal.experiments.shared.measured import MeasuredReadings, MeasuredVariant
 from bayescal.experiments.shared.slips import (
     BETTER,
     CHANNEL,
     CLEARLY,
+    NOTHING,
     OUTLYING,
+    REREAD,
     TURN,
     Columns,
     FoundSlip,
+    LegData,
     Slip,
     Weight,
     find_slip,
     fit_rows,
+    list_leg_slips,
+    list_pose_units,
     list_reading_slips,
     list_unnoticed,
     weigh_rows,
 )
+from bayescal.machines.kinematics import Machine
 from bayescal.numerics.geometry import Array
 from bayescal.report.numbers import format_significant, join_words
 
 MOST_ROWS = 30  # of which slips are tried
 STARTS, SPREAD = 9, 0.6  # poses of the workspace from which others are looked for, in its half widths
 FOLLOWED = 60  # steps
-ALIKE = 10.0  # a shift of readings in units of its scatter, from which on it is one for all
+SHIFTED = 10.0  # a shift of readings in units of its scatter, from which on it is one for all
 NAMED = 4  # channels in a message
 COMMON = 5.0  # misfit of a row without one of its channels, in units of the others' median, up to which it is explained
 LOOK = "look at units, signs, zeros, order of channels and of rows"
+ERRORS = np.geomspace(1e-4, 1e2, 25)  # mm, of every leg
+
+type LikelihoodOf = Callable[[LegData, np.ndarray], Likelihood]
+"""Returns the density of data that are some of the measured poses, (Q,)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,14 +212,14 @@ class Suspicion:
                 f"channels say {predicted[good].min():.4g} to {predicted[good].max():.4g} {unit}"
             )
         middle = float(np.median(off))
-        if abs(middle) > ALIKE * float(np.median(np.abs(off - middle))):
+        if abs(middle) > SHIFTED * float(np.median(np.abs(off - middle))):
             return (
                 f"readings of {channel.name} seem to have another zero, {middle:+.4g} {unit} off in all rows by what "
                 "the other channels say"
             )
         slope = np.polyfit(predicted[good], measured[good], 1)
         left = measured[good] - np.polyval(slope, predicted[good])
-        if np.ptp(off) > ALIKE * np.median(np.abs(left)) and abs(slope[0]) > 0.01:
+        if np.ptp(off) > SHIFTED * np.median(np.abs(left)) and abs(slope[0]) > 0.01:
             return f"readings of {channel.name} seem to be {slope[0]:.4g} times what the other channels say"
         return f"readings of {channel.name} do not fit those of the other channels, which fit each other"
 
@@ -231,7 +245,8 @@ def find_measured_slip(variants: Sequence[MeasuredReadings], denied: Collection[
     """
     legs = [one.legs for one in variants if one.legs is not None]
     if legs:
-        return find_slip_of_legs(legs, denied)
+        start, stated = legs[0].machine.mechanism.initial_actuator_positions, max(map(state_error, legs))
+        return find_leg_slip((suspect_poses(one, stated) for one in legs), start, denied)
     return find_calibration_slip((Suspicion(one.posterior, one.low, one.high) for one in variants), denied)
 
 
@@ -241,8 +256,11 @@ def audit_slips(measured: MeasuredReadings) -> tuple[FoundSlip | None, tuple[int
     Of these, how many there are and which would pass unnoticed.
     """
     if measured.legs is not None:
-        weigh, slips, limit, found = audit_legs(measured.legs)
-        return found, (0, []) if found is not None else list_unnoticed(weigh, slips, limit)
+        suspect = suspect_poses(measured.legs, state_error(measured.legs), whole=True)
+        start = measured.legs.machine.mechanism.initial_actuator_positions
+        slips = [*list_leg_slips(suspect.data, start), *list_pose_units(suspect.data)]
+        found = find_slip(suspect.weigh, suspect.data, [replace(one, least=0.0, tried_from=0.0) for one in slips], 0.0)
+        return found, (0, []) if found is not None else list_unnoticed(suspect.weigh, slips, REREAD)
     suspicion = Suspicion(measured.posterior, measured.low, measured.high)
     found = suspicion.find()
     return found, (0, []) if found is not None else list_unnoticed(suspicion.weigh, suspicion.list_slips(), BETTER)
@@ -368,3 +386,133 @@ def _blame(suspicion: Suspicion, row: int) -> str:
         if found[row] <= COMMON * max(float(np.median(others)), 1.0):
             off.append((float(found[row]), suspicion.likelihood.model.channels[k].name))
     return min(off)[1] if off else ""
+
+
+# --- machines on legs --------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Suspect:
+    """Data under one machine on legs, in which slips are looked for.
+
+    They are weighed with an error of the legs as large as suits each case best.
+
+    Attributes
+    ----------
+    likelihood_of : LikelihoodOf
+    start : ndarray, shape (D,)
+        The machine.
+    free, scale : ndarrays, shape (n,)
+        Which of its parameters are free, and their tolerances.
+    data : LegData
+    stated : float
+        Error of a leg that noise and model error let expect, mm.
+    """
+
+    likelihood_of: LikelihoodOf
+    start: Array
+    free: np.ndarray
+    scale: Array
+    data: LegData
+    stated: float
+
+    def weigh(self, data: LegData, chosen: np.ndarray | None) -> Weight:
+        """Return how well data fit under the priors to first order; some of the measured poses where these are given.
+
+        The covariance is C + S Sᵀ, S the slope by the parameters in tolerances, by the determinant lemma.
+        """
+        some = np.arange(len(data.actuators)) if chosen is None else chosen
+        picked = data if len(data.actuators) == len(some) else data.pick(some)
+        try:
+            with np.errstate(all="ignore"):
+                likelihood = self.likelihood_of(picked, some)
+                errors, slope = likelihood.error_jacobian(self.start)
+                slope = slope[..., self.free] * self.scale
+                if not (np.isfinite(errors).all() and np.isfinite(slope).all()):
+                    return NOTHING
+                n = likelihood.n_model_errors
+                densities = [
+                    _log_density(errors, slope, likelihood.error_covariance(np.full(n, size))) for size in ERRORS
+                ]
+        except (BayescalError, np.linalg.LinAlgError):
+            return NOTHING
+        best = int(np.argmax(densities))
+        return Weight(densities[best], float(ERRORS[best]) / self.stated)
+
+
+def _log_density(errors: Array, slope: Array, covariance: Array) -> float:
+    factor = np.linalg.cholesky(covariance)
+    white = np.linalg.solve(factor, errors[..., None])[..., 0]
+    rows = np.linalg.solve(factor, slope)
+    log_det = 2.0 * float(np.log(np.diagonal(factor, axis1=1, axis2=2)).sum())
+    along = np.einsum("pik,pi->k", rows, white)
+    inner = np.eye(slope.shape[-1]) + np.einsum("pik,pil->kl", rows, rows)
+    _, more = np.linalg.slogdet(inner)
+    square = float(np.sum(white**2) - along @ np.linalg.solve(inner, along))
+    return -0.5 * (square + log_det + float(more))
+
+
+def find_leg_slip(suspects: Iterable[Suspect], start: Array, denied: Collection[str] = ()) -> FoundSlip | None:
+    """Return the slip that explains the data best; None where some machine fits, or none helps.
+
+    Parameters
+    ----------
+    suspects : iterable of Suspect
+        The same data under machines one of which may be right.
+    start : ndarray, shape (N,)
+        Initial positions, mm.
+    denied : collection of str, optional
+        Faults that are none, as somebody says who looked.
+    """
+    weighed: list[tuple[Weight, Suspect]] = []
+    for one in suspects:
+        weighed.append((one.weigh(one.data, None), one))
+        if weighed[-1][0].misfit < REREAD:
+            return None
+    _, best = max(weighed, key=lambda pair: pair[0].log_density)
+    return find_slip(best.weigh, best.data, list_leg_slips(best.data, start), REREAD, denied)
+
+
+def suspect_poses(measured: MeasuredVariant, stated: float, whole: bool = False) -> Suspect:
+    """Return measured poses in which slips are looked for; of the poses' own form, too, where these are ``whole``."""
+    likelihood_of = weigh_poses(measured.machine, measured.poses, measured.actuator_noise)
+    data = LegData(measured.poses.actuators, measured.poses if whole else None)
+    known = measured.posterior.sampling.coordinates
+    return Suspect(likelihood_of, known.start, known.free, known.scale, data, stated)
+
+
+def weigh_poses(machine: Machine, poses: MeasuredPoses, noise: float) -> LikelihoodOf:
+    """Return what makes the density of data that are some of the poses, read otherwise where the data say so."""
+
+    def likelihood_of(data: LegData, chosen: np.ndarray) -> Likelihood:
+        moved = poses.select(chosen) if data.poses is None else data.poses
+        return PoseLikelihood(machine, replace(moved, actuators=data.actuators), noise)
+
+    return likelihood_of
+
+
+def find_recheck_slip(calibrated: CalibratedMachine, poses: MeasuredPoses) -> FoundSlip | None:
+    """Return what explains poses measured after a calibration many times better than they are; None without any.
+
+    Parameters
+    ----------
+    calibrated : CalibratedMachine
+        With its posterior's covariance.
+    poses : MeasuredPoses
+        Whole, in the base frame.
+    """
+    sd, start = calibrated.sd, calibrated.legs.mechanism.initial_actuator_positions
+    free = np.flatnonzero(sd > 0.0)
+    of_legs = (np.diagonal(calibrated.errors.noise) + calibrated.errors.model_variance).mean()
+    weigh, stated = weigh_poses(calibrated.legs, poses, 0.0), float(np.sqrt(of_legs + _position_variance(poses)))
+    return find_leg_slip([Suspect(weigh, calibrated.theta, free, sd[free], LegData(poses.actuators), stated)], start)
+
+
+def state_error(measured: MeasuredVariant) -> float:
+    """Return what a leg may err by as stated: model error, actuators, the measured position, mm."""
+    scale = measured.posterior.errors.model_error.scale or 0.0
+    return float(np.sqrt(_position_variance(measured.poses) + scale**2 + measured.actuator_noise**2))
+
+
+def _position_variance(poses: MeasuredPoses) -> float:
+    return float(np.diagonal(poses.covariance, axis1=1, axis2=2)[:, :3].mean())
