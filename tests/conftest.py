@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 import telescope_machines as machines
 from matplotlib import rc_context, rcdefaults, rcParams
+from studies import snapshot
 
 from bayescal import cli
 from bayescal.errors import InputError
@@ -47,6 +50,20 @@ def call(monkeypatch, capsys):
         return int(exit_info.value.code or 0), *capsys.readouterr()
 
     return call_main
+
+
+@pytest.fixture
+def refuse(call):
+    """Return a function that checks that a call is refused in one line that matches, and that nothing is written."""
+
+    def check(said: str, out: Path, *arguments: object) -> None:
+        before = snapshot(out.parent)
+        code, printed, complaint = call(*arguments, "--out", out)
+        assert (code, printed, complaint.count("\n")) == (2, "", 1), complaint
+        assert re.search(said, complaint), complaint
+        assert snapshot(out.parent) == before
+
+    return check
 
 
 @pytest.fixture(autouse=True, scope="session")

@@ -250,10 +250,7 @@ def format_draws(calibrated: CalibratedMachine, names: Sequence[str], tools: Arr
     rows: list[tuple[object, ...]] = []
     for draw, some in enumerate(tools, start=1):
         rows += [(name, draw, *_format_values(row, channels)) for name, row in zip(names, some, strict=True)]
-    comments = [
-        *calibrated.source.describe(),
-        "Poses by draws of the posterior; rotation vectors in degrees.",
-    ]
+    comments = [*calibrated.source.describe(), "Poses by draws of the posterior; rotation vectors in degrees."]
     return format_table(comments, ["pose", "draw", *(prefix + name_column(one) for one in channels)], rows)
 
 

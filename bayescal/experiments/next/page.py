@@ -13,18 +13,7 @@ from matplotlib.axes import Axes
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.shared.headline import say_probability, write_headline
 from bayescal.experiments.shared.slips import state_slip
-from bayescal.report.blocks import (
-    Cell,
-    Column,
-    Definitions,
-    Figure,
-    Level,
-    Page,
-    Section,
-    Statement,
-    Table,
-    make_table,
-)
+from bayescal.report.blocks import Cell, Column, Definitions, Figure, Level, Page, Section, Statement, Table, make_table
 from bayescal.report.numbers import format_fixed, format_percent, format_significant
 from bayescal.report.style import GREY, INK, LEG_COLOURS, MARKERS, RED
 

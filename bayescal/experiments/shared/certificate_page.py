@@ -14,17 +14,7 @@ from bayescal.experiments.shared.certify import AGREED, BOUND, Certificate
 from bayescal.experiments.shared.headline import say_accuracy, write_headline
 from bayescal.machines.readings import Legs
 from bayescal.numerics.geometry import Array
-from bayescal.report.blocks import (
-    Cell,
-    Column,
-    Definitions,
-    Figure,
-    Page,
-    Section,
-    Statement,
-    Table,
-    make_table,
-)
+from bayescal.report.blocks import Cell, Column, Definitions, Figure, Page, Section, Statement, Table, make_table
 from bayescal.report.numbers import format_percent, format_significant
 from bayescal.report.style import LEG_COLOURS
 

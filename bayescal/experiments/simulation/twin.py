@@ -25,12 +25,7 @@ from bayescal.data.instruments.read_points import (
 )
 from bayescal.data.instruments.read_poses import VALUES
 from bayescal.data.photogrammetry.survey import BODIES, REFERENCE_COLUMNS, TARGET_COLUMNS, BodyTargets, Survey
-from bayescal.data.truth import (
-    PARAMETERS_FILE,
-    POSES_FILE,
-    format_true_parameters,
-    format_true_poses,
-)
+from bayescal.data.truth import PARAMETERS_FILE, POSES_FILE, format_true_parameters, format_true_poses
 from bayescal.errors import InputError, NumericalError
 from bayescal.experiments.simulation.readings import read_model, read_truth
 from bayescal.experiments.simulation.schema import (

@@ -30,7 +30,7 @@ def find_answers(config: SweepConfig, members: pd.DataFrame) -> list[dict[str, A
     """
     found = []
     for figure in config.figures:
-        if (figure.at_most is None and figure.at_least is None) or members[figure.key].dtype.kind != "f":
+        if figure.limit is None or members[figure.key].dtype.kind != "f":
             continue
         for axis in config.axes:
             if not is_scale(axis, members[axis.name]):
@@ -47,12 +47,10 @@ def group_others(config: SweepConfig, members: pd.DataFrame, axis: AxisConfig) -
     if not others or config.combine == "list":
         yield "", members
         return
+    names = [one.label or one.name.rpartition(".")[2].replace("_", " ") for one in others]
     for values, rows in members.groupby([one.name for one in others], sort=False):
-        yield ", ".join(f"{_name(one)} {_show(value, one)}" for one, value in zip(others, values, strict=True)), rows
-
-
-def _name(axis: AxisConfig) -> str:
-    return axis.label or axis.name.rpartition(".")[2].replace("_", " ")
+        said = [f"{name} {_show(x, one)}" for name, x, one in zip(names, values, others, strict=True)]
+        yield ", ".join(said), rows
 
 
 def _show(value: Any, axis: AxisConfig) -> str:
@@ -66,7 +64,7 @@ def _find_one(axis: AxisConfig, figure: FigureConfig, rows: pd.DataFrame) -> dic
     repeats = known.groupby(axis.name)[figure.key]
     worst = repeats.max() if figure.at_most is not None else repeats.min()
     x, y = worst.index.to_numpy(), worst.to_numpy()
-    limit = figure.at_most if figure.at_most is not None else figure.at_least
+    limit = figure.limit
     assert limit is not None
     good = y <= limit if figure.at_most is not None else y >= limit
     changes = np.flatnonzero(good[1:] != good[:-1])

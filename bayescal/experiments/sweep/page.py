@@ -31,7 +31,6 @@ from bayescal.report.blocks import (
 from bayescal.report.numbers import NOTHING, format_count, format_plain, format_power, join_words
 from bayescal.report.style import INK, LEG_COLOURS, MARKERS, RED
 
-KIND = "Sweep"
 MOST_PICTURES = 24
 MOST_ROWS = 500
 MOST_SAID = 8
@@ -46,16 +45,17 @@ def build_page(config: SweepConfig, results: Results) -> Page:
     axes, figures = {axis.name: axis for axis in config.axes}, {figure.key: figure for figure in config.figures}
     pairs = answers.groupby(["figure", "axis"], sort=False)
     said = [_say(rows.to_dict("records"), axes, figures) for _, rows in pairs]
-    verdict = (*said[:MOST_SAID], *_count(summary), *_miss(config, summary))
+    verdict = (*said[:MOST_SAID], *_state_members(config, summary))
     sections = (
         *_answer_section(said, answers, axes, figures),
         make_section("Figures against what was swept", (), (), tuple(_list_pictures(config, members))),
         *_failed_section(config, members),
         _member_section(config, members),
     )
+    facts = (("Experiment", summary["experiment"]), *((name_axis(axis), _span(axis)) for axis in config.axes))
     origin = f"Members are as {summary['experiment']} makes them, but for the keys that vary."
     headline = f"{said[0].lead} {said[0].text}" if said else _capital(_state_span(config.figures[0], summary))
-    return Page(KIND, config.name, config.title, origin, headline, verdict, sections, _list_facts(config, summary))
+    return Page("Sweep", config.name, config.title, origin, headline, verdict, sections, facts)
 
 
 # --- in words ----------------------------------------------------------------------------------------------------
@@ -69,12 +69,9 @@ def _say(rows: list[dict[Hashable, Any]], axes: dict[str, AxisConfig], figures: 
         places.setdefault(_place(row, axis), []).append(row["where"])
     words = [place + (f" with {join_words(where, 'or')}" if any(where) else "") for place, where in places.items()]
     text = f"{_limit(figure)} is kept {'; '.join(words)}."
-    return Statement(text, _judge({row["holds"] for row in rows}), _capital(figure.label or figure.key))
-
-
-def _judge(holds: set[str]) -> Level:
-    """Return bad news only where nothing that was swept will do."""
-    return "bad" if holds == {NEVER} else "warning" if MIXED in holds else "good"
+    holds = {row["holds"] for row in rows}
+    level: Level = "bad" if holds == {NEVER} else "warning" if MIXED in holds else "good"
+    return Statement(text, level, _capital(figure.title))
 
 
 def _capital(text: str) -> str:
@@ -82,12 +79,11 @@ def _capital(text: str) -> str:
 
 
 def _limit(figure: FigureConfig) -> str:
-    word, limit = ("at most", figure.at_most) if figure.at_most is not None else ("at least", figure.at_least)
-    return f"{word} {format_plain(limit or 0.0)} {figure.unit}".rstrip()
+    return f"{figure.side} {format_plain(figure.limit or 0.0)} {figure.unit}".rstrip()
 
 
 def _place(row: Mapping[Any, Any], axis: AxisConfig) -> str:
-    name = axis.label or axis.name
+    name = axis.title
     if row["holds"] in (ALWAYS, NEVER):
         return f"{row['holds']} along {name}"
     if row["holds"] == MIXED:
@@ -99,33 +95,25 @@ def _place(row: Mapping[Any, Any], axis: AxisConfig) -> str:
 def _state_span(figure: FigureConfig, summary: dict[str, Any]) -> str:
     found = summary["figures"][figure.key]
     if "least" not in found:
-        return f"{format_count(summary['n_members'])} members; {figure.label or figure.key} is a number in none."
+        return f"{format_count(summary['n_members'])} members; {figure.title} is a number in none."
     return (
-        f"Over {format_count(summary['n_members'])} members {figure.label or figure.key} runs from "
+        f"Over {format_count(summary['n_members'])} members {figure.title} runs from "
         f"{format_power(found['least'], 3)} to {format_power(found['most'], 3)} {figure.unit}".rstrip()
         + "."
     )
 
 
-def _count(summary: dict[str, Any]) -> Iterator[Statement]:
+def _state_members(config: SweepConfig, summary: dict[str, Any]) -> Iterator[Statement]:
+    """Yield what became of the members, and figures that no summary has."""
     n, failed, unsure = summary["n_members"], summary["n_failed"], summary["n_not_converged"]
     text = f"{format_count(n)} members, {format_count(summary['n_distinct'])} of them different"
     text += f"; {format_count(failed)} failed" if failed else "; none failed"
     text += f", {format_count(unsure)} did not converge" if unsure else ""
     level: Level = "bad" if failed == n else "warning" if failed or unsure else "plain"
     yield Statement(f"{text}.", level, "Members")
-
-
-def _miss(config: SweepConfig, summary: dict[str, Any]) -> Iterator[Statement]:
-    """Yield figures that no summary has."""
     for figure in config.figures:
         if summary["figures"][figure.key]["n_known"] == 0 and summary["n_failed"] < summary["n_members"]:
             yield Statement(f"No member's summary has a number at {figure.key}.", "warning", "Missing")
-
-
-def _list_facts(config: SweepConfig, summary: dict[str, Any]) -> tuple[tuple[str, str], ...]:
-    axes = tuple((name_axis(axis), _span(axis)) for axis in config.axes)
-    return (("Experiment", summary["experiment"]), *axes)
 
 
 def _span(axis: AxisConfig) -> str:
@@ -147,7 +135,7 @@ def _answer_section(
     columns += [Column(title) for title in ("Bound", "Still", "No more")]
     rows = [
         [
-            f"{figures[row['figure']].label or row['figure']} {_limit(figures[row['figure']])}",
+            f"{figures[row['figure']].title} {_limit(figures[row['figure']])}",
             name_axis(axes[row["axis"]]),
             row["where"] or NOTHING,
             Cell(row["holds"], LEVELS[row["holds"]]),
@@ -217,12 +205,12 @@ def _number(value: float, digits: int) -> str:
 def name_axis(axis: AxisConfig) -> str:
     """Return an axis with its unit, factors said to be such."""
     unit = axis.unit if axis.factors is None else "times"
-    return f"{axis.label or axis.name}{f' ({unit})' if unit else ''}"
+    return f"{axis.title}{f' ({unit})' if unit else ''}"
 
 
 def name_figure(figure: FigureConfig) -> str:
     """Return a figure with its unit."""
-    return f"{figure.label or figure.key}{f' ({figure.unit})' if figure.unit else ''}"
+    return f"{figure.title}{f' ({figure.unit})' if figure.unit else ''}"
 
 
 def draw_against(config: SweepConfig, members: pd.DataFrame, figure: FigureConfig, axis: AxisConfig) -> mpl.Figure:
@@ -235,7 +223,9 @@ def draw_against(config: SweepConfig, members: pd.DataFrame, figure: FigureConfi
         _draw_lines(axes, lines, axis.name, figure.key)
     else:
         _draw_spread(axes, known, axis.name, figure.key)
-    _draw_limit(axes, figure)
+    if figure.limit is not None:
+        label = f"{figure.side} {format_plain(figure.limit)}"
+        axes.axhline(figure.limit, color=RED, linewidth=1.0, linestyle="--", label=label)
     _scale(axes, known, figure, axis)
     axes.set_xlabel(name_axis(axis))
     axes.set_ylabel(name_figure(figure))
@@ -262,13 +252,6 @@ def _draw_spread(axes: Axes, known: pd.DataFrame, x: str, y: str) -> None:
     middle, least, most = groups.median(), groups.min(), groups.max()
     axes.fill_between(middle.index, least, most, color=LEG_COLOURS[1], alpha=0.3, linewidth=0.0, label="least to most")
     axes.plot(middle.index, middle, "-o", color=LEG_COLOURS[4], linewidth=1.4, markersize=4.5, label="median")
-
-
-def _draw_limit(axes: Axes, figure: FigureConfig) -> None:
-    limit = figure.at_most if figure.at_most is not None else figure.at_least
-    if limit is not None:
-        word = "at most" if figure.at_most is not None else "at least"
-        axes.axhline(limit, color=RED, linewidth=1.0, linestyle="--", label=f"{word} {format_plain(limit)}")
 
 
 def _say_minor(value: float, _: object) -> str:

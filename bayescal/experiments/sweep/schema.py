@@ -62,6 +62,11 @@ class AxisConfig(Section):
         return self.keys[0]
 
     @property
+    def title(self) -> str:
+        """What the page calls it."""
+        return self.label or self.name
+
+    @property
     def settings(self) -> list[Any]:
         """What the axis takes, factors where it has these."""
         if self.between is not None and self.count is not None:
@@ -91,6 +96,21 @@ class FigureConfig(Section):
         if self.at_most is not None and self.at_least is not None:
             raise ValueError("found at_most and at_least, expected one of them")
         return self
+
+    @property
+    def title(self) -> str:
+        """What the page calls it."""
+        return self.label or self.key
+
+    @property
+    def limit(self) -> float | None:
+        """What is required of it, from either side."""
+        return self.at_least if self.at_most is None else self.at_most
+
+    @property
+    def side(self) -> str:
+        """From which side."""
+        return "at least" if self.at_most is None else "at most"
 
 
 class SweepConfig(ExperimentConfig):

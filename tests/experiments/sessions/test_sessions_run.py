@@ -1,4 +1,4 @@
-"""Sessions as a user runs them: what moved is found, the temperature is told apart, and what is at fault is refused."""
+"""Sessions as a user runs them: what moved is found, expansion is told apart, and what is at fault is refused."""
 
 from __future__ import annotations
 
@@ -7,86 +7,117 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
+import reading_sessions
 import session_studies
 import studies
 
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.run import run_experiment
-from bayescal.report.pictures import Picture
+from bayescal.experiments.sessions import inputs
+from bayescal.experiments.shared.slips import FoundSlip
 
 pytestmark = pytest.mark.runs
+
+MADE = {"legs": session_studies, "channels": reading_sessions}
+MOVED = {
+    "legs": ("legs", "leg", session_studies.LEG, ("S1", "S3"), 40.0, 5.0),
+    "channels": ("shifts", "parameter", f"s0[{reading_sessions.COLUMN}]", ("M1", "M3"), 80.0, 10.0),
+}
+"""By what is measured: table and column of what moved, what it is, since when, four sd at most [µm], log-evidence."""
 
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
-    return session_studies.write_sessions(tmp_path_factory.mktemp("sessions"))
+    return {name: one.write_sessions(tmp_path_factory.mktemp(name)) for name, one in MADE.items()}
 
 
-@pytest.fixture(scope="module")
-def finished(written):
-    with pytest.MonkeyPatch.context() as patched:
-        patched.setattr("bayescal.report.page.render_picture", lambda draw, stacked=True: Picture(b"not drawn"))
-        return run_experiment(load(written)[1], written.parent, written.parent / "out")
+@pytest.fixture(scope="module", params=MADE)
+def finished(request, written):
+    path = written[request.param]
+    return request.param, run_experiment(load(path)[1], path.parent, path.parent / "out")
 
 
-def test_the_leg_that_moved_is_found(finished):
-    legs = finished.results.table("legs")
-    whole = legs[(legs["since"] == "S1") & (legs["session"] == "S3")].set_index("leg")
-    moved, sd = whole.loc[session_studies.LEG, ["mean", "sd"]]
-    truth = session_studies.MOVED_UM[2]
-    assert abs(moved - truth) < 4.0 * sd < 40.0
-    others = whole.drop(session_studies.LEG)
+def test_what_moved_is_found(finished):
+    name, found = finished
+    table, column, place, (since, until), widest, least = MOVED[name]
+    shifts = found.results.table(table)
+    whole = shifts[(shifts["since"] == since) & (shifts["session"] == until)].set_index(column)
+    moved, sd = whole.loc[place, ["mean", "sd"]]
+    assert abs(moved - MADE[name].MOVED_UM[2]) < 4.0 * sd < widest
+    others = whole.drop(place)
     assert (np.abs(others["mean"]) < 4.0 * others["sd"]).all()
-    assert finished.summary["log_evidence_drift"] > 5.0
-    assert "moved, odds of" in finished.summary["headline"]
+    assert found.summary["log_evidence_drift"] > least
+    assert "moved, odds of" in found.summary["headline"]
 
 
 def test_expansion_is_told_apart_from_drift(finished):
-    one = finished.results.table("expansion").iloc[0]
-    assert abs(one["mean"] - session_studies.PPM) < 4.0 * one["sd"]
-    assert one["sd"] < 0.9 * one["prior_sd"]
+    name, found = finished
+    one = found.results.table("expansion").iloc[0]
+    assert one["body"] == {"legs": "struts", "channels": "rods"}[name]
+    assert abs(one["mean"] - MADE[name].PPM) < 4.0 * one["sd"]
+    assert one["sd"] < {"legs": 0.9, "channels": 0.5}[name] * one["prior_sd"]
 
 
 def test_every_number_of_the_page_has_its_status(finished):
-    models = finished.results.table("models")
-    assert list(models["model"]) == ["drift", "no drift"]  # one scale: nothing to hold still by itself
+    name, found = finished
+    models = found.results.table("models")
     assert (models["exact_efficiency"] > 0.9).all()
-    assert all(finished.summary["sound"].values())
-    assert len(finished.results.table("parameters")) == 3 * 6
-    page = (finished.results.folder / "report.html").read_text()
+    page = (found.results.folder / "report.html").read_text()
+    assert f"Motion of the {name}" in page
     assert "Expansion" in page
-    assert "Motion of the legs" in page
+    if name == "channels":
+        assert "Channel s[2] is off most between M1 and M3" in page
+        return
+    assert list(models["model"]) == ["drift", "no drift"]  # one scale: nothing to hold still by itself
+    assert all(found.summary["sound"].values())
+    assert len(found.results.table("parameters")) == 3 * 6
 
 
-def edit(old: str, new: str) -> Callable[[Path], None]:
-    return lambda path: studies.edit(path, old, new)
+def test_channels_move_as_their_zeros_do(finished):
+    """A carriage reads less at the same pose by as much as its zero moves up."""
+    name, found = finished
+    if name == "legs":
+        pytest.skip("legs move as a whole")
+    shifts, channels = found.results.table("shifts"), found.results.table("channels")
+    assert list(channels["channel"].unique()) == ["s[1]", "s[2]", "s[3]"]
+    assert set(channels["unit"]) == {"µm"}
+    np.testing.assert_allclose(channels["mean"], -shifts["mean"], atol=1e-6)
 
 
-def leave_out_a_column(path: Path) -> None:
-    (path.parent / "warm.csv").write_text("pose,kelvin\nC01,3.0\n")
-    studies.edit(path, "temperature_celsius = 20.0", 'temperatures = "warm.csv"')
+def edit(old: str, new: str, file: str = "") -> Callable[[Path], None]:
+    return lambda path: studies.edit(path.parent / file if file else path, old, new)
 
 
-def leave_out_a_pose(path: Path) -> None:
-    (path.parent / "warm.csv").write_text("pose,temperature_celsius\nC01,3.0\n")
-    studies.edit(path, "temperature_celsius = 20.0", 'temperatures = "warm.csv"')
+def warm(text: str) -> Callable[[Path], None]:
+    def change(path: Path) -> None:
+        (path.parent / "warm.csv").write_text(text)
+        studies.edit(path, "temperature_celsius = 20.0", 'temperatures = "warm.csv"')
+
+    return change
 
 
-def repeat(path: Path) -> None:
-    path.write_text(path.read_text().replace("data/2/", "data/1/"))
+def exchange(path: Path) -> None:
+    table = pd.read_csv(path.parent / "month_2.csv")
+    table[["s_1_mm", "s_2_mm"]] = table[["s_2_mm", "s_1_mm"]].to_numpy()
+    table.to_csv(path.parent / "month_2.csv", index=False)
 
 
-FAULTS = {
+FUNCTION = '[errors.motors]\nchannels = ["s"]\nkernel = "quadratic"\nscale_um = 20.0\nper = "channel"\n\n[sampler]'
+FAULTS_OF_LEGS = {
     "missing": (edit("data/2/targets.csv", "data/7/targets.csv"), r"data/7/targets\.csv: no such file"),
     "no temperature": (edit("temperature_celsius = 20.0", ""), "session 'S2': found no temperature"),
-    "no column": (leave_out_a_column, "found column 'kelvin'.* expected pose, temperature_celsius"),
-    "no pose": (leave_out_a_pose, "found no row of pose 'C02'"),
+    "no column": (warm("pose,kelvin\nC01,3.0\n"), "found column 'kelvin'.* expected pose, temperature_celsius"),
+    "no pose": (warm("pose,temperature_celsius\nC01,3.0\n"), "found no row of pose 'C02'"),
     "other machine": (
         lambda path: session_studies.write_other_machine(path.parent),
         "session 'S2': found leg . off by",
     ),
-    "copied": (repeat, "session 'S2': found the readings of session 'S1' to the last digit"),
+    "copied": (
+        lambda path: path.write_text(path.read_text().replace("data/2/", "data/1/")),
+        "session 'S2': found the readings of session 'S1' to the last digit",
+    ),
     "order": (edit("day = 60.0", "day = 20.0"), "session 'S2': found day 20 after day 30"),
     "no day": (edit("day = 60.0", ""), "session 'S2': found no day"),
     "twice": (edit('label = "S2"', 'label = "S1"'), "found 'S1' twice"),
@@ -94,30 +125,48 @@ FAULTS = {
     "symbol": (edit('symbols = ["l"]', 'symbols = ["a_x"]'), "found 'a_x', expected one of l"),
     "instrument": (edit('targets = "data/2', 'poses = "data/2'), "session 'S2': found no targets"),
     "uniform": (
-        lambda path: studies.edit(
-            path.parent / "study.toml", '{ prior = "normal", sd = 2.0 }', '{ prior = "uniform", half_width = 2.0 }'
-        ),
+        edit('{ prior = "normal", sd = 2.0 }', '{ prior = "uniform", half_width = 2.0 }', "study.toml"),
         "found a uniform prior of l",
     ),
 }
+FAULTS_OF_CHANNELS = {
+    "missing": (edit("month_2.csv", "month_7.csv"), r"month_7\.csv: no such file"),
+    "no readings": (edit('readings = ["month_2.csv"]\n', ""), "session 'M2': found 0 files of readings, expected 1"),
+    "of legs": (edit('readings = ["month_2.csv"]', 'poses = "month_2.csv"'), "found poses, expected readings, as"),
+    "copied": (edit("month_2.csv", "month_1.csv"), "found the readings of session 'M1' to the last digit"),
+    "slipped": (exchange, r"session 'M2': .*readings of s\[1\] and s\[2\] seem to be exchanged"),
+    "symbol": (edit('symbols = ["s0"]', 'symbols = ["q"]'), "drift.symbols: found 'q', expected one of x, y, l, s0"),
+    "angle": (edit('symbols = ["s0"]', 'symbols = ["t_x"]'), "found 't_x' in rad without scale_arcsec"),
+    "body": (edit('symbols = ["l"]', 'symbols = ["t_x"]'), "thermal.rods: found no length 't_x'"),
+    "struts": (edit('bodies.rods = { symbols = ["l"],', "base = {"), "thermal.base: found no length 'a_x'"),
+    "variant": (edit('variant = "one_rod"', 'variant = "rods"'), "variant 'rods': unknown here, expected one of all"),
+    "robust": (
+        edit('common = ["l"]', 'common = ["l"]\nrobust = 4.0', "study.toml"),
+        "found a robust variant, expected another",
+    ),
+    "common": (
+        edit("[sampler]", FUNCTION, "study.toml"),
+        "found errors common to all rows, expected a variant without",
+    ),
+    "uniform": (
+        edit('"normal", sd = 0.5', '"uniform", half_width = 0.5', "study.toml"),
+        r"found a uniform prior of s0\[1\]",
+    ),
+}
+CASES = [("legs", one) for one in FAULTS_OF_LEGS.values()] + [("channels", one) for one in FAULTS_OF_CHANNELS.values()]
 
 
-@pytest.mark.parametrize("fault", FAULTS)
-def test_what_is_at_fault_is_one_line(fault, written, call, tmp_path):
-    path = session_studies.copy_sessions(written, tmp_path / "here")
-    change, expected = FAULTS[fault]
+@pytest.mark.parametrize(("name", "fault"), CASES, ids=[*FAULTS_OF_LEGS, *FAULTS_OF_CHANNELS])
+def test_what_is_at_fault_is_one_line(name, fault, written, refuse, tmp_path):
+    path = session_studies.copy_sessions(written[name], tmp_path / "here")
+    change, expected = fault
     change(path)
-    before = studies.snapshot(path.parent)
-    code, said, complaint = call("run", path, "--out", tmp_path / "new", "--workers", "1")
-    assert (code, said, complaint.count("\n")) == (2, "", 1), complaint
-    assert re.search(expected, complaint), complaint
-    assert studies.snapshot(path.parent) == before
-    assert not (tmp_path / "new").exists()
+    refuse(expected, path.parent / "new", "run", path, "--workers", "1")
 
 
 def test_several_machines_take_no_days(written, tmp_path):
     """Another machine is welcome where several are stated; a pose's own temperature counts as the session's does."""
-    path = session_studies.copy_sessions(written, tmp_path)
+    path = session_studies.copy_sessions(written["legs"], tmp_path)
     session_studies.write_other_machine(tmp_path)
     text = (
         path.read_text()
@@ -135,9 +184,20 @@ def test_several_machines_take_no_days(written, tmp_path):
 
 
 def test_temperatures_that_nothing_is_made_of_are_doubted(written, call, tmp_path):
-    path = session_studies.copy_sessions(written, tmp_path)
+    path = session_studies.copy_sessions(written["legs"], tmp_path)
     text = path.read_text()
     path.write_text(text.replace(session_studies.THERMAL, ""))
     code, said, _ = call("validate", path)
     assert code == 0
     assert "there is no [thermal]" in said
+
+
+def test_a_denied_slip_is_said_and_not_refused(written, tmp_path, monkeypatch):
+    found = FoundSlip("rows", "rows of s seem to be shifted by one", 50.0, 4.0)
+    monkeypatch.setattr(inputs, "find_measured_slip", lambda measured, denied=(): None if "rows" in denied else found)
+    path = session_studies.copy_sessions(written["channels"], tmp_path)
+    for k in (1, 2, 3):
+        studies.edit(path, f'label = "M{k}"', f'label = "M{k}"\ndenied_slips = ["rows"]')
+    kind, config = load(path)
+    denied = kind.read(config, tmp_path).denied
+    assert denied[1] == f"Session 'M2': {found.say()}"
