@@ -149,7 +149,7 @@ FAULTS_OF_CHANNELS = {
         "found errors common to all rows, expected a variant without",
     ),
     "uniform": (
-        edit('"normal", sd = 0.5', '"uniform", half_width = 0.5', "study.toml"),
+        edit('s0 = { prior = "normal", sd', 's0 = { prior = "uniform", half_width', "study.toml"),
         r"found a uniform prior of s0\[1\]",
     ),
 }
