@@ -123,15 +123,12 @@ class LegErrors(Errors):
             slopes = closure(pose[..., :3], rotation, self.machine.basis(commands), False).actuators
         own = slopes * np.eye(slopes.shape[-1])
         passed = divide_closure(slopes, own)
-        displacement = commands - self.machine.mechanism.initial_actuator_positions
-        variance = self.model_variance + self._deflection_variance(displacement)
+        variance = np.broadcast_to(self.model_variance, commands.shape)
+        if self.matrix_covariance is not None:
+            displacement = commands - self.machine.mechanism.initial_actuator_positions
+            others = displacement[..., None, :] * (1.0 - np.eye(displacement.shape[-1]))
+            variance = variance + np.einsum("...ij,ijk,...ik->...i", others, self.matrix_covariance, others)
         return np.asarray(self.noise + (passed * variance[..., None, :]) @ np.swapaxes(passed, -1, -2))
-
-    def _deflection_variance(self, displacement: Array) -> Array:
-        if self.matrix_covariance is None:
-            return np.zeros_like(displacement)
-        others = displacement[..., None, :] * (1.0 - np.eye(displacement.shape[-1]))
-        return np.einsum("...ij,ijk,...ik->...i", others, self.matrix_covariance, others)
 
     def split(self) -> dict[str, Errors]:
         """Return the same by source, the measured matrix among them."""

@@ -61,7 +61,12 @@ def settle_machine(machine: Machine, theta: Array) -> Machine:
         leg_lengths=layout.take(theta, "l"),
         flexures=_settle_flexures(layout, theta, mechanism.flexures),
     )
-    return build_machine(type(machine.model), moved, _settle_deformation(machine, theta))
+    deformation: Deformation = NoDeformation()
+    if KAPPA in layout.index:
+        kappa = layout.take(theta, KAPPA)
+        rest = machine.deformation.matrix if isinstance(machine.deformation, MatrixDeformation) else np.zeros((1, 1))
+        deformation = MatrixDeformation(np.where(np.eye(len(kappa), dtype=bool), np.diag(kappa), rest))
+    return build_machine(type(machine.model), moved, deformation)
 
 
 def _place_actuators(machine: Machine, theta: Array) -> tuple[Array, Array | None]:
@@ -93,14 +98,6 @@ def _settle_section(
     if f"k1_{part}" not in layout.index:
         return section
     return BeamSection(*(float(layout.take(theta, f"{k}_{part}")[0]) for k in ("k1", "k2", "k3")))
-
-
-def _settle_deformation(machine: Machine, theta: Array) -> Deformation:
-    if KAPPA not in machine.layout.index:
-        return NoDeformation()
-    kappa = machine.layout.take(theta, KAPPA)
-    rest = machine.deformation.matrix if isinstance(machine.deformation, MatrixDeformation) else np.zeros((1, 1))
-    return MatrixDeformation(np.where(np.eye(len(kappa), dtype=bool), np.diag(kappa), rest))
 
 
 def express_parameters(machine: Machine, settled: Machine, theta: Array) -> Array:

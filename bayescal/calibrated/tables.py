@@ -189,7 +189,7 @@ def format_command(
     """Return commands as CSV text, with standard deviations, and which poses are out of reach."""
     channels = calibrated.command_channels
     sd = np.full(command.commands.shape, np.nan) if command.sd is None else command.sd * _fine(channels)
-    known = [[repr(float(x)) for x in row] for row in zip(*given.values(), strict=True)] or [[]] * len(names)
+    known = _list_given(given, len(names))
     rows = [
         (name, _quote(fault) or "yes", *own, *_format_cells(value, ".9f", fault), *_format_cells(spread, ".6g", fault))
         for name, fault, own, value, spread in zip(names, command.faults, known, command.commands, sd, strict=True)
@@ -215,7 +215,7 @@ def format_prediction(
     prefix = "" if whole else TOOL
     columns = ["pose", *given, *(prefix + name_column(one) for one in tool), *(() if whole else map(name_column, pose))]
     values = np.concatenate([prediction.tool, prediction.pose], axis=1)[:, : len(columns) - 1 - len(given)]
-    known = [[repr(float(x)) for x in row] for row in zip(*given.values(), strict=True)] or [[]] * len(names)
+    known = _list_given(given, len(names))
     rows: list[list[str]] = [
         [name, *own, *_format_values(row, [*tool, *pose])] for name, own, row in zip(names, known, values, strict=True)
     ]
@@ -228,20 +228,25 @@ def format_prediction(
             sd = np.sqrt(np.diagonal(prediction.pose_covariance, axis1=1, axis2=2)) * _fine(pose)
             cells = np.concatenate([cells, sd], axis=1)
         rows = [[*row, *(f"{c:.8g}" for c in some)] for row, some in zip(rows, cells, strict=True)]
-    comments = [*calibrated.source.describe(), *_describe_pose(calibrated)]
-    comments += [
+    about = (
+        "Predicted coordinates of the machine."
+        if whole
+        else "Predicted tool (tool_...) and coordinates of the machine."
+    )
+    if isinstance(model, Legs):
+        about = "Predicted pose of the platform frame in the base frame; position in mm, rotation vector in degrees."
+    comments = [
+        *calibrated.source.describe(),
+        about,
         "cov: covariance in µm and µrad, that of a rotation vector about the base axes: geometry, model error,",
         "noise of the actuators' readings.",
     ]
     return format_table(comments, columns, rows)
 
 
-def _describe_pose(calibrated: CalibratedMachine) -> list[str]:
-    if isinstance(calibrated.model, Legs):
-        return ["Predicted pose of the platform frame in the base frame; position in mm, rotation vector in degrees."]
-    if is_pose(calibrated):
-        return ["Predicted coordinates of the machine."]
-    return ["Predicted tool (tool_...) and coordinates of the machine."]
+def _list_given(given: Mapping[str, Array], n: int) -> list[list[str]]:
+    """Return the cells of what is given of each of n poses."""
+    return [[repr(float(x)) for x in row] for row in zip(*given.values(), strict=True)] or [[]] * n
 
 
 def format_draws(calibrated: CalibratedMachine, names: Sequence[str], tools: Array) -> str:

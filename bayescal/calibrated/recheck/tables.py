@@ -182,19 +182,15 @@ def describe_plan(plan: RecheckPlan) -> str:
     n, worst = len(plan.chosen), PERCENT * plan.power.min()
     sessions = "one session" if demand.sessions == 1 else f"{demand.sessions} sessions"
     first = "" if demand.sessions == 1 else f", {by_session[0]:.0f} % in the first"
+    suspects, shift = plan.suspects, demand.shift
+    which = f"any {suspects.kind}" if len(shift) > 1 else suspects.names[0]
+    size = say_size(float(shift[0]), suspects.units[0])
+    if demand.in_sd is not None:
+        size = f"{demand.in_sd:g} of its standard deviations"
     return (
-        f"{n} pose{'s a session show' if n > 1 else ' a session shows'} a shift of {_describe_shift(plan)} with "
+        f"{n} pose{'s a session show' if n > 1 else ' a session shows'} a shift of {which} by {size} with "
         f"{worst:.1f} % in {sessions}{first}; false alarms {PERCENT * demand.false_alarm:g} % over all of them"
     )
-
-
-def _describe_shift(plan: RecheckPlan) -> str:
-    """Return whose shift is found, and how large it is."""
-    suspects, shift = plan.suspects, plan.demand.shift
-    any_of_them = f"any {suspects.kind}" if len(shift) > 1 else suspects.names[0]
-    if plan.demand.in_sd is not None:
-        return f"{any_of_them} by {plan.demand.in_sd:g} of its standard deviations"
-    return f"{any_of_them} by {say_size(float(shift[0]), suspects.units[0])}"
 
 
 def describe_recheck(found: Recheck) -> list[str]:

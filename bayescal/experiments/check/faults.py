@@ -195,7 +195,10 @@ def check_noise(measured: MeasuredReadings) -> Finding:
         )
         return Finding("Noise", "noise", "bad", text)
     if not found.is_off:
-        return Finding("Noise", "", "good", f"{said}, {describe_chance(found)}.")
+        few = "less" if found.factor < 1.0 else "more"
+        how = f"{few} than noise of the stated size mostly gives, but not beyond chance"
+        how = "as noise of the stated size gives" if found.chance >= UNUSUAL else how
+        return Finding("Noise", "", "good", f"{said}, {how}.")
     if found.factor < 1.0:
         text = f"{said}: less than noise of the stated size gives. It is stated too large, or rows are averages."
         return Finding("Noise", "noise", "warning", f"{text} Intervals are wider than they need be.")
@@ -213,14 +216,6 @@ def check_noise(measured: MeasuredReadings) -> Finding:
         f"{said}, more noise of all channels does not: look for a missing deformation, or for channels that err more."
     )
     return Finding("Noise", "model error", "warning", text)
-
-
-def describe_chance(found: ChiSquare) -> str:
-    """Return what is said of a sum of squares that is no fault."""
-    if found.chance >= UNUSUAL:
-        return "as noise of the stated size gives"
-    few = "less" if found.factor < 1.0 else "more"
-    return f"{few} than noise of the stated size mostly gives, but not beyond chance"
 
 
 def _check_extraction(legs: MeasuredVariant) -> Finding | None:

@@ -93,8 +93,10 @@ def tabulate(inputs: TableInputs, found: Found) -> dict[str, pd.DataFrame]:
     names, units = [one.name for one in actuators], [one.unit for one in actuators]
     pose_names, pose_units = [one.name for one in coordinates], [one.unit for one in coordinates]
     correction, offset = found.responses.correction, found.responses.offset
+    stems = [f"{one.stem}_{one.unit}" for one in map(Channel, names, units)]  # as a controller takes it: a row a place
+    lookup = dict(zip(stems, correction.mean(axis=0).T, strict=True))
     return {
-        "lookup": _widen(inputs, correction.mean(axis=0), names, units),
+        "lookup": pd.DataFrame({**_places(inputs, 1), **lookup}),
         "corrections": _describe(inputs, correction, "actuator", names, units),
         "correction_covariance": _relate(inputs, correction, names),
         "offsets": _describe(inputs, offset, "coordinate", pose_names, pose_units),
@@ -107,12 +109,6 @@ def tabulate(inputs: TableInputs, found: Found) -> dict[str, pd.DataFrame]:
 def _places(inputs: TableInputs, times: int) -> dict[str, Array]:
     """Return the columns of the axes, each place repeated."""
     return {name: np.repeat(inputs.cells[:, k], times) for k, name in enumerate(inputs.config.axes)}
-
-
-def _widen(inputs: TableInputs, mean: Array, names: Sequence[str], units: Sequence[str]) -> pd.DataFrame:
-    """Return the table as a controller takes it: a row a place, a column an actuator."""
-    columns = {f"{one.stem}_{one.unit}": mean[:, k] for k, one in enumerate(map(Channel, names, units))}
-    return pd.DataFrame({**_places(inputs, 1), **columns})
 
 
 def _describe(inputs: TableInputs, drawn: Array, what: str, names: Sequence[str], units: Sequence[str]) -> pd.DataFrame:
