@@ -332,7 +332,7 @@ class VariantResult:
         """
         import pandas as pd
 
-        from bayescal.experiments.shared.certify import Wishes, certify
+        from bayescal.experiments.shared.certificate import Wishes, certify
 
         found = certify(self.machine, self.study.folder, Wishes(coverage, poses))
         stated = found.list_figures()

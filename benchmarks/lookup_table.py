@@ -19,8 +19,7 @@ import numpy as np
 import pandas as pd
 
 from bayescal.experiments.frame.load import load
-from bayescal.experiments.table.inputs import TableInputs, read_table
-from bayescal.experiments.table.responses import respond
+from bayescal.experiments.table.inputs import TableInputs, read_table, respond
 from bayescal.experiments.table.schema import TableConfig
 from bayescal.inference.mode import find_modes
 

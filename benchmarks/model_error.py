@@ -31,7 +31,7 @@ from telescope_problem import MODEL_ERROR_SCALE, simulate, time_interleaved  # f
 import numpy as np
 
 from bayescal.data.photogrammetry.poses import extract_poses
-from bayescal.experiments.simulation.twin import Twin, build_twin, survey_twin
+from bayescal.experiments.simulation.compute import Twin, build_twin, survey_twin
 from bayescal.density.batches import BATCH
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.errors import KernelScale

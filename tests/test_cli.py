@@ -22,7 +22,7 @@ from bayescal.config.registry import list_references
 from bayescal.errors import NumericalError
 from bayescal.experiments.frame import run as frame
 from bayescal.experiments.frame.load import load_experiment
-from bayescal.experiments.simulation.twin import build_twin
+from bayescal.experiments.simulation.compute import build_twin
 from bayescal.experiments.study import compute
 from bayescal.files.csv_tables import read_table
 from bayescal.machines.kinematics import solve_forward_kinematics

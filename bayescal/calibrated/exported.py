@@ -16,8 +16,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from bayescal.calibrated.machine import CalibratedMachine, Errors, LegErrors, Source
-from bayescal.calibrated.settle import find_hindrance
+from bayescal.calibrated.machine import CalibratedMachine, Errors, LegErrors, Source, find_hindrance
 from bayescal.calibrated.tables import read_given, read_quantities
 from bayescal.config.classes import CLASS
 from bayescal.config.load import check_section, read_toml

@@ -12,8 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from bayescal.calibrated.exported import format_value, list_function_files, list_mechanism_files, list_posterior_files
-from bayescal.calibrated.machine import CalibratedMachine
-from bayescal.calibrated.settle import find_hindrance
+from bayescal.calibrated.machine import CalibratedMachine, find_hindrance
 from bayescal.config.load import look_up
 from bayescal.errors import InputError, name_faults
 from bayescal.files.atomic import make_directory, write_atomically

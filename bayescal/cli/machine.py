@@ -172,8 +172,7 @@ def certificate(
 ) -> None:
     """Certify how sure the poses of a calibrated machine are: budget, expanded uncertainty, ISO figures."""
     from bayescal.experiments.shared.calibrating import load_calibrated
-    from bayescal.experiments.shared.certificate_page import build_certificate, state_headline
-    from bayescal.experiments.shared.certify import Wishes, certify
+    from bayescal.experiments.shared.certificate import Wishes, build_certificate, certify, state_headline
     from bayescal.report.page import render_page
     from bayescal.report.pictures import render_picture
 
@@ -275,9 +274,15 @@ def recheck(
     trust: Trust = False,
 ) -> None:
     """Name the fewest poses that show whether a calibration still holds, or judge what was read at them."""
-    from bayescal.calibrated.recheck.plan import list_candidates, plan_recheck
+    from bayescal.calibrated.recheck.plan import (
+        describe_plan,
+        describe_recheck,
+        expect_readings,
+        format_plan,
+        list_candidates,
+        plan_recheck,
+    )
     from bayescal.calibrated.recheck.statistics import choose_suspects, judge_recheck
-    from bayescal.calibrated.recheck.tables import describe_plan, describe_recheck, expect_readings, format_plan
     from bayescal.calibrated.tables import read_commands
     from bayescal.experiments.shared.calibrating import load_calibrated
     from bayescal.machines.readings import Legs
@@ -360,7 +365,7 @@ def _read_poses(
     path: Path, actuators: Path | None, stated: tuple[float, float] | None, calibrated: CalibratedMachine
 ) -> tuple[list[str], Measurements]:
     """Return what is wrong with a session's measured poses, in lines, and the poses."""
-    from bayescal.calibrated.recheck.tables import has_noise, place_poses, read_session
+    from bayescal.calibrated.recheck.plan import has_noise, place_poses, read_session
     from bayescal.data.instruments.read_poses import PoseNoise
     from bayescal.experiments.shared.measured_slips import find_recheck_slip
 
@@ -375,7 +380,7 @@ def _plan_poses(
     results: Path, stated: tuple[float, float] | None, like: Path | None, calibrated: CalibratedMachine
 ) -> Measurements:
     """Return how a pose will be measured: as it is stated, as a table has it, or as the study had it."""
-    from bayescal.calibrated.recheck.tables import build_covariance, expect_pose, read_mean_covariance
+    from bayescal.calibrated.recheck.plan import build_covariance, expect_pose, read_mean_covariance
 
     if like is not None:
         return expect_pose(calibrated, read_mean_covariance(like))
@@ -421,7 +426,7 @@ def _find_stated(
 
 def _read_readings(path: Path, plan: Path | None, sd: Array, calibrated: CalibratedMachine) -> Measurements:
     """Return a session's readings, with the noise that is stated where its table does not."""
-    from bayescal.calibrated.recheck.tables import add_commands, check_noise
+    from bayescal.calibrated.recheck.plan import add_commands, check_noise
 
     read = _read_table(path, calibrated)
     known = np.where(np.isfinite(read.sd), read.sd, sd)

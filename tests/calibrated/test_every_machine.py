@@ -33,8 +33,7 @@ from bayescal.calibrated.machine import (
 )
 from bayescal.calibrated.predict import bound_workspace, command_poses, draw_poses, is_pose, predict_poses
 from bayescal.errors import InputError
-from bayescal.experiments.shared.certificate_page import build_certificate, state_headline
-from bayescal.experiments.shared.certify import Wishes, certify
+from bayescal.experiments.shared.certificate import Wishes, build_certificate, certify, state_headline
 from bayescal.machines.deformations import NoDeformation
 from bayescal.machines.kinematics import build_machine
 from bayescal.machines.models.six_pus import SixPus

@@ -13,7 +13,14 @@ from scipy.stats import norm
 
 from bayescal.calibrated.formats import export_machine
 from bayescal.calibrated.machine import CalibratedMachine, build_leg_errors
-from bayescal.calibrated.recheck.plan import Demand, list_candidates, plan_recheck
+from bayescal.calibrated.recheck.plan import (
+    Demand,
+    build_covariance,
+    expect_pose,
+    list_candidates,
+    place_poses,
+    plan_recheck,
+)
 from bayescal.calibrated.recheck.statistics import (
     build_test,
     choose_suspects,
@@ -21,7 +28,6 @@ from bayescal.calibrated.recheck.statistics import (
     judge_recheck,
     predict_knowledge,
 )
-from bayescal.calibrated.recheck.tables import build_covariance, expect_pose, place_poses
 from bayescal.data.actuators import name_actuators
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.errors import InputError

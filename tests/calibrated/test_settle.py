@@ -14,9 +14,8 @@ import telescope_machines as machines
 
 from bayescal.calibrated.exported import format_mechanism, read_exported
 from bayescal.calibrated.formats import export_machine
-from bayescal.calibrated.machine import Source, build_calibrated, build_leg_errors
+from bayescal.calibrated.machine import Source, build_calibrated, build_leg_errors, express_parameters, settle_machine
 from bayescal.calibrated.predict import command_poses, predict_poses
-from bayescal.calibrated.settle import express_parameters, settle_machine
 from bayescal.errors import InputError
 from bayescal.machines.deformations import NoDeformation
 from bayescal.machines.kinematics import Machine, build_machine, solve_forward_kinematics

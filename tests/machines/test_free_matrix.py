@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import telescope_machines as machines
 
-from bayescal.calibrated.settle import find_hindrance
+from bayescal.calibrated.machine import find_hindrance
 from bayescal.density.errors import KernelScale, ModelError
 from bayescal.density.legs import build_leg_posterior
 from bayescal.density.model_error import LinearKernel

@@ -11,7 +11,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from bayescal.calibrated.recheck.tables import place_poses
+from bayescal.calibrated.recheck.plan import place_poses
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.density.calibration.likelihood import CalibrationLikelihood, CalibrationPosterior
 from bayescal.density.calibration.terms import Errors, ModelErrorTerm

@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from bayescal.experiments.frame.results import Results
-from bayescal.experiments.sweep.answers import ALWAYS, FROM, MIXED, NEVER, UP_TO, group_others, is_scale
+from bayescal.experiments.sweep.compute import ALWAYS, FROM, MIXED, NEVER, UP_TO, group_others, is_scale
 from bayescal.experiments.sweep.schema import AxisConfig, FigureConfig, SweepConfig
 from bayescal.report.blocks import (
     Block,

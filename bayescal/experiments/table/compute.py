@@ -14,11 +14,11 @@ from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.shared.estimate import Estimate, estimate_posterior
 from bayescal.experiments.shared.measured_slips import find_calibration_slip
-from bayescal.experiments.table.inputs import TableInputs
-from bayescal.experiments.table.responses import (
+from bayescal.experiments.table.inputs import (
     Plan,
     Polynomial,
     Responses,
+    TableInputs,
     build_terms,
     fit_polynomial,
     format_polynomial,

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from bayescal.density.priors import NormalPrior
+from bayescal.experiments.check.compute import rank_truth
 from bayescal.experiments.check.faults import check_derivatives, check_noise, check_priors, look_at_data, state_slips
 from bayescal.experiments.check.inputs import Subject, draw_posterior, read_check
 from bayescal.experiments.check.kind import configure_check
-from bayescal.experiments.check.ranks import rank_truth
 from bayescal.experiments.shared.measured_slips import audit_slips
 
 FUNCTION = """

@@ -16,8 +16,7 @@ from bayescal.data.photogrammetry.poses import extract_poses
 from bayescal.data.photogrammetry.survey import read_survey
 from bayescal.errors import InputError, NumericalError
 from bayescal.experiments.frame.load import load_experiment
-from bayescal.experiments.simulation.readings import read_model
-from bayescal.experiments.simulation.twin import Twin, build_twin, format_survey, survey_twin
+from bayescal.experiments.simulation.compute import Twin, build_twin, format_survey, read_model, survey_twin
 from bayescal.files.csv_tables import read_matrix, read_table
 from bayescal.machines.kinematics import solve_forward_kinematics
 from bayescal.machines.read import read_reading_model

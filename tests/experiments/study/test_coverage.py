@@ -7,7 +7,7 @@ import pytest
 
 from bayescal.data.photogrammetry.poses import extract_poses
 from bayescal.experiments.frame.load import load_experiment
-from bayescal.experiments.simulation.twin import build_twin, survey_twin
+from bayescal.experiments.simulation.compute import build_twin, survey_twin
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.measurement import TargetMeasurement
 from bayescal.inference.ensemble import run_ensemble

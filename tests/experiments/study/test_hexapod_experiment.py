@@ -17,7 +17,7 @@ from bayescal.data.photogrammetry.poses import PoseExtraction, extract_poses
 from bayescal.data.photogrammetry.survey import Survey
 from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.shared.study_schema import StudyConfig
-from bayescal.experiments.simulation.twin import Twin, build_twin, survey_twin
+from bayescal.experiments.simulation.compute import Twin, build_twin, survey_twin
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.measurement import TargetMeasurement
 from bayescal.inference.ensemble import run_ensemble

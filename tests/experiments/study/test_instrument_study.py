@@ -10,7 +10,7 @@ import studies
 from bayescal.data.truth import PARAMETER_COLUMNS
 from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.frame.run import compute_experiment
-from bayescal.experiments.simulation.twin import POSE_COORDINATES, build_twin
+from bayescal.experiments.simulation.compute import POSE_COORDINATES, build_twin
 from bayescal.experiments.study.tables import format_poses
 from bayescal.files.csv_tables import read_table
 from bayescal.inference.mode import find_modes

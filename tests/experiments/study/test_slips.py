@@ -13,7 +13,7 @@ import studies
 
 from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load_experiment
-from bayescal.experiments.simulation.twin import build_twin, format_survey, survey_twin
+from bayescal.experiments.simulation.compute import build_twin, format_survey, survey_twin
 from bayescal.experiments.study.doubts import find_study_slip
 from bayescal.experiments.study.load import load_inputs
 

@@ -15,8 +15,8 @@ import tiny_experiments
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.run import compute_experiment, run_experiment
 from bayescal.experiments.frame.store import Store
-from bayescal.experiments.sweep.answers import find_answers
-from bayescal.experiments.sweep.members import change, look_up
+from bayescal.experiments.sweep.compute import find_answers
+from bayescal.experiments.sweep.inputs import change, look_up
 from bayescal.files.toml import write_toml
 
 pytestmark = pytest.mark.runs

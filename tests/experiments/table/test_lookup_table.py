@@ -14,8 +14,8 @@ from lookup_tables import change
 from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.table.compute import find_table, summarise, tabulate
+from bayescal.experiments.table.inputs import differentiate_correction, plan_measurements, respond
 from bayescal.experiments.table.page import build_page
-from bayescal.experiments.table.responses import differentiate_correction, plan_measurements, respond
 
 pytestmark = pytest.mark.runs
 
