@@ -120,7 +120,11 @@ def read_again(
     """Return what a true machine (D,) reads at commands, channels of noise NaN unread."""
     pose, found = calibrated.model.locate(theta, commands, given, weights=calibrated.weights)
     assert found.all()
-    values = calibrated.model.read(theta, pose, given) + sd * rng.standard_normal((len(commands), len(sd)))
+    normal, own = rng.standard_normal((len(commands), len(sd))), calibrated.commanded
+    noise = sd * normal
+    root = np.linalg.cholesky(calibrated.errors.covariance(pose, commands, given))
+    noise[:, own] = np.where(np.isnan(sd[own]), np.nan, np.einsum("pij,pj->pi", root, normal[:, own]))
+    values = calibrated.model.read(theta, pose, given) + noise
     names = tuple(f"R{k:02d}" for k in range(1, len(commands) + 1))
     return Measurements(names, values, np.tile(np.nan_to_num(sd, nan=1.0), (len(commands), 1)), given)
 

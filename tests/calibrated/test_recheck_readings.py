@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import calibrated_machines
 import calibrated_readings as made_up
 import calibrations
 import numpy as np
 import pytest
+import telescope_machines
 
 from bayescal.calibrated.machine import CalibratedMachine
 from bayescal.calibrated.recheck.plan import Demand, expect_readings, list_candidates, plan_recheck
@@ -23,14 +25,21 @@ CASES = {
     "hangprinter": ("A_z", 6.0, ["motor"]),
     "lines": ("zero", 1.0, None),
     "star": ("l", 0.1, None),
+    "telescope": ("l", 0.02, None),
 }
 """By machine: what may shift, by how much, and what is read; the printer and the point by their own channels alone."""
+LEGS = np.array([1e-3] * 6 + [15e-3] * 3 + [np.radians(15.0 / 3600.0)] * 3)
+"""Noise of the telescope's actuators and of its measured pose, mm and rad."""
 
 
 @pytest.fixture(scope="module", params=CASES)
 def case(request):
     """Return a calibrated machine, what may have shifted and by how much, and the noise of what is read."""
     symbol, shift, channels = CASES[request.param]
+    if request.param == "telescope":
+        machine = telescope_machines.build_machine("none")
+        calibrated = calibrated_machines.build_made_up(machine, np.random.default_rng(4), scale=1e-3)
+        return calibrated, choose_suspects(calibrated, [symbol]), shift, LEGS
     planned = made_up.build_planned(request.param)
     calibrated = made_up.calibrate(planned, 40, np.random.default_rng(7))
     sd = planned.sd if channels is None else made_up.only(planned.sd, planned.model, channels)
@@ -66,13 +75,17 @@ def test_scores_are_those_of_least_squares_over_poses_parameters_and_shifts(case
     read = np.isfinite(sd)
     here = calibrated.model.linearise(calibrated.theta, pose, True, given)
     p, q, n, m = len(pose), pose.shape[1], len(suspects.places), len(calibrated.free)
-    white = np.concatenate([here.by_pose, here.by_parameters], axis=-1)[:, read] / sd[read][:, None]
+    own, covariance = calibrated.commanded, np.tile(np.diag(np.nan_to_num(sd) ** 2), (p, 1, 1))
+    commands = session.values[:, own]
+    covariance[:, own[:, None], own] = calibrated.errors.covariance(pose, commands, given)
+    root = np.linalg.inv(np.linalg.cholesky(covariance[:, read][:, :, read]))
+    white = root @ np.concatenate([here.by_pose, here.by_parameters], axis=-1)[:, read]
     rows = np.zeros((p, read.sum(), p * q + m + n))
     for k in range(p):
         rows[k, :, k * q : (k + 1) * q] = white[k, :, :q]
         rows[k, :, p * q : p * q + m] = white[k][:, q + calibrated.free]
         rows[k, :, p * q + m :] = white[k][:, q + suspects.places]
-    error = (session.values - here.values)[:, read] / sd[read]
+    error = (root @ (session.values - here.values)[:, read, None])[..., 0]
     rows, error = rows.reshape(-1, rows.shape[-1]), error.ravel()
     normal = rows.T @ rows
     normal[p * q : p * q + m, p * q : p * q + m] += np.linalg.inv(calibrated.covariance)
@@ -82,11 +95,13 @@ def test_scores_are_those_of_least_squares_over_poses_parameters_and_shifts(case
     gain = np.linalg.solve(normal[others, others], np.column_stack([normal[others, p * q + m :], side[others]]))
     information = normal[p * q + m :, p * q + m :] - normal[p * q + m :, others] @ gain[:, :n]
     score = side[p * q + m :] - normal[p * q + m :, others] @ gain[:, n]
-    own = scale[p * q + m :]
+    size_of = scale[p * q + m :]
     found_score, found = knowledge.score(knowledge.gram.sum(axis=0))
     size = np.sqrt(np.outer(np.diag(found), np.diag(found)))
-    np.testing.assert_allclose(found / size, information / np.outer(own, own) / size, rtol=0.0, atol=1e-5)
-    np.testing.assert_allclose(found_score / np.sqrt(np.diag(found)), score / own / np.sqrt(np.diag(found)), atol=1e-3)
+    np.testing.assert_allclose(found / size, information / np.outer(size_of, size_of) / size, rtol=0.0, atol=1e-5)
+    np.testing.assert_allclose(
+        found_score / np.sqrt(np.diag(found)), score / size_of / np.sqrt(np.diag(found)), atol=1e-3
+    )
     assert knowledge.n_rows == p * (read.sum() - q)
 
 
