@@ -28,8 +28,8 @@ import numpy as np
 from bayescal.data.actuators import read_moves
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.experiments.frame.load import load
-from bayescal.experiments.next.inputs import read_next
-from bayescal.experiments.next.state import State, Subject, find_state
+from bayescal.experiments.next.compute import State, find_state
+from bayescal.experiments.next.inputs import Subject, read_next
 from bayescal.experiments.shared.measured import MeasuredVariant, see_legs
 from bayescal.identifiability.requirements import Requirement
 from bayescal.machines.kinematics import ForwardKinematics, solve_forward_kinematics

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from itertools import islice
 from typing import Any
 
@@ -12,13 +13,26 @@ import pandas as pd
 from scipy.special import softmax
 from threadpoolctl import threadpool_limits
 
+from bayescal.density.calibration.likelihood import CalibrationPosterior
+from bayescal.density.calibration.measurements import Comparison
 from bayescal.experiments.frame.results import Results
-from bayescal.experiments.next.inputs import NextInputs
-from bayescal.experiments.next.state import State, Subject, find_state
-from bayescal.identifiability.remaining import Standing
+from bayescal.experiments.next.inputs import NextInputs, Subject
+from bayescal.identifiability.reading_rows import (
+    View,
+    differentiate_poses,
+    linearise_near,
+    typical_covariance,
+    typical_noise,
+    whiten,
+)
+from bayescal.identifiability.remaining import Standing, ToolRemaining, move_draws
+from bayescal.identifiability.requirements import find_limits
+from bayescal.inference.updating import Belief, update
 from bayescal.limits import PARETO_K_LIMIT
+from bayescal.machines.readings import Given
 from bayescal.numerics.geometry import Array
 from bayescal.pose_selection.next_pose import Step, compare_variants, look_ahead
+from bayescal.report.numbers import format_fixed
 
 MOST_ERRORS = 2_000_000  # draws times poses of the workspace: their errors are kept
 FEWEST_DRAWS = 200
@@ -239,3 +253,161 @@ def _decide(inputs: NextInputs, summary: dict[str, Any]) -> str:
     if standing["probability"] >= wanted:
         return "stop"
     return "hopeless" if standing["at_best"] <= 1.0 - wanted else "measure"
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """A variant after the poses measured so far; S draws, m parameters in the posterior's coordinates, C candidates."""
+
+    belief: Belief
+    seed: int
+    subject: Subject
+
+    @property
+    def _posterior(self) -> CalibrationPosterior:
+        return self.subject.posterior
+
+    @cached_property
+    def _draws(self) -> Array:
+        """Draws of the posterior of the readings, (S, n)."""
+        return self.subject.measured.adopt(self.belief.draws)
+
+    @cached_property
+    def _y(self) -> Array:
+        """Their mean, shape (n,)."""
+        return np.asarray(self._draws.mean(axis=0))
+
+    @cached_property
+    def theta(self) -> Array:
+        """Draws of the true machine, shape (S, D)."""
+        return self._posterior.theta(self._draws)
+
+    @cached_property
+    def calibrated(self) -> Array:
+        """The machine as calibrated, the posterior mean, shape (D,)."""
+        return np.asarray(self.theta.mean(axis=0))
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Of the parameters' coordinates, shape (m, m)."""
+        return self.subject.measured.adopt_covariance(self.belief.covariance, self._y)
+
+    @cached_property
+    def _candidates(self) -> Array:
+        """Where the machine as calibrated is at the candidates, (C, q)."""
+        return self.subject.candidates.place(self.subject.model, self.calibrated)
+
+    @cached_property
+    def _workspace(self) -> Array:
+        """Where it is at the workspace's poses, (W, q)."""
+        return self.subject.workspace.place(self.subject.model, self.calibrated)
+
+    # --- what poses say ----------------------------------------------------------------------------------------------
+
+    @cached_property
+    def rows(self) -> Array:
+        """What all channels say of the parameters at each candidate, its pose eliminated, shape (C, K, m)."""
+        every = np.ones(len(self.subject.measured.internal), dtype=bool)
+        there, seen = self._see(self._candidates, every, self.subject.candidates.given)
+        rows = np.zeros((len(self._candidates), *seen.rows.shape[1:]))
+        rows[there] = seen.rows
+        return rows
+
+    @cached_property
+    def slope(self) -> Array:
+        """Where the tool errs as its own channels locate it, by the parameters, shape (W, c, m)."""
+        return self._see(self._workspace, self.subject.measured.internal, self.subject.workspace.given)[1].tool
+
+    def _see(self, pose: Array, some: np.ndarray, given: Given) -> tuple[np.ndarray, View]:
+        """Return which poses the machine can take, and these as some channels see them."""
+        slopes = differentiate_poses(self._posterior, self.subject.measured.half, self._y, pose, given)
+        return slopes.places, slopes.seen_by(some)
+
+    @cached_property
+    def weight(self) -> Array:
+        """W (m, m): tr(W C) is the mean square of the workspace's errors in units of the limits (I-optimality)."""
+        shares = self.slope / find_limits(self.subject.requirements, self.slope)[:, None]
+        return np.asarray(np.einsum("wci,wcj->ij", shares, shares, optimize=True) / len(shares))
+
+    def predict(self, reference: State) -> tuple[Array, Array]:
+        """Return what readings at the candidates leave for this variant against another one, and its covariance.
+
+        In the directions, K - q of the white readings, that no pose of the other one explains.
+        """
+        given, model, other = self.subject.candidates.given, self.subject.model, reference.subject.model
+        pose, noise = reference._candidates, typical_covariance(self._posterior, self._y)
+        there = linearise_near(other, reference.calibrated, pose, given)
+        here = linearise_near(model, self.calibrated, pose, given)
+        read = np.diagonal(noise) > 0.0
+        white = whiten(typical_covariance(reference._posterior, reference._y), read)[read]
+        basis = np.linalg.qr(np.nan_to_num(white @ np.nan_to_num(there.by_pose)), mode="complete").Q
+        across = np.swapaxes(basis[..., there.by_pose.shape[-1] :], 1, 2) @ white  # (C, K - q, K)
+        apart = np.nan_to_num(Comparison(model.channels).subtract(here.values, there.values))
+        rows = across @ np.nan_to_num(here.by_parameters) @ self._posterior.around(self._y)[1].T.T
+        covariance = rows @ self.covariance @ np.swapaxes(rows, 1, 2) + across @ noise @ np.swapaxes(across, 1, 2)
+        return np.einsum("cdk,ck->cd", across, apart), covariance
+
+    # --- requirements ------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def remaining(self) -> ToolRemaining:
+        """Errors of the tool over the workspace."""
+        subject, own = self.subject, np.flatnonzero(self.subject.measured.internal)
+        own = own[self._posterior.likelihood.data.present[:, own].any(axis=0)]
+        sd = typical_noise(self._posterior, self._draws)[:, own]
+        given = subject.workspace.given
+        return ToolRemaining(subject.model, own, self.calibrated, self._workspace, given, sd, self.seed)
+
+    @property
+    def stays(self) -> str:
+        """What errs where the geometry is known exactly, in words that end a sentence."""
+        return "the noise of the machine's own sensors stays"
+
+    @cached_property
+    def standing(self) -> Standing:
+        """How the requirements stand."""
+        return self._judge(self.theta)
+
+    @cached_property
+    def at_best(self) -> Standing:
+        """How they would stand were the geometry known exactly."""
+        return self._judge(np.broadcast_to(self.calibrated, self.theta.shape))
+
+    def after(self, covariance: Array) -> Standing:
+        """Return how they are expected to stand with another covariance of the parameters, (m, m)."""
+        m, y = self._posterior.n_geometry, self._draws.copy()
+        y[:, :m] = self._y[:m] + move_draws(y[:, :m] - self._y[:m], self.covariance, covariance)
+        return self._judge(self._posterior.theta(y))
+
+    def _judge(self, theta: Array) -> Standing:
+        return Standing(self.remaining.find_largest(self.subject.requirements, theta))
+
+    # --- poses to come -----------------------------------------------------------------------------------------------
+
+    def list_poses(self, chosen: np.ndarray) -> dict[str, Array]:
+        """Return the columns of the table of poses to come, for some of the candidates."""
+        subject, pose, candidates = self.subject, self._candidates[chosen], self.subject.candidates
+        given = {name: value[chosen] for name, value in candidates.given.items()}
+        read = subject.model.read(self.calibrated, pose, given)[:, subject.measured.internal]
+        home = np.array(list(subject._home.values()))
+        moves = candidates.values[chosen] - home if candidates.commanded else pose[:, :0]
+        every = np.concatenate([moves, pose, read], axis=1)
+        return {
+            one.column: np.degrees(every[:, k]) if one.unit == "deg" else every[:, k]
+            for k, one in enumerate(subject.list_shown())
+        }
+
+    def describe_pose(self, candidate: int) -> str:
+        """Return in a sentence how to go to a candidate."""
+        columns, shown = self.list_poses(np.array([candidate])), self.subject.list_shown()
+        first = [(one, format_fixed(float(columns[one.column][0]), one.decimals)) for one in shown]
+        first = [pair for pair in first if pair[0].group == shown[0].group]
+        if self.subject.candidates.commanded:
+            moves = ", ".join(value for _, value in first)
+            return f"Displace the actuators from their initial positions by {moves} mm."
+        return f"Go to {', '.join(f'{one.heading} = {value} {one.unit}' for one, value in first)}."
+
+
+def find_state(subject: Subject, start: Array | None, n_draws: int, seed: int, *, anew: bool = True) -> State:
+    """Return what is known after a variant's poses, updated from the mode before the last of them; see `update`."""
+    return State(update(subject.measured.found, start, n_draws, seed, anew=anew), seed, subject)

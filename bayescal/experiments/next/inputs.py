@@ -2,30 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 from bayescal.calibrated.tables import list_columns, read_given, read_named, read_quantities
 from bayescal.data.actuators import read_moves
+from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.memory import check_arrays
 from bayescal.experiments.next.schema import CandidatesConfig, NextConfig
-from bayescal.experiments.next.state import Poses, Subject
 from bayescal.experiments.shared.design import REQUIRED, find_actuators, read_workspace
 from bayescal.experiments.shared.measured import MeasuredReadings, measure_variants
 from bayescal.experiments.shared.measured_slips import find_measured_slip
 from bayescal.experiments.shared.schema import WorkspaceConfig
+from bayescal.experiments.shared.search_memory import list_readings
 from bayescal.experiments.shared.slips import FoundSlip
 from bayescal.identifiability.design import Knowledge
 from bayescal.identifiability.pose_volume import PoseVolume
-from bayescal.identifiability.reading_rows import differentiate_poses, typical_given
+from bayescal.identifiability.reading_rows import (
+    differentiate_poses,
+    typical_given,
+)
 from bayescal.identifiability.requirements import COMPONENTS, Requirement
 from bayescal.identifiability.units import Units
-from bayescal.machines.readings import Given
+from bayescal.machines.readings import Channel, Coordinate, Given, ReadingModel
 from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array
 from bayescal.pose_selection import (
     ActuatorBox,
@@ -35,6 +40,7 @@ from bayescal.pose_selection import (
     candidates_at_actuators,
     factorial_candidates,
 )
+from bayescal.pose_selection.next_pose import find_unmeasured
 
 CANDIDATES, WORKSPACE = 31, 32  # of the seeds
 N_WORKSPACE = 200
@@ -42,6 +48,11 @@ SEEN, PLACED = 6, 4
 """Arrays of all candidates by legs and parameters where they are placed and seen, and of their poses."""
 TRIES = 20
 """Times so many poses are drawn to find those at which a machine can be."""
+DRAWS, SEARCHED = 8, 6
+"""Arrays of all draws, and of all candidates and poses of the workspace by channels and parameters."""
+APART = 0.02  # of the half widths of workspace or commands: closer to a measured pose, it would be the same again
+DECIMALS = {"mm": 3, "deg": 4}
+EXPECTED = "Own sensors, expected"
 
 
 @dataclass(frozen=True, eq=False)
@@ -300,3 +311,111 @@ def _list_candidates(
         return read_quantities(table, model.coordinates), read_given(table, model.given)
     pose = _draw_poses(measured, section.count, rng)
     return pose, typical_given(likelihood.data.given, len(pose))
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A column of the poses to come, as the page shows it."""
+
+    column: str
+    heading: str
+    unit: str
+    group: str
+    decimals: int
+
+
+@dataclass(frozen=True, eq=False)
+class Poses:
+    """C poses of a machine.
+
+    Attributes
+    ----------
+    values : ndarray, shape (C, q) or (C, N)
+        Coordinates, or commands; mm and rad.
+    given : mapping of str to ndarray, shape (C,)
+        What the machine has to know of each.
+    commanded : bool
+        Whether they are commands.
+    """
+
+    values: Array
+    given: Given
+    commanded: bool = False
+
+    def place(self, model: ReadingModel, theta: Array) -> Array:
+        """Return coordinates (C, q) of a machine (D,); NaN where it has no such pose."""
+        return model.locate(theta, self.values, self.given)[0] if self.commanded else self.values
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """One variant of a machine with the poses measured so far, and those that may be measured."""
+
+    measured: MeasuredReadings
+    requirements: list[Requirement]
+    workspace: Poses
+    candidates: Poses
+
+    @property
+    def posterior(self) -> CalibrationPosterior:
+        """Of the readings so far."""
+        return self.measured.anchored
+
+    @property
+    def model(self) -> ReadingModel:
+        """What the machine reads."""
+        return self.measured.posterior.likelihood.model
+
+    @property
+    def n_poses(self) -> int:
+        """How many poses have been measured."""
+        return self.measured.posterior.likelihood.data.n_poses
+
+    @property
+    def n_workspace(self) -> int:
+        """Number of poses that stand for the workspace."""
+        return len(self.workspace.values)
+
+    @cached_property
+    def allowed(self) -> np.ndarray:
+        """Which candidates have not been measured, shape (C,)."""
+        reach, measured = self.measured.half, self.posterior.likelihood.start
+        if self.candidates.commanded:
+            reach = 0.5 * np.ptp(self.model.command_range, axis=1)
+            measured = self.posterior.likelihood.data.values[:, self.model.select(self.model.commanded)]
+        return find_unmeasured(self.candidates.values, measured, APART * reach)
+
+    def first(self, n: int) -> Subject:
+        """Return the same after the first n of its poses."""
+        return replace(self, measured=self.measured.pick(np.arange(n)))
+
+    def list_arrays(self, n_draws: int) -> list[Sequence[float]]:
+        """Return what it holds of candidates, workspace and so many draws; see `estimate_arrays`."""
+        n, n_channels = self.posterior.n_parameters, len(self.model.channels)
+        width = n_channels * (self.model.layout.size + len(self.model.coordinates) + n_channels)
+        return [
+            *list_readings(self.n_poses, n_channels, n, len(self.model.coordinates)),
+            (SEARCHED, len(self.candidates.values) + self.n_workspace, width),
+            (DRAWS, n_draws, n + n_channels),
+        ]
+
+    def list_shown(self) -> list[Shown]:
+        """Return what the page shows of the poses to come: how to go there, and what is expected there."""
+        channels = [one for one, own in zip(self.model.channels, self.measured.internal, strict=True) if own]
+        pose = [_show(one, one.name, "Platform, expected" if self._home else "Pose") for one in self.model.coordinates]
+        own = [_show(one, one.name.replace("[", "_").rstrip("]"), EXPECTED) for one in channels]
+        home = (one for one in channels if one.name in self._home)
+        numbers = [(one, one.name.partition("[")[2].rstrip("]")) for one in home]
+        moves = [_show(one, f"displacement_{number}", "Displacement of actuator") for one, number in numbers]
+        return [*(replace(one, heading=one.column.split("_")[1]) for one in moves), *pose, *own]
+
+    @property
+    def _home(self) -> dict[str, float]:
+        """Positions at home of commands that candidates stand as, by their names."""
+        middle = self.model.command_range.mean(axis=1).tolist()
+        return dict(zip(self.model.commanded, middle, strict=True)) if self.candidates.commanded else {}
+
+
+def _show(one: Coordinate | Channel, stem: str, group: str) -> Shown:
+    unit = "deg" if one.unit == "rad" else one.unit
+    return Shown(f"{stem}_{unit}", one.name, unit, group, DECIMALS.get(unit, 4))

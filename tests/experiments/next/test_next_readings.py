@@ -15,8 +15,8 @@ from scipy.optimize import least_squares
 
 from bayescal.density.calibration.measurements import Measurements
 from bayescal.experiments.frame.load import load
-from bayescal.experiments.next.inputs import read_next
-from bayescal.experiments.next.state import Poses, State, Subject, find_state
+from bayescal.experiments.next.compute import State, find_state
+from bayescal.experiments.next.inputs import Poses, Subject, read_next
 from bayescal.experiments.shared.measured import MeasuredReadings
 from bayescal.identifiability.requirements import Requirement
 from bayescal.pose_selection.next_pose import look_ahead
