@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from bayescal.density.model_error import Kernel
+from bayescal.density.priors import Kernel
 from bayescal.errors import InputError
 from bayescal.machines.frames import FRAME_BLOCKS
 from bayescal.machines.kinematics import ForwardKinematics, Machine, solve_forward_kinematics

@@ -14,10 +14,10 @@ from itertools import product
 import numpy as np
 
 from bayescal.identifiability.design import Knowledge
-from bayescal.machines.directions import DirectionChart, Rows
 from bayescal.machines.kinematics import Machine, solve_forward_kinematics
 from bayescal.machines.mechanism import Drive
 from bayescal.machines.models.legs import compute_leg_vectors
+from bayescal.machines.parameters import DirectionChart, Rows
 from bayescal.numerics.geometry import Array
 
 STEP = 0.2  # tolerances, between the points of a curve

@@ -1,6 +1,6 @@
 """What a plan tells of a machine whose legs err by a function of the pose, the same at every pose near another.
 
-Such an error (`bayescal.density.model_error`) is g = F c over the planned poses, F Fᵀ the kernel's matrix and the
+Such an error (`bayescal.density.priors`) is g = F c over the planned poses, F Fᵀ the kernel's matrix and the
 coefficients c of each leg N(0, s²): they are parameters with a prior like any other, that nobody asks for. With X and V
 the rows of the parameters and of the coefficients in units of noise and prior, and Q R a factorisation of
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from bayescal.density.sessions.model import SessionModel
+from bayescal.density.sessions import SessionModel
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.sessions.fit import SessionFit, fit_sessions

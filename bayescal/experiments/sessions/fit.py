@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import logsumexp
 
-from bayescal.density.sessions.linear import LinearSessions, find_state
-from bayescal.density.sessions.model import SessionModel
+from bayescal.density.sessions import LinearSessions, SessionModel, find_state
 from bayescal.inference.scales import Scales, find_scales_mode, keep_by_weight, sample_scales
 from bayescal.limits import PARETO_K_LIMIT
 from bayescal.numerics.geometry import Array

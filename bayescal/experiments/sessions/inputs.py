@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bayescal.density.sessions.model import Drift, Expansion, Part, SessionModel, walk_loadings
+from bayescal.density.sessions import Drift, Expansion, Part, SessionModel, walk_loadings
 from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.sessions.measured import Session, measure_sessions

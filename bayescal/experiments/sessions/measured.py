@@ -12,7 +12,7 @@ import numpy as np
 
 from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.density.priors import NormalPrior
-from bayescal.density.sessions.rows import ReadingRows
+from bayescal.density.sessions import ReadingRows
 from bayescal.errors import InputError, name_faults
 from bayescal.experiments.sessions.schema import SessionConfig, SessionsConfig
 from bayescal.experiments.shared.measured import MeasuredReadings, measure_variants
@@ -26,7 +26,7 @@ FILES = ("targets", "poses", "actuators", "reference")
 
 
 class Design(NamedTuple):
-    """Free parameters: see `bayescal.density.sessions.model.SessionModel`."""
+    """Free parameters: see `bayescal.density.sessions.SessionModel`."""
 
     start: Array
     moves: Array

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from bayescal.density.pose_likelihood import PoseLikelihood
-from bayescal.density.sessions.model import SessionModel
+from bayescal.density.sessions import SessionModel
 from bayescal.errors import InputError
 from bayescal.experiments.shared.measured import MeasuredVariant
 from bayescal.numerics.geometry import Array
