@@ -5,7 +5,7 @@ from __future__ import annotations
 from bayescal.experiments.audit.page.results import AuditResults
 from bayescal.report.blocks import Statement
 from bayescal.report.numbers import join_words
-from bayescal.report.units import format_amount, format_place, name_unit
+from bayescal.report.symbols import format_amount, format_place, name_unit
 
 
 def state_far_readings(results: AuditResults) -> list[Statement]:

@@ -12,8 +12,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormat
 
 from bayescal.report.numbers import format_plain
 from bayescal.report.style import GREY, INK, LEG_COLOURS, MARKERS, PALE, RED
-from bayescal.report.symbols import quote
-from bayescal.report.units import Asked, shown_in
+from bayescal.report.symbols import Asked, quote, shown_in
 
 BEST = LEG_COLOURS[4]
 HALVED = 0.75  # contraction that halves a tolerance

@@ -19,7 +19,7 @@ from bayescal.report.numbers import (
     join_words,
 )
 from bayescal.report.reading import Row, list_rows
-from bayescal.report.units import Asked, shown_in
+from bayescal.report.symbols import Asked, shown_in
 
 ENOUGH = 1.1  # times the error of the best set, which a smaller one may have
 WORTH = 0.02  # of the error, by which one more pose should lower it

@@ -11,7 +11,7 @@ from bayescal.experiments.audit.page.wording import format_probability, format_s
 from bayescal.report.blocks import Cell, Column, Section, Statement, make_section, make_table
 from bayescal.report.numbers import NOTHING, format_percent, format_significant, join_words
 from bayescal.report.reading import list_rows
-from bayescal.report.units import Asked, format_amount, format_place, name_unit, shown_in
+from bayescal.report.symbols import Asked, format_amount, format_place, name_unit, shown_in
 
 
 def show_variants(tables: dict[str, pd.DataFrame], best: str) -> list[Section]:

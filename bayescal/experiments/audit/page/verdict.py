@@ -26,7 +26,7 @@ from bayescal.experiments.shared.knowledge_page import name_titles, state_next
 from bayescal.report.blocks import Level, Statement
 from bayescal.report.numbers import format_fixed, format_significant, join_words
 from bayescal.report.reading import list_rows
-from bayescal.report.units import format_amount
+from bayescal.report.symbols import format_amount
 
 UNLIKELY = 0.5
 WORTH_NATS = 2.0  # a change that tells less more is not worth a name
