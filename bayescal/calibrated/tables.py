@@ -19,9 +19,9 @@ from bayescal.data.actuators import check_range
 from bayescal.data.instruments.read_poses import OTHER_COLUMNS, VECTOR, name_covariances, read_rotation_vectors
 from bayescal.errors import InputError, name_faults
 from bayescal.files.csv_tables import Table, format_table, read_table
-from bayescal.identifiability.units import units_like
 from bayescal.machines.readings import Channel, Coordinate, Legs
 from bayescal.numerics.geometry import Array
+from bayescal.numerics.units import units_like
 
 REACHED = "reached"
 NAMED = 12
