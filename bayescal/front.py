@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayescal.calibrated.kept import keep_machines
+from bayescal.calibrated.exported import keep_machines
 from bayescal.config.load import read_toml
 from bayescal.config.local_imports import find_local_imports
 from bayescal.config.sections import ExperimentConfig, Section

@@ -21,8 +21,7 @@ from bayescal.experiments.audit.page.wording import (
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.frame.terminal import Shown, print_table
 from bayescal.limits import COVERAGE
-from bayescal.report.blocks import Page, Table
-from bayescal.report.findings import choose_first, count_folded
+from bayescal.report.blocks import Page, Table, choose_first, count_folded
 from bayescal.report.numbers import NOTHING, format_plain, format_significant
 from bayescal.report.symbols import write_symbol
 

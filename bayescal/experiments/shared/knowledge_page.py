@@ -10,7 +10,7 @@ import pandas as pd
 from bayescal.report.blocks import Cell, Column, Level, Section, Statement, make_section, make_table
 from bayescal.report.numbers import NOTHING, format_fixed, format_percent, format_significant
 from bayescal.report.reading import list_rows
-from bayescal.report.units import Asked, format_place, name_unit, shown_in
+from bayescal.report.symbols import Asked, format_place, name_unit, shown_in
 
 VERDICT_LEVELS: dict[str, Level] = {"identifiable": "good", "weak": "warning", "not": "bad", "noise": "plain"}
 """How good the news of a parameter's verdict is."""

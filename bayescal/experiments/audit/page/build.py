@@ -10,7 +10,7 @@ from bayescal.experiments.frame.results import Results
 from bayescal.experiments.shared.knowledge_page import name_titles, show_accuracy, show_next
 from bayescal.report.blocks import Absent, Block, Definitions, Fold, Page, Section, Statement
 from bayescal.report.numbers import format_plain, join_words
-from bayescal.report.variant_names import describe_deformation
+from bayescal.report.symbols import describe_deformation
 
 KIND = "Identifiability audit"
 FAILURES = "Do not rely on these numbers yet. What speaks against them:"

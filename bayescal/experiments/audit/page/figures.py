@@ -32,8 +32,7 @@ from bayescal.report.blocks import Figure
 from bayescal.report.numbers import format_percent, format_plain, join_words
 from bayescal.report.scene import Scene
 from bayescal.report.style import GREY, INK, LEG_COLOURS, MARKERS, PALE, RED
-from bayescal.report.symbols import quote, set_mathematics, set_parameter, split_name
-from bayescal.report.units import Asked, shown_in
+from bayescal.report.symbols import Asked, quote, set_mathematics, set_parameter, shown_in, split_name
 
 BLUE, ORANGE, YELLOW = "#0072B2", "#D55E00", "#E69F00"
 WIDTH = 9.4  # inches

@@ -23,7 +23,7 @@ from bayescal.report.numbers import (
     join_words,
 )
 from bayescal.report.reading import list_rows
-from bayescal.report.units import Asked, format_place, name_unit, shown_in
+from bayescal.report.symbols import Asked, format_place, name_unit, shown_in
 
 MANY = 12  # sets that are listed
 REASONS = {

@@ -39,7 +39,7 @@ from bayescal.report.numbers import (
     join_words,
 )
 from bayescal.report.reading import Row, list_rows
-from bayescal.report.units import format_amount, format_place, name_unit
+from bayescal.report.symbols import format_amount, format_place, name_unit
 
 UNLIKELY = 0.5
 NOTABLE_NATS = 2.0  # a change by which less more is learnt is not named

@@ -16,8 +16,7 @@ from bayescal.report.numbers import (
     format_significant,
     join_words,
 )
-from bayescal.report.symbols import split_name
-from bayescal.report.units import shown_in
+from bayescal.report.symbols import shown_in, split_name
 
 SURE = 0.9995
 SMALLEST_SAID = {"mm": 1e-6, "rad": 5e-9}
