@@ -33,13 +33,13 @@ from bayescal.experiments.shared.readings.workspace import (
 )
 from bayescal.experiments.simulation.schema import SimulationConfig
 from bayescal.files.csv_tables import format_table, read_matrix
-from bayescal.identifiability.units import Units
 from bayescal.machines.deformations import MatrixDeformation
 from bayescal.machines.parameters import ParameterLayout
 from bayescal.machines.read import build_chosen_machine, choose_model, load_mechanism, read_reading_model
 from bayescal.machines.readings import Legs, ReadingModel, place
 from bayescal.machines.readings.legs import TILTS
 from bayescal.numerics.geometry import Array
+from bayescal.numerics.units import Units
 
 DECIMALS = {"mm": 6, "rad": 9}
 
