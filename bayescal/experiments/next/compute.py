@@ -25,8 +25,7 @@ from bayescal.identifiability.reading_rows import (
     typical_noise,
     whiten,
 )
-from bayescal.identifiability.remaining import Standing, ToolRemaining, move_draws
-from bayescal.identifiability.requirements import find_limits
+from bayescal.identifiability.requirements import Standing, ToolRemaining, find_limits, move_draws
 from bayescal.inference.updating import Belief, update
 from bayescal.limits import PARETO_K_LIMIT
 from bayescal.machines.readings import Given

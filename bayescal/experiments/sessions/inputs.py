@@ -12,8 +12,7 @@ import numpy as np
 
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.priors import NormalPrior
-from bayescal.density.sessions.model import Drift, Expansion, Part, SessionModel, walk_loadings
-from bayescal.density.sessions.rows import ReadingRows
+from bayescal.density.sessions import Drift, Expansion, Part, ReadingRows, SessionModel, walk_loadings
 from bayescal.errors import InputError, name_faults
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.sessions.schema import SessionConfig, SessionsConfig, ThermalConfig

@@ -18,7 +18,7 @@ from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.density.calibration.likelihood import CalibrationLikelihood, CalibrationPosterior
 from bayescal.density.calibration.poses import search_poses
 from bayescal.density.elimination import find_step, project_out
-from bayescal.density.likelihood import Likelihood
+from bayescal.density.legs import Likelihood
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.errors import BayescalError, InputError, NumericalError
 from bayescal.experiments.shared.measured import MeasuredReadings, MeasuredVariant

@@ -18,7 +18,7 @@ from pydantic import AfterValidator
 from scipy.spatial.transform import Rotation
 
 from bayescal.config.sections import check_once
-from bayescal.data.instruments.rotations import FIXED, ROLL_PITCH_YAW, name_angles
+from bayescal.data.instruments.read_poses import FIXED, ROLL_PITCH_YAW, name_angles
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.errors import BayescalError
 from bayescal.numerics.geometry import Array, matrix_from_rotation_vector, rotation_vector_from_matrix

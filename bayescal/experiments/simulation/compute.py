@@ -57,7 +57,6 @@ from bayescal.experiments.simulation.schema import (
     SimulationConfig,
 )
 from bayescal.files.csv_tables import format_table, read_matrix
-from bayescal.identifiability.units import Units
 from bayescal.machines.deformations import MatrixDeformation
 from bayescal.machines.frames import frame_blocks, move_frames
 from bayescal.machines.kinematics import ForwardKinematics, Machine, check_home_pose, solve_forward_kinematics
@@ -72,7 +71,7 @@ from bayescal.numerics.geometry import (
     matrix_from_rotation_vector,
     rotation_vector_from_matrix,
 )
-from bayescal.numerics.units import ARCSECOND, MICROMETRE, MICRORADIAN
+from bayescal.numerics.units import ARCSECOND, MICROMETRE, MICRORADIAN, Units
 
 DECIMALS = {"mm": 6, "rad": 9}
 TARGET_DECIMALS = 6

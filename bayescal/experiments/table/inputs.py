@@ -20,9 +20,9 @@ from bayescal.experiments.shared.readings.inputs import ReadingInputs, Variant, 
 from bayescal.experiments.shared.readings.knowledge import look
 from bayescal.experiments.shared.study_schema import StudyConfig
 from bayescal.experiments.table.schema import TableConfig
-from bayescal.identifiability.units import Units
 from bayescal.machines.readings import Given, ReadingModel
 from bayescal.numerics.geometry import Array
+from bayescal.numerics.units import Units
 from bayescal.pose_selection.next_pose import add_poses, learn_in_turn
 
 STEPS = 8  # of Newton's method; two do for displacements of micrometres
