@@ -14,7 +14,7 @@ import pandas as pd
 import pytest
 import studies
 
-from bayescal.config.files import find_files
+from bayescal.config.classes import find_files
 from bayescal.errors import InputError
 from bayescal.experiments.audit.audit import analyse
 from bayescal.experiments.audit.inputs import AuditInputs, read_inputs
@@ -77,9 +77,7 @@ def test_a_study_of_an_own_model_and_deformation(call, tmp_path, no_pictures):
     assert fit["log_evidence"] == again["log_evidence"]
     lengths = load_mechanism(tmp_path / "mechanism.toml").leg_lengths
     found = studies.read_posterior(tmp_path / "out1", "longer/halved")
-    assert found["l[1]"]["nominal"] == pytest.approx(
-        lengths[0] + 0.5
-    )
+    assert found["l[1]"]["nominal"] == pytest.approx(lengths[0] + 0.5)
     assert (tmp_path / "out1" / "posterior" / "longer-halved.nc").is_file()
     provenance = read_json(tmp_path / "out1" / "provenance.json")
     assert "own.py" in provenance["files"]

@@ -123,7 +123,7 @@ def test_figures_tell_free_sets_apart(result):
     assert len({style.marker for style in styles.values()}) == 3
     assert len({(style.marker, style.colour) for style in styles.values()}) == 4
     assert styles["lengths"].label == "lengths"
-    bars = draw_error_bars(study.table("pose_errors"), study.error_scales, list(styles), styles, "").axes[0]
+    bars = draw_error_bars(study.table("pose_errors"), study.error_scales, styles, list(styles)).axes[0]
     assert [label.get_text() for label in bars.get_xticklabels()] == [
         *("6-PUS/none", "6-PUS/matrix", "“joints alone”", "lengths")
     ]

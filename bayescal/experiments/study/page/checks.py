@@ -20,8 +20,7 @@ from bayescal.limits import PARETO_K_LIMIT
 from bayescal.report.blocks import Block, Cell, Column, Figure, Fold, Statement, Table, make_table
 from bayescal.report.numbers import MICROMETRES, format_fixed, join_words
 from bayescal.report.style import GREY, INK, LEG_COLOURS, PALE, RED
-from bayescal.report.symbols import split_name
-from bayescal.report.units import Asked, shown_in
+from bayescal.report.symbols import Asked, shown_in, split_name
 
 if TYPE_CHECKING:
     from bayescal.numerics.geometry import Array

@@ -39,8 +39,7 @@ from bayescal.report.numbers import (
 )
 from bayescal.report.reading import Row
 from bayescal.report.style import GREY, INK, LEG_COLOURS, PALE, RED
-from bayescal.report.symbols import quote
-from bayescal.report.variant_names import describe_deformation
+from bayescal.report.symbols import describe_deformation, quote
 
 SHADES = {"calibration": 0.85, "verification": 0.35}
 WIDTH = 0.38

@@ -30,9 +30,16 @@ from bayescal.report.numbers import (
     format_span,
 )
 from bayescal.report.style import GREY, INK, LEG_COLOURS, PALE
-from bayescal.report.symbols import MODEL_ERROR, name_parameter, quote, scale_of, set_mathematics, write_symbol
-from bayescal.report.units import Asked
-from bayescal.report.variant_names import describe_deformation
+from bayescal.report.symbols import (
+    MODEL_ERROR,
+    Asked,
+    describe_deformation,
+    name_parameter,
+    quote,
+    scale_of,
+    set_mathematics,
+    write_symbol,
+)
 
 OPEN = 3  # variants whose tables are all shown; of more each stands behind a line
 CONTRACTION = (

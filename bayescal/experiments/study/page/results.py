@@ -29,9 +29,7 @@ from bayescal.numerics.geometry import matrix_from_rotation_vector, rotation_vec
 from bayescal.report.blocks import Column
 from bayescal.report.numbers import MICROMETRES, format_pair, join_words
 from bayescal.report.reading import NUMBER, Kinds, Row, check_keys, list_rows
-from bayescal.report.symbols import OF_KERNELS, scale_of, split_name
-from bayescal.report.units import Asked, shown_in
-from bayescal.report.variant_names import describe_deformation
+from bayescal.report.symbols import OF_KERNELS, Asked, describe_deformation, scale_of, shown_in, split_name
 
 if TYPE_CHECKING:
     from bayescal.numerics.geometry import Array

@@ -42,8 +42,7 @@ from bayescal.report.numbers import (
     format_span,
     join_words,
 )
-from bayescal.report.units import format_amount
-from bayescal.report.variant_names import describe_deformation
+from bayescal.report.symbols import describe_deformation, format_amount
 
 BEYOND_BELIEF = 15.0  # nats from which odds rest on the assumptions, no longer on the data
 CLEAR = 2.0  # standard errors of a difference of elpd from which on it says something
