@@ -10,22 +10,29 @@ import pytest
 import telescope_machines as machines
 
 from bayescal.calibrated.accuracy import (
+    FEWEST,
     GEOMETRY,
+    box_about_home,
     compute_budget,
     coverage_factor,
     draw_cycles,
+    enclose_measured,
+    find_largest_cube,
     fit_cube,
     judge_axis,
     judge_poses,
     list_axis_poses,
     list_cube_poses,
+    measure_beyond,
     place_lengths,
     propagate,
     sample_range,
+    sample_region,
 )
 from bayescal.calibrated.machine import MODEL, NOISE, Errors
 from bayescal.calibrated.predict import draw_poses, predict_poses
 from bayescal.errors import InputError
+from bayescal.machines.kinematics import check_home_pose, solve_forward_kinematics
 
 
 @pytest.fixture(scope="module")
@@ -120,3 +127,49 @@ def test_what_repeats_is_noise_alone(calibrated):
     bias = cycles.mean(axis=2).std(axis=0)
     still = compute_budget(quiet, calibrated.legs.mechanism.initial_actuator_positions[None]).sd()
     np.testing.assert_allclose(bias.mean(axis=0), still[0, :3], rtol=0.2)
+
+
+@pytest.fixture(scope="module")
+def inner():
+    """Return a made-up calibrated telescope that was measured in the inner half of its actuators' range."""
+    machine = made.build_made_up(machines.build_machine("none"), np.random.default_rng(4), 300)
+    mechanism = machine.legs.mechanism
+    moved = np.random.default_rng(5).uniform(-0.5, 0.5, (40, 6)) * mechanism.actuator_range
+    return replace(machine, measured=mechanism.initial_actuator_positions + moved)
+
+
+def reach(inner, actuators):
+    found = solve_forward_kinematics(inner.legs, inner.theta, actuators)
+    return found.position - check_home_pose(inner.legs).position
+
+
+def test_by_default_poses_lie_where_the_machine_was_measured(inner):
+    region = enclose_measured(inner)
+    measured = reach(inner, inner.measured)
+    np.testing.assert_allclose(region.low[:3], measured.min(axis=0))
+    sampled = sample_region(inner, region, 64, 1)
+    found = reach(inner, sampled)
+    assert found.shape == (64, 3)
+    assert np.all(found >= region.low[:3] - 1e-9)
+    assert np.all(found <= region.high[:3] + 1e-9)
+    assert measure_beyond(inner, sampled, region) == 0.0
+    np.testing.assert_array_equal(sample_region(inner, region, 64, 1), sample_region(inner, region, 64, 1))
+
+
+def test_the_whole_range_lies_beyond_what_was_measured(inner):
+    everywhere = sample_range(inner, 64, 0)
+    assert measure_beyond(inner, everywhere, enclose_measured(inner)) > 0.1
+    assert enclose_measured(replace(inner, measured=None)) is None
+    assert measure_beyond(inner, everywhere, None) == 0.0
+
+
+def test_the_largest_cube_of_a_box_is_twice_its_nearest_side(inner):
+    box = box_about_home(np.array([3.0, 2.0, 5.0, 0.0, 0.0, 0.0]))
+    assert find_largest_cube(inner, box, np.zeros((0, 6))) == 4.0
+    assert find_largest_cube(inner, replace(box, low=np.full(6, 1.0)), np.zeros((0, 6))) == 0.0
+
+
+def test_a_box_out_of_reach_is_refused(inner):
+    far = box_about_home(np.array([1e4, 1e4, 1e4, 0.0, 0.0, 0.0]))
+    with pytest.raises(InputError, match=f"in reach of the actuators, expected {FEWEST} at least"):
+        sample_region(inner, far, 16, 0)
