@@ -65,13 +65,15 @@ def build_page(results: Results) -> Page:
     """Return what the page of a check says."""
     summary, findings = results.summary, results.table("findings")
     several = len(summary["variants"]) > 1
+    rows = [{str(key): str(value) for key, value in row.items()} for row in findings.fillna("").to_dict("records")]
+    rows.sort(key=lambda row: ("bad", "warning", "good").index(row["level"]))
     return Page(
         kind="Check",
         name=summary["name"],
         title=summary["title"],
         origin=summary["data_origin"],
         headline=state_headline(results),
-        verdict=tuple(_state(row, several) for row in order_findings(findings)),
+        verdict=tuple(_state(row, several) for row in rows),
         sections=(
             *(_show_variant(results, name) for name in summary["variants"]),
             Section("How it was checked", (Definitions(METHOD),), "method"),
@@ -90,12 +92,6 @@ def state_headline(results: Results) -> str:
         words.append(f"{name} passes" if passes else f"{name}: {join_words(faults)}")
     advice = "The study's config can be relied on" if sound else "Mend the study's config before relying on it"
     return write_headline([f"{advice}: {'; '.join(words)}"])
-
-
-def order_findings(findings: pd.DataFrame) -> list[dict[str, str]]:
-    """Return the findings, bad ones first, then warnings."""
-    rows = [{str(key): str(value) for key, value in row.items()} for row in findings.fillna("").to_dict("records")]
-    return sorted(rows, key=lambda row: ("bad", "warning", "good").index(row["level"]))
 
 
 def _state(row: dict[str, str], several: bool) -> Statement:

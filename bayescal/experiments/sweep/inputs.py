@@ -322,7 +322,8 @@ def read_sweep(config: SweepConfig, folder: Path) -> SweepInputs:
     need = experiment.estimate_memory(read_inputs(experiment, standing, folder))
     files = {*experiment.files(standing, folder), *sources}
     modules = hash_modules([type(experiment)]) | experiment.modules(standing, folder)
-    for number, settings in _list_single(config, base):
+    single = [(k, one) for k, axis in enumerate(config.axes) for one in _list_settings(axis, base)]
+    for number, settings in single:  # each entry of each axis by itself
         try:
             found = base.vary(settings, experiment, folder)
         except InputError as error:
@@ -352,24 +353,16 @@ def _read_base(config: SweepConfig, folder: Path) -> Base:
     return Base(config.experiment, kind, text, {**merge(content, config.set), SEED: config.seed}, contents)
 
 
-def _list_single(config: SweepConfig, base: Base) -> Iterator[tuple[int, tuple[Setting, ...]]]:
-    """Yield each entry of each axis by itself, with the axis' number."""
-    for number, axis in enumerate(config.axes):
-        for settings in _list_settings(axis, base):
-            yield number, settings
-
-
 def _list_settings(axis: AxisConfig, base: Base) -> list[tuple[Setting, ...]]:
     """Return what each entry of an axis sets."""
     places = [split_key(key) for key in axis.keys]
     if axis.factors is None:
         return [tuple((file, key, value) for file, key in places) for value in axis.settings]
-    now = [(file, key, find(base.content if not file else _parse(base, file), key)) for file, key in places]
+    now = [
+        (file, key, find(tomllib.loads(base.files[file].decode()) if file else base.content, key))
+        for file, key in places
+    ]
     return [tuple((file, key, _multiply(key, value, one)) for file, key, value in now) for one in axis.factors]
-
-
-def _parse(base: Base, file: str) -> dict[str, Any]:
-    return tomllib.loads(base.files[file].decode())
 
 
 def _multiply(key: str, value: Any, factor: float) -> Any:
