@@ -158,7 +158,8 @@ def read_results(folder: Path, only: Collection[str] | None = None) -> Results:
     if not isinstance(kinds, dict) or not all(isinstance(columns, dict) for columns in kinds.values()):
         raise InputError(f"{folder / PROVENANCE_FILE}: found no tables, expected results of this version")
     empty = provenance.get("empty_tables", {})
-    if not isinstance(empty, dict) or not all(map(_are_names, empty.values())):
+    lists = empty.values() if isinstance(empty, dict) else [None]
+    if not all(isinstance(one, list) and all(isinstance(column, str) for column in one) for one in lists):
         raise InputError(f"{folder / PROVENANCE_FILE}: empty_tables: found {empty!r}, expected lists of columns")
     for name in kinds:
         if not TABLE_NAME.fullmatch(name):
@@ -171,10 +172,6 @@ def read_results(folder: Path, only: Collection[str] | None = None) -> Results:
     for name, columns in empty.items():
         tables[name] = pd.DataFrame(columns=columns)
     return Results(summary, tables, {}, provenance, folder)
-
-
-def _are_names(columns: object) -> bool:
-    return isinstance(columns, list) and all(isinstance(column, str) for column in columns)
 
 
 def _read_table(path: Path, kinds: Mapping[str, str]) -> pd.DataFrame:

@@ -25,9 +25,7 @@ from bayescal.inference.diagnostics import (
     Diagnostics,
     list_check_problems,
     list_importance_problems,
-    list_scout_problems,
     list_stand_problems,
-    list_tail_problems,
     measure_longest_stand,
     measure_sensitivity,
 )
@@ -195,8 +193,7 @@ class Estimate:
             self.importance.pareto_k, self.importance.efficiency * self.importance.n_draws
         )
         problems += list_stand_problems(self.longest_stand, self.n_steps)
-        problems += list_scout_problems(**vars(self.scouts))
-        problems += list_tail_problems(**vars(self.tails))
+        problems += self.scouts.list_problems() + self.tails.list_problems()
         if self.check is not None:
             own, check = (self.log_evidence, self.log_evidence_se), self.check
             problems += list_check_problems(own, (check.log_evidence, check.standard_error), check.mixed)
