@@ -13,9 +13,8 @@ from papers import pose_methods
 from bayescal.config.registry import list_references
 from bayescal.errors import InputError
 from bayescal.experiments.audit.load import load_audit
-from bayescal.experiments.frame.load import load_experiment, load_kind
+from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.shared.study_schema import StudyConfig
-from bayescal.experiments.simulation.schema import SimulationConfig
 from bayescal.machines.mechanism import ExternalLoad
 from bayescal.machines.read import load_mechanism, read_reading_model
 
@@ -217,13 +216,6 @@ def test_misspelt_kind(study):
 def test_missing_kind(study):
     studies.edit(study, 'kind = "study"\n', "")
     assert "kind: found None" in fail(load_experiment, study)
-
-
-def test_study_is_no_simulation_and_the_reverse(study):
-    assert "kind: found 'study', expected 'simulation'" in fail(lambda path: load_kind(path, "simulation"), study)
-    simulation = study.with_name("simulate.toml")
-    assert "kind: found 'simulation', expected 'study'" in fail(lambda path: load_kind(path, "study"), simulation)
-    assert isinstance(load_experiment(simulation), SimulationConfig)
 
 
 @pytest.mark.parametrize(
