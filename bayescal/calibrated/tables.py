@@ -20,9 +20,9 @@ from bayescal.data.instruments.rotations import OTHER_COLUMNS, VECTOR, read_rota
 from bayescal.data.instruments.tables import name_covariances
 from bayescal.errors import InputError, name_faults
 from bayescal.files.csv_tables import Table, format_table, read_table
-from bayescal.identifiability.units import units_like
 from bayescal.machines.readings import Channel, Coordinate, Legs
 from bayescal.numerics.geometry import Array
+from bayescal.numerics.units import units_like
 
 REACHED = "reached"
 NAMED = 12

@@ -16,10 +16,10 @@ from bayescal.errors import InputError, name_faults
 from bayescal.limits import LARGEST_SEED
 
 if TYPE_CHECKING:
+    from bayescal.calibrated.accuracy import Region
     from bayescal.calibrated.machine import CalibratedMachine
     from bayescal.calibrated.recheck.plan import Demand
     from bayescal.calibrated.recheck.statistics import Suspects
-    from bayescal.calibrated.region import Region
     from bayescal.density.calibration.measurements import Measurements
     from bayescal.numerics.geometry import Array
 
@@ -52,7 +52,7 @@ def export(
     trust: Trust = False,
 ) -> None:
     """Write the machine as calibrated, with covariance and draws, as files for the next tool."""
-    from bayescal.calibrated.export import export_machine
+    from bayescal.calibrated.formats import export_machine
     from bayescal.experiments.shared.calibrating import load_calibrated
     from bayescal.files.atomic import check_writable
 
@@ -203,7 +203,7 @@ def _read_region(
 
     import numpy as np
 
-    from bayescal.calibrated.region import box_about_home
+    from bayescal.calibrated.accuracy import box_about_home
 
     if whole_range and (position_mm or rotation_deg):
         raise InputError("--whole-range: found beside --position-mm or --rotation-deg, expected either")
@@ -275,9 +275,8 @@ def recheck(
     trust: Trust = False,
 ) -> None:
     """Name the fewest poses that show whether a calibration still holds, or judge what was read at them."""
-    from bayescal.calibrated.recheck.judge import judge_recheck
     from bayescal.calibrated.recheck.plan import list_candidates, plan_recheck
-    from bayescal.calibrated.recheck.statistics import choose_suspects
+    from bayescal.calibrated.recheck.statistics import choose_suspects, judge_recheck
     from bayescal.calibrated.recheck.tables import describe_plan, describe_recheck, expect_readings, format_plan
     from bayescal.calibrated.tables import read_commands
     from bayescal.experiments.shared.calibrating import load_calibrated

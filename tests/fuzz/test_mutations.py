@@ -19,7 +19,7 @@ from fuzz.hostile import change_file
 from fuzz.judged import Outcome, judge_call
 from fuzz.subjects import CHEAP, QUICK, Subject, read_subject
 
-from bayescal.calibrated.export import export_machine
+from bayescal.calibrated.formats import export_machine
 from bayescal.calibrated.predict import predict_poses
 from bayescal.data.actuators import name_actuators
 from bayescal.errors import NumericalError

@@ -18,9 +18,8 @@ from bayescal.experiments.audit.inputs import read_inputs
 from bayescal.experiments.audit.load import load_audit
 from bayescal.experiments.audit.schema import AuditConfig
 from bayescal.identifiability.design import FunctionOfPose
-from bayescal.identifiability.information import information_of_rows
-from bayescal.identifiability.sensitivity import compute_sensitivity
-from bayescal.identifiability.structured_noise import inform, marginalise
+from bayescal.identifiability.information import information_of_rows, marginalise
+from bayescal.identifiability.sensitivity import compute_sensitivity, inform
 
 KERNELS = [LinearKernel(), SmoothKernel(1.5)]
 

@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from bayescal.calibrated.machine import CalibratedMachine
-from bayescal.calibrated.recheck.judge import Recheck
 from bayescal.calibrated.recheck.plan import RecheckPlan
-from bayescal.calibrated.recheck.statistics import say_shift, say_size
+from bayescal.calibrated.recheck.statistics import Recheck, say_shift, say_size
 from bayescal.calibrated.tables import name_column, read_commands
 from bayescal.data.actuators import check_range
 from bayescal.data.instruments.plausible import check_units

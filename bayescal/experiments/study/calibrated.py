@@ -17,11 +17,11 @@ from bayescal.calibrated.exported import (
     format_matrix,
     format_matrix_covariance,
     format_measured,
+    format_mechanism,
     read_matrix_covariance,
     read_measured,
 )
 from bayescal.calibrated.machine import CalibratedMachine, Source, build_calibrated_legs, build_leg_errors
-from bayescal.calibrated.mechanism_file import format_mechanism
 from bayescal.config.registry import list_references, list_sources
 from bayescal.config.trust import check_same, check_trust
 from bayescal.density.schema import FixedConfig

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from bayescal.calibrated.kept import read_kept
+from bayescal.calibrated.exported import read_kept
 from bayescal.calibrated.machine import (
     CalibratedMachine,
     Errors,

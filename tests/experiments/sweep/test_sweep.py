@@ -16,7 +16,7 @@ from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.run import compute_experiment, run_experiment
 from bayescal.experiments.frame.store import Store
 from bayescal.experiments.sweep.answers import find_answers
-from bayescal.experiments.sweep.keys import change, look_up
+from bayescal.experiments.sweep.members import change, look_up
 from bayescal.files.toml import write_toml
 
 pytestmark = pytest.mark.runs

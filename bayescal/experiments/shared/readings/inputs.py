@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bayescal.calibrated.kept import keep_machines
+from bayescal.calibrated.exported import keep_machines
 from bayescal.density.calibration.likelihood import CalibrationLikelihood, CalibrationPosterior
 from bayescal.density.calibration.measurements import Measurements
 from bayescal.density.calibration.terms import Errors
