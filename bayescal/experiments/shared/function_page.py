@@ -9,10 +9,10 @@ from functools import partial
 import pandas as pd
 from matplotlib.figure import Figure as Drawing
 
+from bayescal.experiments.frame.results import Row, list_rows
 from bayescal.experiments.shared.study_schema import stem_of
 from bayescal.report.blocks import Block, Cell, Column, Figure, Level, Section, Statement, make_table
 from bayescal.report.numbers import NOTHING, format_fixed, format_significant, join_words
-from bayescal.report.reading import Row, list_rows
 from bayescal.report.style import GREY, LEG_COLOURS
 from bayescal.report.symbols import quote, set_parameter, split_name
 

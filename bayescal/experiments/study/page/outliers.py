@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from functools import partial
 
+from bayescal.experiments.frame.results import Row
 from bayescal.experiments.study.page.figures.readings import draw_poses
 from bayescal.experiments.study.page.results import StudyResults
 from bayescal.experiments.study.page.variants import label_variant
 from bayescal.limits import BLUNDER
 from bayescal.report.blocks import Block, Cell, Column, Figure, Level, Section, Statement, make_table
 from bayescal.report.numbers import format_fixed, format_percent, format_significant, join_words
-from bayescal.report.reading import Row
 
 SHOWN = 10
 MANY = 8

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from bayescal.report.reading import Kinds, check_keys
+from bayescal.experiments.frame.results import Kinds, check_keys
 
 KEYS: dict[str, Kinds] = {"source": str, "citation": str, "figures": dict, "notation": dict}
 

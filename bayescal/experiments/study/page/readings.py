@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from functools import partial
 
+from bayescal.experiments.frame.results import Row
 from bayescal.experiments.shared import function_page, knowledge_page
 from bayescal.experiments.study.page.figures.readings import draw_predictions
 from bayescal.experiments.study.page.results import NOISE, StudyResults, get_number
@@ -18,7 +19,6 @@ from bayescal.report.numbers import (
     format_significant,
     join_words,
 )
-from bayescal.report.reading import Row
 
 COVERAGE, FAR = 0.90, 2.5  # what intervals should hold, and binomial deviations from it that are no chance
 MANY = 8

@@ -13,12 +13,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self
 import pandas as pd
 
 from bayescal.errors import InputError
-from bayescal.experiments.frame.results import SUMMARY_FILE, Results
+from bayescal.experiments.frame.results import NUMBER, SUMMARY_FILE, Kinds, Results, Row, check_keys, list_rows
 from bayescal.experiments.shared.headline import Candidate, choose_best, list_candidates
 from bayescal.experiments.study.page.posterior_files import Replicates, read_posteriors, read_replicates
 from bayescal.experiments.study.page.publication import Publication, read_publication
 from bayescal.report.numbers import MICROMETRES
-from bayescal.report.reading import NUMBER, Kinds, Row, check_keys, list_rows
 from bayescal.report.symbols import OF_KERNELS, Asked, scale_of, shown_in, split_name
 
 if TYPE_CHECKING:
