@@ -13,10 +13,11 @@ import numpy as np
 from scipy.special import logsumexp
 
 from bayescal.inference.ensemble import run_ensemble
-from bayescal.inference.exploration import Exploration
-from bayescal.inference.importance import evaluate_in_batches
+from bayescal.inference.exploration import Exploration, weigh_proposal
+from bayescal.inference.importance import ImportanceEvidence, evaluate_in_batches
 from bayescal.inference.proposal import MixtureProposal
 from bayescal.inference.sampling import Sample
+from bayescal.inference.schema import EvidenceConfig
 from bayescal.inference.stages import stage
 from bayescal.numerics.geometry import Array
 
@@ -97,6 +98,24 @@ def fit_tails(found: Exploration, far: FarDraws) -> Exploration:
 
     best = max((replace(found.proposal, dof=dof) for dof in (found.proposal.dof, *HEAVIER)), key=rate)
     return replace(found, proposal=best, efficiency=rate(best))
+
+
+def widen_tails(
+    found: Exploration,
+    importance: ImportanceEvidence,
+    far: FarDraws,
+    importance_seed: np.random.SeedSequence,
+    effort: EvidenceConfig,
+) -> tuple[Exploration, ImportanceEvidence]:
+    """Return exploration and evidence with a proposal of heavier tails where draws from farther out ask for them.
+
+    Not so where its own weights would be doubtful, and those before were not.
+    """
+    wider = fit_tails(found, far)
+    if wider is found:
+        return found, importance
+    again = weigh_proposal(wider, importance_seed, effort)
+    return (found, importance) if again.is_doubtful and not importance.is_doubtful else (wider, again)
 
 
 class Stretched:
