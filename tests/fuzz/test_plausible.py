@@ -17,7 +17,7 @@ from fuzz.subjects import write_subjects
 from bayescal.errors import InputError
 from bayescal.experiments.frame import run as frame
 from bayescal.experiments.frame.load import load_experiment
-from bayescal.experiments.study.load import load_inputs
+from bayescal.experiments.study.inputs import load_inputs
 from bayescal.report.pictures import Picture
 
 RESULTS = Path(__file__).parents[2] / "results"

@@ -32,8 +32,7 @@ from bayescal.experiments.shared.headline import choose_best
 from bayescal.experiments.shared.origin import name_origin
 from bayescal.experiments.shared.per_leg import spread_over_legs
 from bayescal.experiments.shared.study_schema import StudyConfig, VariantConfig, stem_of
-from bayescal.experiments.study.inputs import StudyInputs
-from bayescal.experiments.study.load import load_inputs
+from bayescal.experiments.study.inputs import StudyInputs, load_inputs
 from bayescal.files.csv_tables import read_matrix
 from bayescal.machines.deformations import NominalDeformation
 from bayescal.machines.kinematics import Machine

@@ -23,7 +23,7 @@ from bayescal.experiments.frame.load import load, load_experiment
 from bayescal.experiments.frame.run import compute_experiment
 from bayescal.experiments.frame.store import Store
 from bayescal.experiments.selection.inputs import read_selection
-from bayescal.experiments.study.load import load_inputs
+from bayescal.experiments.study.inputs import load_inputs
 from bayescal.machines.read import load_mechanism
 
 pytestmark = pytest.mark.runs
@@ -77,9 +77,7 @@ def test_a_study_of_an_own_model_and_deformation(call, tmp_path, no_pictures):
     assert fit["log_evidence"] == again["log_evidence"]
     lengths = load_mechanism(tmp_path / "mechanism.toml").leg_lengths
     found = studies.read_posterior(tmp_path / "out1", "longer/halved")
-    assert found["l[1]"]["nominal"] == pytest.approx(
-        lengths[0] + 0.5
-    )
+    assert found["l[1]"]["nominal"] == pytest.approx(lengths[0] + 0.5)
     assert (tmp_path / "out1" / "posterior" / "longer-halved.nc").is_file()
     provenance = read_json(tmp_path / "out1" / "provenance.json")
     assert "own.py" in provenance["files"]

@@ -13,7 +13,8 @@ import studies
 from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.frame.run import Finished, run_experiment
-from bayescal.experiments.study.fit import Task, run_task
+from bayescal.experiments.shared.study_inputs import Task
+from bayescal.experiments.study.fit import run_task
 
 pytestmark = pytest.mark.runs
 
@@ -73,7 +74,7 @@ def test_every_variant_has_its_rows_and_files(result):
 def test_numbers_of_unnamed_variants_are_those_without_named_ones(path, tmp_path):
     alone = studies.load_study(studies.write_tiny_study(tmp_path))
     beside, task = studies.load_study(path), Task("six_pus/none", True)
-    assert task.key == "six_pus-none-tau-free"
+    assert alone.name_task(task) == "six_pus-none-tau-free"
     one, other = run_task(alone, task), run_task(beside, task)
     assert one.names == other.names
     assert (one.importance, one.bridge) == (other.importance, other.bridge)

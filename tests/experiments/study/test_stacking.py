@@ -10,7 +10,7 @@ import pytest
 
 from bayescal.experiments.shared.stacking import compare_variants, find_tied, tabulate_comparison
 from bayescal.experiments.study import held_out
-from bayescal.experiments.study.held_out import describe_stacking
+from bayescal.experiments.study.tables import describe_stacking
 from bayescal.inference.leave_one_out import LeftOut
 
 N_POSES, N_HELD, N_DRAWS = 40, 6, 400
