@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from bayescal.experiments.frame.parallel import Run
-    from bayescal.experiments.frame.results import Writer
     from bayescal.experiments.shared.estimate import Fit, Subject
 
 
@@ -57,8 +56,6 @@ class Inputs(ABC):
     Attributes
     ----------
     config : StudyConfig
-    machine_name : str
-        What the summary calls the machine.
     """
 
     config: StudyConfig
@@ -77,6 +74,15 @@ class Inputs(ABC):
     @abstractmethod
     def fit_class(self) -> type[Fit]:
         """What `fit` returns."""
+
+    @property
+    @abstractmethod
+    def machine_files(self) -> tuple[dict[str, bytes], str]:
+        """What the machines are read from, by names in one folder, and where in that folder the config's own one is."""
+
+    @abstractmethod
+    def list_commands(self) -> dict[str, str]:
+        """Return files of the calibration poses' commands, and of what else was measured of the machine, by name."""
 
     def list_tasks(self) -> list[Task]:
         """Return all tasks, the long ones first."""
@@ -102,10 +108,6 @@ class Inputs(ABC):
         """Return tables that need the summary; none by default."""
         del summary, run
         return {}
-
-    @abstractmethod
-    def list_machine_files(self) -> Mapping[str, str | Writer]:
-        """Return what the results keep of the machine, by name."""
 
     @abstractmethod
     def estimate_memory(self) -> Need:

@@ -23,7 +23,6 @@ from bayescal.experiments.shared.study_schema import StudyConfig
 
 if TYPE_CHECKING:
     from bayescal.experiments.frame.parallel import Run
-    from bayescal.experiments.frame.results import Writer
     from bayescal.experiments.shared.estimate import Fit
     from bayescal.experiments.study.readings import ReadingFit, ReadingSubject
 
@@ -46,6 +45,17 @@ class ReadingStudy(ReadingInputs, Inputs):
     def verification(self) -> np.ndarray:
         """Which rows are kept for verification, of the variant that takes in most."""
         return max((one.verification for one in self.variants.values()), key=len)
+
+    @property
+    def machine_files(self) -> tuple[dict[str, bytes], str]:
+        """What the machines are read from, by names in one folder, and where in that folder the config's own one is."""
+        return self.files, self.machine_folder
+
+    def list_commands(self) -> dict[str, str]:
+        """Return the commands of each variant's poses as files."""
+        from bayescal.experiments.study.calibrated import format_variants_commands
+
+        return format_variants_commands(self)
 
     @property
     def fit_class(self) -> type[ReadingFit]:
@@ -71,12 +81,6 @@ class ReadingStudy(ReadingInputs, Inputs):
         from bayescal.experiments.study.readings import describe_readings
 
         return describe_readings(self, fits, run)
-
-    def list_machine_files(self) -> dict[str, str | Writer]:
-        """Return the machine's own files and the commands of its poses."""
-        from bayescal.experiments.study.calibrated_readings import keep_machine
-
-        return keep_machine(self)
 
     def estimate_memory(self) -> Need:
         """Return what the largest variant's posterior takes, and all that is saved of each."""

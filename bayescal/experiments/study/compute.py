@@ -11,6 +11,7 @@ from bayescal.experiments.shared.prior_widths import WidthTask, begin_widths, ta
 from bayescal.experiments.shared.study_inputs import Inputs, Task
 from bayescal.experiments.shared.trees import write_packed
 from bayescal.experiments.shared.variant_tables import rank_variants
+from bayescal.experiments.study.calibrated import list_machine_files
 from bayescal.inference.importance import ImportanceEvidence
 
 
@@ -25,6 +26,7 @@ def compute_study(inputs: Inputs, run: Run) -> Results:
         "title": config.title,
         "seed": config.seed,
         "machine": inputs.machine_name,
+        "machine_folder": inputs.machine_files[1],
         "origin": config.origin.model_dump(),
         "units": config.units.model_dump(),
         "n_poses": {"calibration": int((~held).sum()), "verification": int(held.sum())},
@@ -38,7 +40,7 @@ def compute_study(inputs: Inputs, run: Run) -> Results:
     if widths := await_widths():
         tables["sensitivity"] = tabulate_widths(free, widths, factors)
     files = {f"posterior/{task.stem}.nc": partial(write_packed, fit.evaluated[TREE]) for task, fit in fits.items()}
-    return Results(summary, tables, {**files, **inputs.list_machine_files()})
+    return Results(summary, tables, {**files, **list_machine_files(inputs)})
 
 
 def compute_posteriors(inputs: Inputs, run: Run) -> dict[Task, Fit]:

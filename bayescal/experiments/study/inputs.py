@@ -31,6 +31,7 @@ from bayescal.errors import InputError, PoseInputError, name_faults
 from bayescal.experiments.frame.memory import Need, check_arrays
 from bayescal.experiments.shared.measured import MeasuredReadings, MeasuredVariant, see_legs
 from bayescal.experiments.shared.origin import name_origin
+from bayescal.experiments.shared.readings.instruments import keep_files
 from bayescal.experiments.shared.readings.priors import choose_priors, widen
 from bayescal.experiments.shared.search_memory import check_poses
 from bayescal.experiments.shared.slips import FoundSlip
@@ -180,6 +181,15 @@ class StudyInputs(Inputs):
             )
         return self.measured_matrix.matrix
 
+    @property
+    def matrix_covariance(self) -> Array | None:
+        """Covariance of each row of a measured K, shape (N, N, N); None where K was not measured."""
+        if not self.matrix_from_targets or self.measured_matrix is None:
+            return None
+        n = self.mechanism.n_legs
+        legs = np.arange(n)
+        return np.asarray(self.measured_matrix.covariance.reshape(n, n, n, n)[legs, :, legs, :])
+
     def likelihood(self, variant: VariantConfig, verification: bool) -> Likelihood:
         """Return the density of the measurements of one use under a variant."""
         extra = self.matrix_variance(variant, verification)
@@ -272,6 +282,17 @@ class StudyInputs(Inputs):
 
         return Fit
 
+    @cached_property
+    def machine_files(self) -> tuple[dict[str, bytes], str]:
+        """What the machine is read from, by names in one folder, and where in that folder the config's own one is."""
+        return keep_files(self.config, self.folder)
+
+    def list_commands(self) -> dict[str, str]:
+        """Return the actuator positions of the calibration poses, and K where it was measured, as files."""
+        from bayescal.experiments.study.calibrated import format_actuators
+
+        return format_actuators(self)
+
     def list_tasks(self) -> list[Task]:
         """Return a task for every variant with its model error, then without."""
         return [Task(one.name, free) for free in (True, False) for one in self.config.variants]
@@ -315,12 +336,6 @@ class StudyInputs(Inputs):
         if self.targets is None:
             raise InputError(f"{self.folder}: claims: found {name!r} without targets, expected measured targets")
         return find_class("CLAIMS", name, kind, "claims", self.folder, self.folder)()  # type: ignore[type-abstract]
-
-    def list_machine_files(self) -> dict[str, str]:
-        """Return the files of the nominal machine."""
-        from bayescal.experiments.study.calibrated import describe_nominal
-
-        return describe_nominal(self)
 
     def estimate_memory(self) -> Need:
         """Return what the posteriors of all poses take."""

@@ -19,7 +19,7 @@ from bayescal.experiments.frame.terminal import show_verdict
 from bayescal.experiments.shared.calibrating import Calibrating, load_same
 from bayescal.experiments.shared.headline import list_candidates
 from bayescal.experiments.shared.measured import MeasuredReadings, Measuring
-from bayescal.experiments.shared.readings.inputs import list_machines
+from bayescal.experiments.shared.readings.instruments import list_machines
 from bayescal.experiments.shared.readings.machine_kind import MachineExperiment
 from bayescal.experiments.shared.study_inputs import Inputs
 from bayescal.experiments.shared.study_schema import StudyConfig
@@ -103,11 +103,9 @@ class Study(MachineExperiment[StudyConfig, Inputs], Measuring, Calibrating):
     ) -> CalibratedMachine:
         """Return the machine of a variant of the study."""
         config = self.config_of(results) if experiment is None else load_same(results, experiment, self.schema)
-        from bayescal.experiments.study.calibrated import calibrate_study
-        from bayescal.experiments.study.calibrated_readings import calibrate_machine
+        from bayescal.experiments.study.calibrated import calibrate_machine
 
-        calibrate = calibrate_machine if config.by_tables else calibrate_study
-        return calibrate(results, config, variant, experiment, trust)
+        return calibrate_machine(results, config, variant, experiment, trust)
 
     def show_comparison(self, table: pd.DataFrame, console: Console) -> None:
         """Print variants of several studies ranked together."""

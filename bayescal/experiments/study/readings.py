@@ -32,7 +32,7 @@ from bayescal.experiments.shared.stacking import tabulate_comparison
 from bayescal.experiments.shared.study_inputs import Described, Task
 from bayescal.experiments.shared.trees import Draws, Readings, build_tree, limit_draws
 from bayescal.experiments.shared.variant_tables import NOISE, describe_fit, tabulate_left_out, tabulate_parameters
-from bayescal.experiments.study.calibrated_readings import ERRORS, tabulate_errors
+from bayescal.experiments.study.calibrated import ERRORS, tabulate_errors
 from bayescal.inference.exploration import explore
 from bayescal.inference.importance import resample
 from bayescal.inference.stages import stage
@@ -305,7 +305,6 @@ def describe_readings(inputs: ReadingInputs, fits: Mapping[Task, Fit], run: Run)
     known = {str(row.pop("variant")): plain(row) for row in variants.to_dict("records")}
     summary = {
         "member": next(iter(inputs.variants.values())).model.member,
-        "machine_folder": inputs.machine_folder,
         "states_tool": all(one.model.states_tool for one in inputs.variants.values()),
         **({"unused": inputs.unused} if inputs.unused else {}),
     }

@@ -31,6 +31,7 @@ from bayescal.experiments.shared.variant_tables import (
     tabulate_left_out,
     tabulate_parameters,
 )
+from bayescal.experiments.study.calibrated import ERRORS, tabulate_leg_errors
 from bayescal.experiments.study.claims import Claims
 from bayescal.experiments.study.fit import read_prediction
 from bayescal.experiments.study.inputs import StudyInputs
@@ -66,6 +67,7 @@ def describe_poses(inputs: StudyInputs, fits: Mapping[Task, Fit], run: Run) -> D
         "flexure": tabulate_flexure(inputs.mechanism),
         "ring": _tabulate_ring(inputs),
         "deformation": _tabulate_deformation(inputs),
+        ERRORS: tabulate_leg_errors(inputs, {task.variant: fit for task, fit in fits.items() if task.with_model_error}),
         "joints": tabulate_joints(inputs.mechanism, inputs.measured.actuators, inputs.names),
     }
     if any("structured_mean" in fit.evaluated for fit in fits.values()):

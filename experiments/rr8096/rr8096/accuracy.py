@@ -198,7 +198,9 @@ def matrix_nearest(evidence: ClaimEvidence) -> ClaimRows:
     if not models:
         return
     distance = {
-        m: {d: float(evidence.variants[f"{m}/{d}"]["distance_from_nominal_mm"]) for d in evidence.deformations(m)}
+        m: {
+            d: float(evidence.variants[f"{m}/{d}"]["distance_from_nominal_mm"]) for d in evidence.deformations(m)
+        }
         for m in models
     }
     worst = max(d["matrix"] / min(d["none"], d["linear"]) for d in distance.values())
