@@ -21,7 +21,7 @@ _HOMES = {
     "CalibratedMachine": "bayescal.calibrated.machine",
     "predict_poses": "bayescal.calibrated.predict",
     "command_poses": "bayescal.calibrated.predict",
-    "export_machine": "bayescal.calibrated.export",
+    "export_machine": "bayescal.calibrated.formats",
     "load_experiment": "bayescal.experiments.frame.load",
     "run_experiment": "bayescal.front",
     "ReadingMachine": "bayescal.machines.readings",

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayescal.calibrated.kept import keep_machines
+from bayescal.calibrated.exported import keep_machines
 from bayescal.config.load import read_toml
 from bayescal.config.local_imports import find_local_imports
 from bayescal.config.sections import ExperimentConfig, Section
@@ -28,11 +28,11 @@ from bayescal.errors import InputError, name_faults
 from bayescal.experiments.frame.load import load
 from bayescal.files.csv_tables import read_table
 from bayescal.files.toml import write_toml
-from bayescal.identifiability.units import units_like
 from bayescal.loaded import LoadedResults, StudyResult, Table, load_results, name_rows
 from bayescal.machines.mechanism import Mechanism
 from bayescal.machines.read import load_mechanism, read_reading_model
 from bayescal.machines.readings import Channel, ReadingMachine, ReadingModel
+from bayescal.numerics.units import units_like
 
 if TYPE_CHECKING:
     import pandas as pd  # tables need it, naming things does not

@@ -347,7 +347,7 @@ class VariantResult:
 
     def export(self, folder: Path | str, name: str | None = None) -> list[Path]:
         """Write the machine as calibrated, with covariance and draws; see `export_machine`."""
-        from bayescal.calibrated.export import export_machine
+        from bayescal.calibrated.formats import export_machine
 
         return export_machine(self.machine, Path(folder), name)
 

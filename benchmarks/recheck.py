@@ -14,13 +14,12 @@ import numpy as np
 import pandas as pd
 
 from bayescal.calibrated.machine import CalibratedMachine, Source, build_leg_errors
-from bayescal.calibrated.recheck.judge import judge_recheck
 from bayescal.calibrated.recheck.plan import Demand, list_candidates, plan_recheck
-from bayescal.calibrated.recheck.statistics import choose_suspects
+from bayescal.calibrated.recheck.statistics import choose_suspects, judge_recheck
 from bayescal.calibrated.recheck.tables import expect_pose, place_poses
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.density.calibration.measurements import Measurements
-from bayescal.experiments.check.subject import Subject
+from bayescal.experiments.check.inputs import Subject
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.shared.measured import MeasuredVariant, see_legs
 from bayescal.machines.kinematics import solve_forward_kinematics

@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from bayescal.density.sessions.model import DAYS_IN_MONTH, Drift, Part, SessionModel, walk_loadings
-from bayescal.experiments.check.subject import Subject
+from bayescal.density.sessions import DAYS_IN_MONTH, Drift, Part, SessionModel, walk_loadings
+from bayescal.experiments.check.inputs import Subject
 from bayescal.experiments.frame.load import load
-from bayescal.experiments.sessions.fit import SessionFit, fit_sessions
-from bayescal.experiments.sessions.measured import Session
+from bayescal.experiments.sessions.compute import SessionFit, fit_sessions
+from bayescal.experiments.sessions.inputs import Session
 from bayescal.experiments.shared.measured import measure_variants
 from bayescal.numerics.geometry import Array
 

@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.density.legs import build_leg_posterior
 from bayescal.errors import BayescalError
-from bayescal.experiments.check.subject import Subject
+from bayescal.experiments.check.inputs import Subject
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.shared.leg_slips import find_leg_slip, state_error, suspect_poses
 from bayescal.experiments.shared.measured import MeasuredVariant, measure_variants, see_legs

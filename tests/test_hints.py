@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from bayescal.config.lines import find_line
+from bayescal.config.load import find_line
 from bayescal.projects.start import start_project
 
 TEXT = """kind = "study"

@@ -1,29 +1,36 @@
-"""Exported machines as directories: ``calibrated.toml`` names the machine's file and how well it is known."""
+"""Exported machines as directories: ``calibrated.toml`` names the machine's file and how well it is known.
+
+Results and exported machines keep the file that a machine is read from and, where its class stands in a file beside
+it, that file with what it imports from beside itself. Whoever loads a stranger's results runs that code only if they
+say so.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import json
+import os
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
 
-from bayescal.calibrated.covariances import check_covariance
-from bayescal.calibrated.kept import read_kept
 from bayescal.calibrated.machine import CalibratedMachine, Errors, LegErrors, Source
-from bayescal.calibrated.mechanism_file import format_mechanism, format_value
 from bayescal.calibrated.settle import find_hindrance
 from bayescal.calibrated.tables import read_given, read_quantities
+from bayescal.config.classes import CLASS
 from bayescal.config.load import check_section, read_toml
+from bayescal.config.registry import list_references
 from bayescal.config.sections import InputFile, NotNegative, Number, Section
-from bayescal.config.trust import hash_file
+from bayescal.config.trust import check_same, check_trust, hash_file
 from bayescal.errors import InputError
 from bayescal.files.csv_tables import format_table, read_matrix, read_table
 from bayescal.files.netcdf import read_netcdf
 from bayescal.machines.deformations import MatrixDeformation, NominalDeformation
 from bayescal.machines.kinematics import check_home_pose
-from bayescal.machines.read import build_named_machine, list_machine_sources, load_mechanism
+from bayescal.machines.mechanism import BeamSection, ExternalLoad, Flexures, Mechanism
+from bayescal.machines.read import LEGS, build_named_machine, list_machine_sources, load_mechanism, read_reading_model
 from bayescal.machines.readings import Legs, ReadingModel
 from bayescal.numerics.geometry import Array
 
@@ -31,6 +38,11 @@ CALIBRATED, MECHANISM, MATRIX = "calibrated.toml", "mechanism.toml", "deformatio
 PARAMETERS, COVARIANCE, DRAWS, MEASURED = "parameters.csv", "covariance.csv", "draws.nc", "measured.csv"
 MATRIX_COVARIANCE = "deformation_matrix_covariance.csv"
 PER_MILLE = 1e-3  # of K in files
+ASYMMETRY = 1e-6
+"""Of the product of both standard deviations; files have all digits, those of others perhaps seven."""
+LEAST_EIGENVALUE = -1e-6
+"""Of the correlations: fewer draws than parameters leave eigenvalues that are zero but for rounding."""
+STANDARD_GRAVITY = 9.80665  # m/s²
 
 
 class SourceConfig(Section):
@@ -384,3 +396,156 @@ def _read_draws(path: Path, names: tuple[str, ...]) -> Array:
         return np.asarray(draws.to_numpy(), dtype=np.float64)
     except (OSError, ValueError, KeyError) as error:
         raise InputError(f"{path}: cannot be read as draws ({' '.join(str(error).split())})") from error
+
+
+def check_covariance(path: Path, names: Sequence[str], covariance: Array) -> None:
+    """Check a covariance (n, n) of quantities of any units.
+
+    Raises
+    ------
+    InputError
+        Where an entry is not finite, a variance is negative, two entries across the diagonal differ, or no data can
+        have such correlations.
+    """
+    for i, j in np.argwhere(~np.isfinite(covariance))[:1]:
+        raise InputError(f"{_where(path, names, i, j)}: found {covariance[i, j]:g}, expected a finite number")
+    variance = np.diagonal(covariance)
+    for i in np.flatnonzero(variance < 0.0)[:1]:
+        raise InputError(f"{_where(path, names, i, i)}: found {variance[i]:g}, expected a variance, zero or more")
+    sd = np.sqrt(variance)
+    product = sd[:, None] * sd
+    unlike = np.abs(covariance - covariance.T) > ASYMMETRY * product
+    for i, j in np.argwhere(unlike)[:1]:
+        raise InputError(
+            f"{_where(path, names, i, j)}: found {covariance[i, j]:g} and across the diagonal {covariance[j, i]:g}, "
+            "expected the same"
+        )
+    for i, j in np.argwhere(np.abs(covariance) > (1.0 - LEAST_EIGENVALUE) * product)[:1]:
+        raise InputError(
+            f"{_where(path, names, i, j)}: found {covariance[i, j]:g}, expected at most {product[i, j]:g}, the product "
+            "of both standard deviations"
+        )
+    known = np.flatnonzero(product.diagonal() > 0.0)
+    correlation = covariance[np.ix_(known, known)] / product[np.ix_(known, known)]
+    if len(known) and np.linalg.eigvalsh(correlation)[0] < LEAST_EIGENVALUE * len(known):
+        raise InputError(f"{path}: found correlations that no data can have together, expected those of a covariance")
+
+
+def _where(path: Path, names: Sequence[str], row: int, column: int) -> str:
+    return f"{path}: {names[row]}, {names[column]}"
+
+
+def keep_machines(
+    paths: Iterable[Path], others: Iterable[Path] = (), folder: Path | None = None
+) -> tuple[dict[str, bytes], dict[Path, str]]:
+    """Return the files that machines are read from, by names in one folder, and each machine's own name there.
+
+    Other files are kept beside them, and where a ``folder`` is given it has a place there, too.
+    """
+    machines = {path: path.resolve() for path in paths}
+    every = dict.fromkeys([*machines.values(), *(one.resolve() for one in others)])
+    for path in machines:
+        every |= dict.fromkeys((path.parent / one).resolve() for one in list_machine_sources(path))
+    known = machines if folder is None else machines | {folder: folder.resolve()}
+    root = Path(os.path.commonpath([*(one.parent for one in every), *(known[folder] for _ in [folder] if folder)]))
+    files = {one.relative_to(root).as_posix(): one.read_bytes() for one in every}
+    return files, {path: one.relative_to(root).as_posix() for path, one in known.items()}
+
+
+def read_kept(path: Path, trust: bool, known: Collection[str] | None = None) -> ReadingModel:
+    """Return the machine of a kept file.
+
+    Parameters
+    ----------
+    path : Path
+        The machine's TOML file.
+    trust : bool
+        Whether the code of a class of its own may be run.
+    known : collection of str, optional
+        SHA-256 of files that the results go back to: code has to be one of these.
+
+    Raises
+    ------
+    InputError
+        For code that nobody has allowed to run, or that is another than the results'.
+    """
+    for name in _list_own_classes(path):
+        check_trust(path, f"machine of its own class {name!r}", trust)
+    check_same(path.parent, [path.name], known)
+    check_same(path.parent, list_machine_sources(path), known)
+    return read_reading_model(path)
+
+
+def _list_own_classes(path: Path) -> list[str]:
+    """Return the names of classes in a machine's file that are neither built in nor an installed package's."""
+    content = read_toml(path)[0]
+    named = [("MACHINES", content.get("kind"))]
+    if content.get("kind") == LEGS:
+        named = [("MODELS", content.get("model")), ("DEFORMATIONS", content.get("deformation"))]
+    found = [(what, one.get(CLASS) if isinstance(one, dict) else one) for what, one in named]
+    return [one for what, one in found if isinstance(one, str) and one not in list_references(what)]
+
+
+def format_mechanism(mechanism: Mechanism, comments: Sequence[str] = ()) -> str:
+    """Return the text of a mechanism's file, comment lines above."""
+    lines = [f"# {comment}" for comment in comments]
+    lines += [f"name = {format_value(mechanism.name)}"]
+    lines += ["", "[base]", f"points_mm = {_format_rows(mechanism.base_points)}"]
+    lines += ["", "[platform]", f"points_mm = {_format_rows(mechanism.platform_points)}"]
+    lines += ["", *_format_home(mechanism), "", *_format_legs(mechanism)]
+    if mechanism.flexures is not None:
+        lines += _format_flexures(mechanism.flexures)
+    if mechanism.load != ExternalLoad():
+        lines += _format_load(mechanism.load)
+    return "\n".join(lines) + "\n"
+
+
+def _format_home(mechanism: Mechanism) -> list[str]:
+    if mechanism.home_position is not None:
+        return ["[home]", f"near_mm = {format_value(mechanism.home_position)}"]
+    return ["[home]", f'platform = "{"below" if mechanism.platform_below else "above"}"']
+
+
+def _format_legs(mechanism: Mechanism) -> list[str]:
+    lines = ["[legs]", f'drive = "{mechanism.drive}"', f"length_mm = {format_value(mechanism.leg_lengths)}"]
+    if mechanism.drive == "base":
+        lines.append(f"direction = {_format_rows(mechanism.directions)}")
+    lines.append(f"initial_actuator_position_mm = {format_value(mechanism.initial_actuator_positions)}")
+    return [*lines, f"actuator_range_mm = {format_value(mechanism.actuator_range)}"]
+
+
+def _format_flexures(flexures: Flexures) -> list[str]:
+    lines = ["", "[flexures]", f"length_mm = {format_value(flexures.lengths)}", f"beta = {format_value(flexures.beta)}"]
+    if flexures.section is None or flexures.leg_section is None:
+        return lines
+    sections = {"flexure": flexures.section, "leg": flexures.leg_section}
+    return [*lines, "", "[stiffness]", *(f"{key} = {_format_section(one)}" for key, one in sections.items())]
+
+
+def _format_section(section: BeamSection) -> str:
+    k1, k2, k3 = (format_value(k) for k in (section.k1, section.k2, section.k3))
+    return f"{{ k1_n_mm2 = {k1}, k2_n = {k2}, k3_n_mm2 = {k3} }}"
+
+
+def _format_load(load: ExternalLoad) -> list[str]:
+    lines = ["", "[load]", f"force_n = {format_value(load.force)}", f"moment_n_mm = {format_value(load.moment)}"]
+    mass = float(np.linalg.norm(load.weight)) / STANDARD_GRAVITY
+    if mass > 0.0:
+        lines.append(f"mass_kg = {format_value(mass)}")
+        lines.append(f"gravity_m_s2 = {format_value([w / mass for w in load.weight])}")
+    return [*lines, f"centre_of_mass_mm = {format_value(load.centre_of_mass)}"]
+
+
+def _format_rows(rows: Array) -> str:
+    return "[\n" + "".join(f"    {format_value(row)},\n" for row in rows) + "]"
+
+
+def format_value(value: object) -> str:
+    """Return a text, a flag, a number or a list of these as TOML has it; numbers as Python repeats them."""
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False)
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, Iterable):
+        return f"[{', '.join(format_value(one) for one in value)}]"
+    return repr(float(value))  # type: ignore[arg-type]  # a number by now

@@ -1,18 +1,40 @@
-"""The application that commands register with, and what it does before any of them."""
+"""The program: its application, options that commands share, where they print, and what becomes of errors."""
 
 from __future__ import annotations
 
-from typing import Annotated
+import errno
+import functools
+import inspect
+import io
+import os
+import sys
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Annotated, Any, get_type_hints
 
 import typer
+from rich.console import Console
 
-from bayescal.cli.options import NoPlugins
+from bayescal.config.trust import allow_own_classes
+from bayescal.errors import BayescalError, InputError, NumericalError, SeveralFaultsError
+from bayescal.experiments.frame.interrupts import INTERRUPTED
+from bayescal.files.plain_text import make_plain
+from bayescal.limits import LARGEST_SEED
 
 app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
     help="Bayesian identification of parallel-kinematic machines.",
 )
+
+WIDTH, WIDE = 120, 160
+"""Of what is printed where there is no terminal; comparisons are wide."""
+
+OWN_FAULT = "a fault of bayescal, or of a class of one's own"
+TRACEBACK = "BAYESCAL_TRACEBACK"
+"""Environment variable that shows where in the code a fault of bayescal's own is."""
 
 
 def _show_version(wanted: bool) -> None:
@@ -35,3 +57,152 @@ def begin(
     del version, no_plugins
     if context.invoked_subcommand is None:
         typer.echo(context.get_help())
+
+
+def _forbid_plugins(forbidden: bool) -> None:
+    if forbidden:
+        allow_own_classes(False)
+
+
+Experiment = Annotated[Path, typer.Argument(metavar="EXPERIMENT.toml", help="Config of the experiment.")]
+Seed = Annotated[int | None, typer.Option(min=0, max=LARGEST_SEED, help="Seed in place of the config's.")]
+NoPlugins = Annotated[
+    bool,
+    typer.Option(
+        "--no-plugins",
+        envvar="BAYESCAL_NO_PLUGINS",
+        callback=_forbid_plugins,
+        is_eager=True,
+        help="Refuse classes that are not built in; import no code that a file names.",
+    ),
+]
+
+
+Trust = Annotated[
+    bool, typer.Option("--trust-code", help="Run the code of classes of their own that the results keep.")
+]
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """How an experiment is run, whatever its kind."""
+
+    out: Annotated[Path | None, typer.Option(help="Results directory; default results/NAME.")] = None
+    seed: Seed = None
+    workers: Annotated[
+        int | None, typer.Option(min=1, max=1024, help="Processes side by side; default one per core.")
+    ] = None
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS", help="Of dask: an address, a scheduler's JSON file, or local:N; its workers compute."
+        ),
+    ] = None
+    resume: Annotated[bool, typer.Option("--resume", help="Take up an interrupted run of the same config.")] = False
+    quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False
+    no_plugins: NoPlugins = False
+
+
+def spread_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Return a command whose parameter of RunOptions is given option by option."""
+    names = [field.name for field in fields(RunOptions)]
+    hints = get_type_hints(RunOptions, include_extras=True)
+    kind = inspect.Parameter.KEYWORD_ONLY
+    spread = [
+        inspect.Parameter(field.name, kind, default=field.default, annotation=hints[field.name])
+        for field in fields(RunOptions)
+    ]
+    own = list(inspect.signature(command, eval_str=True).parameters.values())
+    options = next(one for one in own if one.annotation is RunOptions)
+
+    @functools.wraps(command)
+    def take(**given: Any) -> None:
+        command(**{options.name: RunOptions(**{name: given.pop(name) for name in names})}, **given)
+
+    take.__signature__ = inspect.Signature([*(one.replace(kind=kind) for one in own if one is not options), *spread])  # type: ignore[attr-defined]
+    return take
+
+
+def make_console(width: int = WIDTH) -> Console:
+    """Return where to print; without a terminal as wide as COLUMNS says, or as is given."""
+    found = Console(highlight=False, markup=False)
+    if found.is_terminal:
+        return found
+    told = os.environ.get("COLUMNS", "")
+    return Console(width=int(told) if told.isdecimal() and int(told) else width, highlight=False, markup=False)
+
+
+def check_out(out: Path | None) -> None:
+    """Find out before anything is computed whether a file of results can be written."""
+    from bayescal.files.atomic import check_writable
+
+    if out is not None:
+        if out.is_dir():
+            raise InputError(f"{out}: is a directory, expected a file name")
+        if out.is_symlink() and not out.exists():
+            raise InputError(f"{out}: is a link that leads nowhere, expected a file name")
+        check_writable(out.parent)
+
+
+def put(text: str, out: Path | None) -> None:
+    """Write a text to a file, or to standard output."""
+    from bayescal.files.atomic import make_directory, write_atomically
+
+    if out is None:
+        typer.echo(text, nl=False)
+    else:
+        make_directory(out.parent)
+        write_atomically(out, text.encode())
+        typer.echo(f"wrote {out}")
+
+
+def main() -> None:
+    """Run the command line; errors become one line on standard error and an exit code.
+
+    Exit code 0 for success, 2 for bad input, 3 for a failure on the way, 130 for an interrupt.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a terminal without Greek letters
+    try:
+        code = app(standalone_mode=False)
+    except typer.TyperException as error:
+        code = _complain(f"{error.format_message()} See bayescal --help.", InputError.exit_code)
+    except SeveralFaultsError as error:
+        code = max(_complain(line, error.exit_code) for line in error.lines)
+    except BayescalError as error:
+        code = _complain(str(error), error.exit_code)
+    except OSError as error:  # a file or directory that may not be read or written, a full disk
+        where = error.filename or "a file of the results"
+        full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO)
+        code = _complain(
+            f"{where}: {error.strerror}, expected {'room to write' if full else 'to read or write there'}",
+            NumericalError.exit_code if full else InputError.exit_code,
+        )
+    except MemoryError:
+        code = _complain(
+            "found too little memory, expected a smaller task or a larger machine", NumericalError.exit_code
+        )
+    except (KeyboardInterrupt, typer.Abort):
+        code = _complain("interrupted", INTERRUPTED)
+    except Exception as error:
+        if os.environ.get(TRACEBACK):
+            raise
+        code = _complain(_describe_own_fault(error), NumericalError.exit_code)
+    finally:
+        allow_own_classes(True)  # what a call forbids holds for that call
+    sys.exit(code or 0)
+
+
+def _describe_own_fault(error: Exception) -> str:
+    """Return what nobody foresaw in a line: where, what, and how to see all of it."""
+    where = traceback.extract_tb(error.__traceback__)[-1]
+    return (
+        f"{type(error).__name__}: {error} ({Path(where.filename).name}, line {where.lineno}): {OWN_FAULT}, expected a "
+        f"line that says what is wrong; please report it with what {TRACEBACK}=1 shows"
+    )
+
+
+def _complain(message: str, code: int) -> int:
+    typer.echo(f"bayescal: {make_plain(' '.join(message.split()))}", err=True)
+    return code

@@ -1,19 +1,27 @@
-"""Commands that use a calibrated machine: export, command, predict."""
+"""Commands that use a calibrated machine: export, command, predict, certificate, recheck."""
 
 from __future__ import annotations
 
+import json
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+import numpy as np
 import typer
 
-from bayescal.cli.app import app
-from bayescal.cli.console import check_out, put
-from bayescal.cli.options import Trust
+from bayescal.cli.app import Trust, app, check_out, put
+from bayescal.errors import InputError, name_faults
 from bayescal.limits import LARGEST_SEED
 
 if TYPE_CHECKING:
+    from bayescal.calibrated.accuracy import Region
     from bayescal.calibrated.machine import CalibratedMachine
+    from bayescal.calibrated.recheck.plan import Demand
+    from bayescal.calibrated.recheck.statistics import Suspects
+    from bayescal.density.calibration.measurements import Measurements
+    from bayescal.numerics.geometry import Array
 
 Calibrated = Annotated[
     Path, typer.Argument(metavar="RESULTS", help="Results of a study or calibration, or a machine that export wrote.")
@@ -26,6 +34,8 @@ Force = Annotated[bool, typer.Option("--force", help="Take a posterior that did 
 COPIES, OF_A_DRAW = 6, 120
 """How often a pose's covariance is there, text among it, and doubles of a draw's pose and its text."""
 Table = Annotated[Path | None, typer.Option(help="CSV file; default standard output.")]
+
+DEFAULT_UM, DEFAULT_ARCSEC, DEFAULT_SD = 20.0, 20.0, 10.0
 
 
 @app.command(epilog="Example: bayescal export results/m2_hexapod --format urdf --out machines/m2")
@@ -42,7 +52,7 @@ def export(
     trust: Trust = False,
 ) -> None:
     """Write the machine as calibrated, with covariance and draws, as files for the next tool."""
-    from bayescal.calibrated.export import export_machine
+    from bayescal.calibrated.formats import export_machine
     from bayescal.experiments.shared.calibrating import load_calibrated
     from bayescal.files.atomic import check_writable
 
@@ -131,3 +141,321 @@ def _tell_missing(results: Path, calibrated: CalibratedMachine) -> None:
     """Say on standard error that there is no covariance, and why."""
     if calibrated.covariance is None:
         typer.echo(f"{results}: no draws of the posterior (posterior/*.nc): without covariance and draws", err=True)
+
+
+@app.command(epilog="Example: bayescal certificate results/m2_hexapod --out certificate.html")
+def certificate(
+    results: Calibrated,
+    variant: Variant = None,
+    out: Annotated[
+        Path | None, typer.Option(help="HTML file, its numbers beside it as JSON; default certificate-...html.")
+    ] = None,
+    coverage: Annotated[float, typer.Option(min=0.5, max=0.9999, help="Probability of what is stated.")] = 0.95,
+    cube: Annotated[
+        float | None, typer.Option(min=1e-3, max=1e5, help="Edge of ISO 9283's cube, mm; default the largest.")
+    ] = None,
+    position_mm: Annotated[
+        tuple[float, float, float] | None,
+        typer.Option(help="Half extents about home in x, y, z; default the box of the measured poses."),
+    ] = None,
+    rotation_deg: Annotated[
+        tuple[float, float, float] | None, typer.Option(help="Half extents of the rotation vector, with --position-mm.")
+    ] = None,
+    whole_range: Annotated[
+        bool, typer.Option("--whole-range", help="All over the actuators' range, measured or not.")
+    ] = False,
+    poses: Annotated[int, typer.Option(min=16, max=100_000, help="Poses of the workspace.")] = 512,
+    seed: Annotated[int, typer.Option(min=0, max=LARGEST_SEED - 2, help="Of poses and draws.")] = 0,
+    experiment: Config = None,
+    force: Force = False,
+    trust: Trust = False,
+) -> None:
+    """Certify how sure the poses of a calibrated machine are: budget, expanded uncertainty, ISO figures."""
+    from bayescal.experiments.shared.calibrating import load_calibrated
+    from bayescal.experiments.shared.certificate_page import build_certificate, state_headline
+    from bayescal.experiments.shared.certify import Wishes, certify
+    from bayescal.report.page import render_page
+    from bayescal.report.pictures import render_picture
+
+    calibrated = load_calibrated(results, variant, experiment, force, trust)
+    if out is not None and out.suffix != ".html":
+        raise InputError(f"--out: found {out.name!r}, expected a name that ends with .html; the numbers go beside it")
+    where = out or Path(f"certificate-{calibrated.source.stem}.html")
+    check_out(where)
+    region = _read_region(calibrated, position_mm, rotation_deg, whole_range)
+    wishes = Wishes(coverage, poses, cube_mm=cube, seed=seed, region=region, whole_range=whole_range)
+    found = certify(calibrated, results, wishes)
+    typer.echo(state_headline(found))
+    page = build_certificate(found)
+    pictures = {figure.name: render_picture(figure.draw) for figure in page.figures() if figure.draw is not None}
+    put(render_page(page, pictures), where)
+    put(json.dumps(found.list_figures(), indent=1, ensure_ascii=False) + "\n", where.with_suffix(".json"))
+
+
+def _read_region(
+    calibrated: CalibratedMachine,
+    position_mm: tuple[float, float, float] | None,
+    rotation_deg: tuple[float, float, float] | None,
+    whole_range: bool,
+) -> Region | None:
+    """Return the box that the options state; None for the default, or for the actuators' range."""
+    from math import isfinite
+
+    import numpy as np
+
+    from bayescal.calibrated.accuracy import box_about_home
+
+    if whole_range and (position_mm or rotation_deg):
+        raise InputError("--whole-range: found beside --position-mm or --rotation-deg, expected either")
+    if position_mm is None:
+        if rotation_deg is not None:
+            raise InputError("--rotation-deg: found without --position-mm, expected both")
+        return None
+    turned = rotation_deg or (0.0, 0.0, 0.0)
+    for name, values in (("--position-mm", position_mm), ("--rotation-deg", turned)):
+        if not all(isfinite(value) and value >= 0.0 for value in values):
+            raise InputError(f"{name}: found {' '.join(f'{v:g}' for v in values)}, expected half extents of 0 or more")
+    units = [one.unit for one in calibrated.model.coordinates]
+    half = np.zeros(len(units))
+    for unit, name, extents in (
+        ("mm", "--position-mm", np.array(position_mm)),
+        ("rad", "--rotation-deg", np.radians(turned)),
+    ):
+        places = [k for k, other in enumerate(units) if other == unit]
+        if len(places) == len(extents):
+            half[places] = extents
+        elif unit == "mm" or places or rotation_deg is not None:
+            names = ", ".join(one.name for one in calibrated.model.coordinates)
+            raise InputError(f"{name}: found three for coordinates {names}, expected a machine with three of that kind")
+    return box_about_home(half)
+
+
+@app.command(epilog="Example: bayescal recheck results/m2 --position-um 10 --orientation-arcsec 1 --out plan.csv")
+def recheck(
+    results: Calibrated,
+    variant: Variant = None,
+    measured: Annotated[
+        list[Path] | None, typer.Option(help="CSV file of readings, of poses for legs, once per session: judge them.")
+    ] = None,
+    actuators: Annotated[Path | None, typer.Option(help="The plan, where --measured lacks what was commanded.")] = None,
+    position_um: Annotated[
+        float | None, typer.Option(min=1e-3, max=1e5, help="Standard deviation of a measured position, for legs.")
+    ] = None,
+    orientation_arcsec: Annotated[
+        float | None, typer.Option(min=1e-3, max=1e5, help="Standard deviation of a measured rotation.")
+    ] = None,
+    orientation_urad: Annotated[
+        float | None, typer.Option(min=1e-3, max=1e6, help="The same in microradians, in place of arcseconds.")
+    ] = None,
+    like: Annotated[
+        Path | None, typer.Option(help="CSV file of such readings with their noise, in place of options, for a plan.")
+    ] = None,
+    sensors: Annotated[
+        list[str] | None, typer.Option(help="Channels that are read, without legs; default all of known noise.")
+    ] = None,
+    shift_of: Annotated[
+        list[str] | None,
+        typer.Option(help="Symbols or parameters that may shift; default the legs' lengths, or all free ones."),
+    ] = None,
+    shift_um: Annotated[float | None, typer.Option(min=1e-2, max=1e5, help="Shift of a length; default 20.")] = None,
+    shift_arcsec: Annotated[float | None, typer.Option(min=1e-3, max=1e6, help="Of an angle; default 20.")] = None,
+    shift_sd: Annotated[
+        float | None, typer.Option(min=1e-2, max=1e6, help="In standard deviations of the posterior; default 10.")
+    ] = None,
+    power: Annotated[float, typer.Option(min=0.1, max=0.999, help="Probability of finding it.")] = 0.95,
+    false_alarm: Annotated[float, typer.Option(min=1e-3, max=0.5, help="Of all sessions together.")] = 0.01,
+    sessions: Annotated[int, typer.Option(min=1, max=12, help="Sessions of the same poses to find it in.")] = 2,
+    candidates: Annotated[
+        Path | None, typer.Option(help="CSV file of commands to choose from: pose, rho_1_mm ...")
+    ] = None,
+    share: Annotated[float, typer.Option(min=0.01, max=1.0, help="Of the commands' range, without one.")] = 0.9,
+    out: Table = None,
+    experiment: Config = None,
+    force: Force = False,
+    trust: Trust = False,
+) -> None:
+    """Name the fewest poses that show whether a calibration still holds, or judge what was read at them."""
+    from bayescal.calibrated.recheck.plan import list_candidates, plan_recheck
+    from bayescal.calibrated.recheck.statistics import choose_suspects, judge_recheck
+    from bayescal.calibrated.recheck.tables import describe_plan, describe_recheck, expect_readings, format_plan
+    from bayescal.calibrated.tables import read_commands
+    from bayescal.experiments.shared.calibrating import load_calibrated
+    from bayescal.machines.readings import Legs
+
+    orientation_arcsec = _choose_arcseconds(orientation_arcsec, orientation_urad)
+    calibrated = load_calibrated(results, variant, experiment, force, trust)
+    if calibrated.covariance is None:
+        raise InputError(f"{results}: found no draws of the posterior (posterior/*.nc), expected those of a run")
+    check_out(out)
+    suspects = choose_suspects(calibrated, shift_of or [])
+    legs = isinstance(calibrated.model, Legs)
+    stated = _find_stated(results, position_um, orientation_arcsec) if legs else None
+    if measured:
+        lines, read = [], []
+        for path in measured:
+            if legs:
+                said, session = _read_poses(path, actuators, stated, calibrated)
+                lines += said
+            else:
+                session = _read_readings(path, actuators, _find_noise(calibrated, like, sensors), calibrated)
+            read.append(session)
+        with name_faults(results):
+            lines += describe_recheck(judge_recheck(calibrated, suspects, read, false_alarm, sessions))
+        put("".join(f"{line}\n" for line in lines), out)
+        return
+    if legs:
+        planned = _plan_poses(results, stated, like, calibrated)
+    else:
+        planned = expect_readings(_find_noise(calibrated, like, sensors))
+    commands, given = (
+        list_candidates(calibrated, share) if candidates is None else read_commands(candidates, calibrated)[1:]
+    )
+    demand = _demand(calibrated, suspects, (shift_um, shift_arcsec, shift_sd), power, false_alarm, sessions)
+    with name_faults(results):
+        plan = plan_recheck(calibrated, suspects, commands, given, planned, demand)
+    sentence = describe_plan(plan)
+    put(format_plan(calibrated, plan, sentence), out)
+    if out is not None:
+        typer.echo(sentence)
+
+
+def _demand(
+    calibrated: CalibratedMachine,
+    suspects: Suspects,
+    stated: tuple[float | None, float | None, float | None],
+    power: float,
+    false_alarm: float,
+    sessions: int,
+) -> Demand:
+    """Return what is demanded of a plan; InputError for a shift in units that the parameters do not have."""
+    from bayescal.calibrated.recheck.plan import Demand
+    from bayescal.numerics.units import ARCSECOND, MICROMETRE
+
+    um, arcsec, in_sd = stated
+    if sum(one is not None for one in stated) > 1:
+        raise InputError("recheck: found the shift in several units, expected one of --shift-um, -arcsec and -sd")
+    units = set(suspects.units)
+    if not any(one is not None for one in stated) and suspects.stated:
+        um, arcsec = DEFAULT_UM if units == {"mm"} else None, DEFAULT_ARCSEC if units == {"rad"} else None
+    for value, unit, size, option in ((um, "mm", MICROMETRE, "um"), (arcsec, "rad", ARCSECOND, "arcsec")):
+        if value is not None:
+            if units != {unit}:
+                raise InputError(
+                    f"recheck: found --shift-{option} for parameters in {', '.join(sorted(units))}, expected --shift-sd"
+                )
+            return Demand(np.full(len(suspects.names), size * value), power, false_alarm, sessions)
+    in_sd = DEFAULT_SD if in_sd is None else in_sd
+    known = calibrated.sd[suspects.places]
+    for name in np.array(suspects.names)[known <= 0.0][:1]:
+        raise InputError(
+            f"recheck: found {name}, which is no free parameter, expected --shift-um or --shift-arcsec for it"
+        )
+    return Demand(in_sd * known, power, false_alarm, sessions, in_sd=in_sd)
+
+
+# --- legs ----------------------------------------------------------------------------------------------------------
+
+
+def _read_poses(
+    path: Path, actuators: Path | None, stated: tuple[float, float] | None, calibrated: CalibratedMachine
+) -> tuple[list[str], Measurements]:
+    """Return what is wrong with a session's measured poses, in lines, and the poses."""
+    from bayescal.calibrated.recheck.tables import has_noise, place_poses, read_session
+    from bayescal.data.instruments.read_poses import PoseNoise
+    from bayescal.experiments.shared.leg_slips import find_recheck_slip
+
+    noise = PoseNoise() if has_noise(path) or stated is None else PoseNoise(*stated)
+    read = read_session(path, actuators, noise, calibrated)
+    slip = find_recheck_slip(calibrated, read.poses) if read.is_whole() else None
+    lines = [] if slip is None else [f"{path}: {slip.say()}; what else is said rests on it"]
+    return lines, place_poses(read.names, read.actuators, read.values, read.covariance)
+
+
+def _plan_poses(
+    results: Path, stated: tuple[float, float] | None, like: Path | None, calibrated: CalibratedMachine
+) -> Measurements:
+    """Return how a pose will be measured: as it is stated, as a table has it, or as the study had it."""
+    from bayescal.calibrated.recheck.tables import build_covariance, expect_pose, read_mean_covariance
+
+    if like is not None:
+        return expect_pose(calibrated, read_mean_covariance(like))
+    if stated is None:
+        raise InputError(
+            f"{results}: found no noise of an instrument that measures poses, expected --position-um and "
+            "--orientation-arcsec, or --like POSES.csv with cov_ or sd_ columns"
+        )
+    return expect_pose(calibrated, build_covariance(*stated))
+
+
+def _choose_arcseconds(arcsec: float | None, urad: float | None) -> float | None:
+    """Return the noise of a rotation in arcseconds; InputError where it is stated in both units."""
+    from bayescal.numerics.units import choose_arcseconds
+
+    try:
+        return choose_arcseconds(arcsec, urad)
+    except ValueError as error:
+        raise InputError(f"recheck: {error}") from error
+
+
+def _find_stated(
+    results: Path, position_um: float | None, orientation_arcsec: float | None
+) -> tuple[float, float] | None:
+    """Return the noise of position (µm) and rotation (arcsec) by the options, or by the study's config."""
+    from bayescal.experiments.frame.results import PROVENANCE_FILE
+    from bayescal.files.atomic import read_json
+
+    if (position_um is None) != (orientation_arcsec is None):
+        raise InputError("recheck: found --position-um or --orientation-arcsec alone, expected both")
+    if position_um is not None and orientation_arcsec is not None:
+        return position_um, orientation_arcsec
+    if not (results / PROVENANCE_FILE).is_file():
+        return None
+    data = read_json(results / PROVENANCE_FILE).get("config", {}).get("data", {})
+    rotation = _choose_arcseconds(data.get("orientation_arcsec"), data.get("orientation_urad"))
+    position = data.get("position_um")
+    return None if position is None or rotation is None else (float(position), rotation)
+
+
+# --- readings of any machine -----------------------------------------------------------------------------------------
+
+
+def _read_readings(path: Path, plan: Path | None, sd: Array, calibrated: CalibratedMachine) -> Measurements:
+    """Return a session's readings, with the noise that is stated where its table does not."""
+    from bayescal.calibrated.recheck.tables import add_commands, check_noise
+
+    read = _read_table(path, calibrated)
+    known = np.where(np.isfinite(read.sd), read.sd, sd)
+    session = add_commands(path, plan, replace(read, sd=known), calibrated)
+    check_noise(path, session, calibrated)
+    return session
+
+
+def _read_table(path: Path, calibrated: CalibratedMachine) -> Measurements:
+    from bayescal.density.calibration.measurements import Measurements
+    from bayescal.experiments.shared.readings.reading_tables import read_tables
+    from bayescal.experiments.shared.readings.schema import DataTableConfig
+
+    section = DataTableConfig.model_construct(file=path.name)
+    found = read_tables([section], path.parent, calibrated.model.channels, calibrated.model.given)
+    return Measurements(found.poses, found.values, found.sd, found.given, found.correlation)
+
+
+def _find_noise(calibrated: CalibratedMachine, like: Path | None, sensors: Sequence[str] | None) -> Array:
+    """Return the noise of each channel, (K,): as a table has it, or as the calibration found it; NaN if not read."""
+    model = calibrated.model
+    sd = np.full(len(model.channels), np.nan) if calibrated.noise is None else calibrated.noise.copy()
+    if like is not None:
+        read = _read_table(like, calibrated)
+        square = np.where(read.present & np.isfinite(read.sd), read.sd**2, np.nan)
+        stated = np.isfinite(square).any(axis=0)
+        sd = np.where(read.present.any(axis=0), sd, np.nan)
+        sd[stated] = np.sqrt(np.nanmean(square[:, stated], axis=0))
+    if sensors is not None:
+        chosen = model.select(sensors)
+        for k in chosen[~np.isfinite(sd[chosen]) & ~np.isin(chosen, calibrated.commanded)][:1]:
+            raise InputError(
+                f"--sensors: found {model.names[k]} whose noise is not known, expected --like READINGS.csv"
+            )
+        sd[~np.isin(np.arange(len(sd)), chosen)] = np.nan
+    sd[calibrated.commanded] = 1.0
+    return sd

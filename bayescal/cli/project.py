@@ -1,4 +1,4 @@
-"""Commands about configs: begin a project, check a file, list what it can name, its schema."""
+"""Commands about results and configs: report, show, compare; check a file, begin a project, list names, schema."""
 
 from __future__ import annotations
 
@@ -9,10 +9,48 @@ from typing import Annotated
 import typer
 from rich.padding import Padding
 
-from bayescal.cli.app import app
-from bayescal.cli.console import make_console
-from bayescal.cli.options import Experiment, NoPlugins
+from bayescal.cli.app import WIDE, Experiment, NoPlugins, Trust, app, make_console, put
 from bayescal.errors import InputError
+
+
+@app.command(epilog="Example: bayescal report results/telescope")
+def report(
+    results: Annotated[Path, typer.Argument(metavar="RESULTS", help="Results directory.")],
+    trust: Trust = False,
+) -> None:
+    """Write the page of a results directory anew, from its files alone."""
+    from joblib import cpu_count
+
+    from bayescal.experiments.frame.engine import stop_workers
+    from bayescal.experiments.frame.run import write_report
+
+    typer.echo(f"wrote {write_report(results, trust, cpu_count())}")
+    stop_workers()
+
+
+@app.command(epilog="Example: bayescal show experiments/audit/m2_hexapod_mechanism.toml --out m2.html")
+def show(
+    machine: Annotated[Path, typer.Argument(metavar="MACHINE.toml", help="A machine's file.")],
+    out: Annotated[Path | None, typer.Option(help="HTML file; default MACHINE.html here.")] = None,
+) -> None:
+    """Draw a machine as a page in which it can be turned, with its joints and legs."""
+    from bayescal.experiments.shared.show import describe_machine
+    from bayescal.report.page import render_page
+
+    page = describe_machine(machine)
+    put(render_page(page, {}), out if out is not None else Path(f"{machine.stem}.html"))
+
+
+@app.command(epilog="Example: bayescal compare results/telescope results/telescope_seed2")
+def compare(
+    results: Annotated[list[Path], typer.Argument(metavar="RESULTS...", help="Results directories of one kind.")],
+    trust: Trust = False,
+) -> None:
+    """Set several results side by side; of studies of the same data, rank their variants together."""
+    from bayescal.experiments.frame.run import compare_results
+
+    experiment, table = compare_results(results, trust)
+    experiment.show_comparison(table, make_console(WIDE))
 
 
 @app.command(epilog="Example: bayescal validate experiments/telescope/study.toml")
@@ -74,7 +112,7 @@ def list_names(
     ] = None,
 ) -> None:
     """List what a config can name: kinds, models, deformations, sensors, criteria, methods, own ones too."""
-    from bayescal.experiments.frame.catalogue import list_entries, list_sorts
+    from bayescal.experiments.frame.load import list_entries, list_sorts
 
     console = make_console()
     sorts = list_sorts() if sort is None else {sort: list_sorts().get(sort, "")}
@@ -90,6 +128,6 @@ def schema(kind: Annotated[str, typer.Argument(metavar="KIND", help="Kind of exp
     """Print the JSON Schema of a kind's config, by which editors complete and check it."""
     import json
 
-    from bayescal.experiments.frame.catalogue import describe_schema
+    from bayescal.experiments.frame.load import describe_schema
 
     typer.echo(json.dumps(describe_schema(kind), indent=1, ensure_ascii=False))

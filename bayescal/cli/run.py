@@ -1,4 +1,4 @@
-"""Commands that run an experiment: of any kind, or of one that has its own word."""
+"""Commands that run an experiment, of any kind or of one that has its own word, and that make data."""
 
 from __future__ import annotations
 
@@ -7,9 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from bayescal.cli.app import app
-from bayescal.cli.console import make_console
-from bayescal.cli.options import Experiment, RunOptions, spread_options
+from bayescal.cli.app import Experiment, NoPlugins, RunOptions, Seed, app, check_out, make_console, put, spread_options
 from bayescal.errors import InputError, NumericalError, name_faults
 from bayescal.experiments.frame.interrupts import end_on_interrupt
 
@@ -93,3 +91,87 @@ def run_config(config: ExperimentConfig, path: Path, options: RunOptions) -> Non
         raise NumericalError(
             f"{where}: {'; '.join(finished.failures)}, see the report; the results are written all the same"
         )
+
+
+@app.command("next", epilog="Example: bayescal next experiments/m2_hexapod/next.toml")
+@spread_options
+def next_pose(
+    study: Annotated[
+        Path, typer.Argument(metavar="STUDY.toml", help="Config of the study, or a file that names it and asks more.")
+    ],
+    options: RunOptions,
+    variant: Annotated[list[str] | None, typer.Option(help="Variant that may be right; default all.")] = None,
+    require: Annotated[
+        list[str] | None, typer.Option(metavar="NAME=VALUE", help="Largest error of the tool allowed, mm or degrees.")
+    ] = None,
+) -> None:
+    """Tell after the poses measured so far which one to measure next, what it will bring, and whether to stop."""
+    from bayescal.experiments.next.kind import configure_next
+
+    run_config(configure_next(study, variant or [], require or [], options.seed), study, options)
+
+
+@app.command(epilog="Example: bayescal table experiments/m2_hexapod_table/table.toml")
+@spread_options
+def table(
+    config: Annotated[Path, typer.Argument(metavar="TABLE.toml", help="Calibration, axes and reference of the table.")],
+    options: RunOptions,
+    force: Annotated[bool, typer.Option("--force", help="Take a posterior that did not converge, too.")] = False,
+) -> None:
+    """Tell what actuators have to do by elevation, temperature and the like: `bayescal run` of a look-up table."""
+    from bayescal.experiments.frame.load import load_kind
+
+    found = load_kind(config, "table")
+    changed = {} if options.seed is None else {"seed": options.seed}
+    run_config(found.model_copy(update={**changed, **({"force": True} if force else {})}), config, options)
+
+
+@app.command(epilog="Example: bayescal simulate experiments/telescope/simulate.toml --out data --seed 1")
+def simulate(
+    config: Annotated[Path, typer.Argument(metavar="SIMULATION.toml", help="Config of the simulation.")],
+    out: Annotated[Path, typer.Option(help="Directory for the CSV files.")],
+    seed: Seed = None,
+    no_plugins: NoPlugins = False,
+) -> None:
+    """Simulate photogrammetry, an instrument's or a machine's own readings; the config states the truth."""
+    del no_plugins
+    from bayescal.experiments.frame.load import load_kind
+    from bayescal.experiments.frame.run import compute_experiment
+    from bayescal.files.atomic import check_writable, make_directory, write_atomically
+
+    loaded = load_kind(config, "simulation")
+    check_writable(out)
+    if seed is not None:
+        loaded = loaded.model_copy(update={"seed": seed})
+    with name_faults(config):
+        results = compute_experiment(loaded, config.parent)
+    make_directory(out)
+    for name, text in results.files.items():
+        write_atomically(out / name, str(text).encode())
+        typer.echo(f"wrote {out / name}")
+
+
+@app.command(
+    "poses-from-targets", epilog="Example: bayescal poses-from-targets experiments/telescope/study.toml --out poses.csv"
+)
+def poses_from_targets(
+    experiment: Experiment,
+    out: Annotated[Path | None, typer.Option(help="CSV file for the poses; default standard output.")] = None,
+    method: Annotated[str | None, typer.Option(help="robust, line or least_squares, in place of the config's.")] = None,
+) -> None:
+    """Extract the platform's poses in the base frame, with their covariances, from a study's targets."""
+    from bayescal.config.load import look_up
+    from bayescal.data.photogrammetry.poses import METHODS
+    from bayescal.experiments.frame.load import load_kind
+    from bayescal.experiments.study.inputs import load_inputs
+    from bayescal.experiments.study.tables import format_poses
+
+    config = load_kind(experiment, "study")
+    check_out(out)
+    found = "tables of readings" if config.by_tables else config.measured.measurement
+    if found != "targets":
+        raise InputError(f"{experiment}: data.measurement: found {found!r}, expected 'targets'")
+    if method is not None:
+        look_up(METHODS, method, "--method", experiment)
+        config = config.model_copy(update={"data": config.data.model_copy(update={"pose_method": method})})
+    put(format_poses(load_inputs(config, experiment.parent)), out)

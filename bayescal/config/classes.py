@@ -11,15 +11,16 @@ import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import Annotated, Any, ClassVar, Self, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, model_validator
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 
 from bayescal.config.load import FOLDER, check_section, describe_unknown_key
-from bayescal.config.registry import find_class, is_own, list_references, load_class
-from bayescal.config.sections import Section
+from bayescal.config.registry import find_class, is_own, list_references, list_sources, load_class
+from bayescal.config.sections import FileMark, Section
 from bayescal.errors import BayescalError, InputError
 
 CLASS = "class"
@@ -227,3 +228,60 @@ def name_failures(found: type, field: str, where: Path) -> Iterator[None]:
             f"{where}: {field}: found class {found.__name__} that fails with {type(error).__name__}: {text}, "
             "expected one that can be made"
         ) from error
+
+
+def find_files(section: Section, folder: Path) -> list[str]:
+    """Return the names in all fields of a config that are marked as `InputFile`, and the files of its classes."""
+    return list(dict.fromkeys(_find(section, folder)))
+
+
+def find_classes(section: Section, folder: Path) -> list[type]:
+    """Return the classes that a config names, those in files relative to a folder."""
+    names = [one for one in _walk(section) if isinstance(one, ClassName)]
+    return [one.found or load_class(one.registry, one, folder) for one in names]
+
+
+def _walk(value: Any) -> Iterator[Any]:
+    """Yield everything in a section that holds nothing else."""
+    if isinstance(value, Section):
+        inner: Any = [getattr(value, name) for name in type(value).model_fields]
+    elif isinstance(value, dict | list | tuple):
+        inner = value.values() if isinstance(value, dict) else value
+    else:
+        yield value
+        return
+    for one in inner:
+        yield from _walk(one)
+
+
+def _find(value: Any, folder: Path) -> Iterator[str]:
+    if isinstance(value, ClassName):
+        yield from list_sources(value.registry, value, folder)
+    elif isinstance(value, Section):
+        for name, mark in _mark_fields(type(value)).items():
+            inner = getattr(value, name)
+            if isinstance(inner, str) and mark is not None:
+                yield from (() if inner in mark.but else (inner,))
+            else:
+                yield from _find(inner, folder)
+    elif isinstance(value, dict | list | tuple):
+        for one in value.values() if isinstance(value, dict) else value:
+            yield from _find(one, folder)
+
+
+@cache
+def _mark_fields(section: type[Section]) -> dict[str, FileMark | None]:
+    """Return the fields of a section with the marks of those that may name a file."""
+    found = {}
+    for name, field in section.model_fields.items():
+        marks = [*field.metadata, *_list_metadata(field.annotation)]
+        found[name] = next((one for one in marks if isinstance(one, FileMark)), None)
+    return found
+
+
+def _list_metadata(annotation: Any) -> Iterator[Any]:
+    """Yield what annotations say beside types, inside unions too."""
+    if get_origin(annotation) is Annotated:
+        yield from get_args(annotation)[1:]
+    for one in get_args(annotation):
+        yield from _list_metadata(one)

@@ -23,9 +23,8 @@ from typing import Any
 
 import cloudpickle
 
-from bayescal.config.by_value import send_by_value
 from bayescal.config.load import describe_unknown
-from bayescal.config.local_imports import find_local_imports, import_from
+from bayescal.config.local_imports import find_local_imports, import_from, send_by_value
 from bayescal.config.trust import are_own_classes_allowed
 from bayescal.errors import InputError
 

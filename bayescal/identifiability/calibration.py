@@ -6,7 +6,9 @@ linearised where it is expected. Averaged over machines drawn from the priors th
 where the derivatives change within the tolerances.
 
 Where only some parameters are identified the machines are off in the others all the same, which the calibration takes
-for nominal: a simulation whose machines were nominal there would certify what it assumes.
+for nominal: a simulation whose machines were nominal there would certify what it assumes. Whether calibrated machines
+keep what is required as often as is claimed is found by moving each: it is sent to every pose of the workspace, and
+where it truly comes to stand, actuators erring, is set against what the calibrated model predicts.
 """
 
 from __future__ import annotations
@@ -16,20 +18,24 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+from scipy.stats import betabinom
 
 from bayescal.errors import InputError
 from bayescal.identifiability.design import Knowledge, Plan
 from bayescal.identifiability.fits import Fitter, Measurements
-from bayescal.identifiability.sensitivity import root_of
+from bayescal.identifiability.requirements import Requirement
+from bayescal.identifiability.sensitivity import compute_measured_poses, compute_sensitivity, root_of
 from bayescal.limits import NINETY
 from bayescal.machines.frames import N_FRAME_PARAMETERS, move_frames
 from bayescal.machines.kinematics import solve_forward_kinematics, solve_inverse_kinematics
-from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array, matrix_from_rotation_vector
+from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array, compute_pose_error, matrix_from_rotation_vector
 
 ROUNDS = 20
 LIMITS = (1.0, 1.96)  # standard deviations
 NORMAL_MEDIAN = 0.67449  # of the size of a standard normal number
 RANK = 1e-12  # of a scaled information, below which a coordinate is not measured
+CHUNK = 25  # machines at once
+BAND = 0.99
 
 
 class Calibrations(Protocol):
@@ -67,8 +73,8 @@ class SimulatedCalibrations:
         Which of the n free parameters were identified; the others were held at nominal.
     truth, estimate : ndarray, shape (B, D)
         Machines and frames, mm, rad, or the parameter's unit.
-    sd : ndarray, shape (B, m)
-        Posterior standard deviations that each calibration claims, linearised at its estimate, in the same units.
+    precision : ndarray, shape (B, m, m)
+        Posterior precision that each calibration claims, linearised at its estimate, in units of the tolerances.
     converged : ndarray of bool, shape (B,)
     n_iterations : ndarray of int, shape (B,)
     n_redrawn : int
@@ -79,7 +85,7 @@ class SimulatedCalibrations:
     fitted: np.ndarray
     truth: Array
     estimate: Array
-    sd: Array
+    precision: Array
     converged: np.ndarray
     n_iterations: np.ndarray
     n_redrawn: int
@@ -90,21 +96,28 @@ class SimulatedCalibrations:
         return tuple(self.knowledge.names[k] for k in self.fitted)
 
     @property
-    def scale(self) -> Array:
-        """Tolerances of the identified parameters, shape (m,)."""
-        return self.knowledge.sd[self.fitted]
-
-    @property
     def errors(self) -> Array:
         """Estimate minus truth of the identified ones in units of the tolerances, converged ones only, (B', m)."""
         places = self.knowledge.free[self.fitted]
-        result: Array = (self.estimate - self.truth)[self.converged][:, places] / self.scale
-        return result
+        return np.asarray((self.estimate - self.truth)[self.converged][:, places] / self.knowledge.sd[self.fitted])
 
     @property
     def claimed(self) -> Array:
         """Standard deviations that the converged calibrations claim, in units of the tolerances, (B', m)."""
-        return np.asarray(self.sd[self.converged] / self.scale)
+        covariance = np.linalg.inv(self.precision[self.converged])
+        return np.asarray(np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)))
+
+    def pose_errors(self, actuators: Array) -> Array:
+        """Return true less predicted poses of the converged ones at actuator positions (W, N), shape (B', W, 6).
+
+        As the instrument sees them, mm and rad; NaN where one of both machines has no pose.
+        """
+        machines = [theta[self.converged] for theta in (self.truth, self.estimate)]
+        errors = np.empty((len(machines[0]), len(actuators), DEGREES_OF_FREEDOM))
+        for k in range(0, len(errors), CHUNK):
+            true, predicted = (compute_measured_poses(self.knowledge, m[k : k + CHUNK], actuators) for m in machines)
+            errors[k : k + CHUNK] = compute_pose_error(*true, *predicted)
+        return np.where(np.isnan(errors[..., :1]), np.nan, errors)
 
 
 def simulate_calibrations(
@@ -113,6 +126,7 @@ def simulate_calibrations(
     n: int,
     rng: np.random.Generator,
     fitted: Sequence[int] | None = None,
+    prior_weight: float = 1.0,
 ) -> SimulatedCalibrations:
     """Return n calibrations of machines drawn from the priors, all parameters off by their tolerances.
 
@@ -124,6 +138,8 @@ def simulate_calibrations(
     rng : Generator
     fitted : sequence of int, optional
         Which of the free parameters are identified, the others being taken for nominal; all by default.
+    prior_weight : float
+        On the precision of the priors in the identification.
 
     What the sensors tell of a pose is taken at the expected machine; a coordinate of which they tell nothing is not
     used. Actuators err by σ_ρ, and a leg's closure by τ times what a millimetre of its actuator does to it.
@@ -141,12 +157,13 @@ def simulate_calibrations(
     moves, measured, n_redrawn = _draw(fitter, n, rng)
     chosen = np.arange(len(knowledge.sd)) if fitted is None else np.array(fitted, dtype=int)
     weight = np.zeros_like(moves)
-    weight[:, chosen] = 1.0  # of no weight are those that stay at nominal
+    weight[:, chosen] = prior_weight  # of no weight are those that stay at nominal
     fits = fitter.fit(measured, prior_weight=weight)
-    covariance = np.linalg.inv(fits.information[:, chosen[:, None], chosen] + np.eye(len(chosen)))
-    sd = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)) * knowledge.sd[chosen]
-    found, truth = fitter.theta(fits.moves), fitter.theta(moves)
-    return SimulatedCalibrations(knowledge, chosen, truth, found, sd, fits.converged, fits.n_iterations, n_redrawn)
+    precision = fits.information[:, chosen[:, None], chosen] + prior_weight * np.eye(len(chosen))
+    truth, estimate = fitter.theta(moves), fitter.theta(fits.moves)
+    return SimulatedCalibrations(
+        knowledge, chosen, truth, estimate, precision, fits.converged, fits.n_iterations, n_redrawn
+    )
 
 
 def simulate_measurements(fitter: Fitter, moves: Array, rng: np.random.Generator) -> tuple[Measurements, np.ndarray]:
@@ -322,3 +339,53 @@ def compare_with_prediction(simulated: Calibrations, covariance: Array) -> Compa
         np.mean(np.abs(own) < NINETY, axis=0),
         np.sqrt(np.mean(own**2, axis=0)),
     )
+
+
+# --- requirements kept ------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Kept:
+    """How many of n calibrated machines kept a requirement in the whole workspace.
+
+    Attributes
+    ----------
+    kept, n : int
+    low, high : int
+        Between which the number lies with a probability of 99 %, if the claimed probability is right.
+    """
+
+    kept: int
+    n: int
+    low: int
+    high: int
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the number is one to expect."""
+        return self.low <= self.kept <= self.high
+
+
+def count_kept(
+    simulated: SimulatedCalibrations,
+    plan: Plan,
+    actuators: Array,
+    requirements: list[Requirement],
+    rng: np.random.Generator,
+) -> np.ndarray:
+    """Return how many of the converged calibrations keep each requirement at all actuator positions (W, N), (R,)."""
+    knowledge = simulated.knowledge
+    noise = np.swapaxes(root_of(compute_sensitivity(knowledge, actuators).pose_noise(plan)), -1, -2)
+    error = simulated.pose_errors(actuators)
+    error = error + np.einsum("wij,bwj->bwi", noise, rng.standard_normal(error.shape))
+    return np.array([r.keeps(error).sum() for r in requirements], dtype=int)
+
+
+def compare_kept(kept: int, n: int, probability: float, draws: int) -> Kept:
+    """Return the number of machines that kept a requirement beside what a claimed probability lets expect.
+
+    The probability was itself counted, in so many draws; its uncertainty widens the band.
+    """
+    good = probability * draws
+    low, high = betabinom.interval(BAND, n, good + 0.5, draws - good + 0.5)
+    return Kept(kept, n, int(low), int(high))

@@ -1,4 +1,4 @@
-"""Directions of the parameter space by what is learnt of them, the unlearnt ones made readable.
+"""Directions of the parameter space and parameters by what is learnt of them, the unlearnt ones made readable.
 
 The generalised eigenvectors of information against prior precision are eigenvectors of Λ in units of the tolerances.
 They mix what is alike, so the ridges, those that contract too little, get another basis of the same space: one
@@ -15,15 +15,20 @@ import numpy as np
 from scipy.linalg import qr
 
 from bayescal.identifiability.information import Information, complement_of, nats_from_contraction
-from bayescal.identifiability.sparse import find_sparse_basis
-from bayescal.limits import INFORMED
+from bayescal.limits import DEAD, INFORMED
 from bayescal.numerics.geometry import Array
 
 type Kind = Literal["structural", "practical", "informed"]
+type Verdict = Literal["identifiable", "weak", "not"]
 
 SMALLEST_FOLLOWER = 1e-3  # of the largest loading; what follows by less is left out at once
 ALLOWED_RISE = 0.01  # of the contraction, for a follower to be left out
 SEEN_SHARE = 0.02  # of a direction's square, for a loading of an informed direction to be named
+ROUNDS = 40
+SHARPNESS = 0.5  # of the norm that is made least: between counting (0) and summing (1)
+FLOOR = 1e-6  # where the weights end; they start without any, so that the first guess does not decide
+ZERO = 1e-6  # of the largest loading
+INDEPENDENT = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +81,9 @@ def find_directions(
     found += _name_ridges(information, weak, null_space, preferred, pivots)
     for value, vector in zip(values[::-1], vectors.T[::-1], strict=True):
         if value / (1.0 + value) >= INFORMED:
-            found.append(Direction("informed", _clean(vector), value / (1.0 + value), 0.5 * float(np.log1p(value))))
+            main = np.where(vector**2 >= SEEN_SHARE * np.max(vector**2), vector, 0.0)
+            main *= np.sign(main[np.argmax(np.abs(main))])
+            found.append(Direction("informed", _unit(main), value / (1.0 + value), 0.5 * float(np.log1p(value))))
     return found
 
 
@@ -107,7 +114,12 @@ def _name_ridges(
     space = np.linalg.svd(rest, full_matrices=False)[0][:, :k]
     pivots = qr(space.T * preferred, mode="r", pivoting=True)[1][:k]
     held = np.concatenate([gauges, pivots])
-    found = [_make(information, _follow(information.matrix, p, held), p) for p in pivots]
+    found = []
+    for pivot in pivots:
+        vector = _follow(information.matrix, pivot, held)
+        contraction = information.contraction_along(vector[:, None])[0]
+        nats = float(nats_from_contraction(contraction))
+        found.append(Direction("practical", _unit(vector), float(contraction), nats, pivot))
     return sorted(found, key=lambda direction: direction.contraction)
 
 
@@ -146,18 +158,96 @@ def _contract(matrix: Array, vector: Array) -> float:
     return quotient / (1.0 + quotient)
 
 
-def _make(information: Information, vector: Array, pivot: int) -> Direction:
-    contraction = float(information.contraction_along(vector[:, None])[0])
-    return Direction(
-        "practical", _unit(vector), contraction, float(nats_from_contraction(np.array(contraction))), pivot
-    )
-
-
-def _clean(vector: Array) -> Array:
-    """Return an eigenvector without its small loadings."""
-    kept = np.where(vector**2 >= SEEN_SHARE * np.max(vector**2), vector, 0.0)
-    return _unit(kept * np.sign(kept[np.argmax(np.abs(kept))]))
-
-
 def _unit(vector: Array) -> Array:
     return np.asarray(vector / np.linalg.norm(vector))
+
+
+# --- sparse bases -----------------------------------------------------------------------------------------------------
+
+
+def find_sparse_basis(space: Array, preferred: tuple[int, ...]) -> tuple[Array, np.ndarray]:
+    """Return a sparse basis of a space and the parameter each vector is named after.
+
+    For every parameter the sparsest vector of the space in which it moves by one is sought, by reweighted least
+    squares; from all these the shortest independent ones are taken. A gauge freedom then comes out as what it is, a
+    frame and the joints that move with it, and not as a mixture of all of them.
+
+    Parameters
+    ----------
+    space : ndarray, shape (n, k)
+        Orthonormal.
+    preferred : tuple of int
+        Parameters to name vectors after where possible, the best first.
+
+    Returns
+    -------
+    basis : ndarray, shape (n, k)
+        Each vector is one at its own parameter, which differ from each other.
+    pivots : ndarray of int, shape (k,)
+    """
+    n, k = space.shape
+    if not k:
+        return space, np.empty(0, dtype=int)
+    reachable = np.flatnonzero(np.linalg.norm(space, axis=1) > INDEPENDENT)
+    candidates = _sharpen(space, reachable)
+    rank = np.full(n, len(preferred))
+    rank[list(preferred)] = np.arange(len(preferred))
+    order = sorted(range(len(reachable)), key=lambda c: (np.count_nonzero(candidates[c]), rank[reachable[c]]))
+    basis, pivots, left = np.empty((n, 0)), [], space
+    for c in order:
+        pivot, vector = int(reachable[c]), candidates[c]
+        outside = left @ (left.T @ vector)
+        if pivot in pivots or np.linalg.norm(outside) <= INDEPENDENT * np.linalg.norm(vector):
+            continue
+        basis = np.concatenate([basis, vector[:, None]], axis=1)
+        unit = outside / np.linalg.norm(outside)
+        rest, values, _ = np.linalg.svd(left - np.outer(unit, unit @ left), full_matrices=False)
+        left = rest[:, : np.sum(values > 0.5)]
+        pivots.append(pivot)
+        if len(pivots) == k:
+            break
+    if len(pivots) < k:  # pivots ran out: complete with what is left, not sparse but right
+        rest = np.setdiff1d(reachable, pivots)
+        for vector in left.T:
+            pivot = int(rest[np.argmax(np.abs(vector[rest]))])
+            basis = np.concatenate([basis, (vector / vector[pivot])[:, None]], axis=1)
+            pivots.append(pivot)
+            rest = rest[rest != pivot]
+    return basis, np.array(pivots)
+
+
+def _sharpen(space: Array, places: np.ndarray) -> Array:
+    """Return for each place the vector of the space that is one there and has few other entries, (places, n)."""
+    vectors = space[places] @ space.T
+    vectors /= vectors[np.arange(len(places)), places][:, None]
+    for floor in np.geomspace(1.0, FLOOR, ROUNDS):
+        scale = np.abs(vectors).max(axis=1, keepdims=True)
+        weight = ((vectors / scale) ** 2 + floor**2) ** (0.5 * SHARPNESS - 1.0)
+        normal = np.einsum("ik,ci,im->ckm", space, weight, space, optimize=True)
+        normal += 1e-14 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(space.shape[1])
+        coefficients = np.linalg.solve(normal, space[places][..., None])[..., 0]
+        vectors = coefficients @ space.T
+        vectors /= vectors[np.arange(len(places)), places][:, None]
+    small = np.abs(vectors) < ZERO * np.abs(vectors).max(axis=1, keepdims=True)
+    return np.asarray(np.where(small, 0.0, vectors))
+
+
+# --- parameters -------------------------------------------------------------------------------------------------------
+
+
+def judge_parameters(information: Information, null_space: Array) -> tuple[Verdict, ...]:
+    """Return the verdict on each parameter.
+
+    ``identifiable``: its tolerance is at least halved. ``not``: most of what is left unknown lies along directions of
+    which nothing is learnt. ``weak``: it lies along directions of which too little is learnt.
+    """
+    values, vectors = information.spectrum(complement_of(null_space))
+    remaining = vectors**2 / (1.0 + values)
+    dead = (null_space**2).sum(axis=1) + remaining[:, values / (1.0 + values) < DEAD].sum(axis=1)
+    verdicts: list[Verdict] = []
+    for contraction, lost in zip(information.contraction, dead, strict=True):
+        if contraction >= INFORMED:
+            verdicts.append("identifiable")
+        else:
+            verdicts.append("not" if lost > 0.5 * (1.0 - contraction) else "weak")
+    return tuple(verdicts)

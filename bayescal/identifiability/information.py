@@ -92,6 +92,17 @@ def information_of_rows(rows: Array, sd: Array) -> Information:
     return Information(np.linalg.qr(rows.reshape(-1, rows.shape[-1]) * sd, mode="r"))
 
 
+def marginalise(rows: Array, others: Array) -> Information:
+    """Return the information of rows (K, n) on their parameters, given others (K, q) of unit prior with rows V.
+
+    With Q R a factorisation of (V X; 1 0), R = (R_cc R_cθ; 0 R_θθ), it is R_θθᵀ R_θθ = Xᵀ (1 + V Vᵀ)⁻¹ X, all digits
+    of which are kept.
+    """
+    q = others.shape[1]
+    stacked = np.block([[others, rows], [np.eye(q), np.zeros((q, rows.shape[1]))]])
+    return Information(np.linalg.qr(stacked, mode="r")[q:, q:])
+
+
 def nats_from_contraction(contraction: Array) -> Array:
     """Return what a contraction is worth in nats."""
     return np.asarray(-0.5 * np.log1p(-np.minimum(contraction, 1.0 - 1e-16)))

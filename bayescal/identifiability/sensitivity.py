@@ -8,22 +8,30 @@ any sensor. With D as weight both parts are independent:
     information = Sᵀ M (1 + C M)⁻¹ S + (ZᵀF)ᵀ (ZᵀDZ)⁻¹ (ZᵀF),    S = -(AᵀD⁻¹A)⁻¹AᵀD⁻¹ F,    C = (AᵀD⁻¹A)⁻¹,
 
 with M what the sensors tell of the pose. It holds for a singular M too, where they see only a part of it.
+
+Legs may besides err by a function of the pose, the same at every pose near another (`bayescal.density.priors`). It
+is g = F c over the planned poses, F Fᵀ the kernel's matrix and the coefficients c of each leg N(0, s²): parameters with
+a prior like any other, that nobody asks for.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+import pandas as pd
 
+from bayescal.density.structured import factor_kernel
 from bayescal.errors import InputError
 from bayescal.identifiability.design import Knowledge, Plan, predict_poses
+from bayescal.identifiability.information import Information, information_of_rows, marginalise
 from bayescal.machines.frames import N_FRAME_PARAMETERS, frame_slopes, move_frames
-from bayescal.machines.kinematics import SINGULAR_CONDITION, ForwardKinematics, solve_forward_kinematics
+from bayescal.machines.kinematics import SINGULAR_CONDITION, ForwardKinematics, Machine, solve_forward_kinematics
 from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array
 
+COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
 UNSEEN = 1e-13  # of a scaled matrix: what rounding leaves of a pose's coordinate that no sensor sees
 
 
@@ -182,3 +190,69 @@ def compute_measured_poses(knowledge: Knowledge, theta: Array, actuators: Array)
     found = solve_forward_kinematics(machine, theta[..., None, :-N_FRAME_PARAMETERS], actuators, check=False)
     position, rotation = move_frames(theta[..., -N_FRAME_PARAMETERS:], found.position, found.rotation)
     return np.where(found.converged[..., None], position, np.nan), rotation
+
+
+# --- what a plan says -------------------------------------------------------------------------------------------------
+
+
+def inform(knowledge: Knowledge, plan: Plan) -> Information:
+    """Return what a plan tells of the free parameters; InputError for a pose that the machine cannot take."""
+    sensitivity = compute_sensitivity(knowledge, plan.actuators)
+    rows = sensitivity.rows(plan)
+    if plan.function is None:
+        return information_of_rows(rows, knowledge.sd)
+    return marginalise(rows.reshape(-1, rows.shape[-1]) * knowledge.sd, see_function(knowledge, plan, sensitivity))
+
+
+def see_function(knowledge: Knowledge, plan: Plan, sensitivity: Sensitivity) -> Array:
+    """Return V at the poses of a plan, shape (K, R N), for coefficients of unit prior.
+
+    An error of a leg does to its closure what its actuator's displacement does.
+    """
+    assert plan.function is not None
+    mechanism = knowledge.machine.mechanism
+    travel = (plan.actuators - mechanism.initial_actuator_positions) / mechanism.actuator_range
+    values, vectors = np.linalg.eigh(plan.function.kernel(travel, travel))
+    factor = factor_kernel(np.maximum(values, 0.0)[None], vectors[None])[0]
+    own = np.diagonal(sensitivity.by_actuators, axis1=-2, axis2=-1) * plan.function.scale
+    by_coefficient = own[:, :, None, None] * np.eye(own.shape[1])[:, None, :] * factor[:, None, :, None]
+    by_coefficient = by_coefficient.reshape(*own.shape, -1)
+    unseen = np.zeros((*sensitivity.frames.shape[:2], by_coefficient.shape[-1]))
+    rows = replace(sensitivity, by_parameters=by_coefficient, frames=unseen).rows(plan)
+    return rows.reshape(-1, rows.shape[-1])
+
+
+def tabulate_jacobian(
+    machine: Machine, actuators: Array, parameters: Sequence[str] | None = None, theta: Array | None = None
+) -> pd.DataFrame:
+    """Return how poses change with the parameters, ∂pose/∂θ = -A⁻¹ F (RR-8096 eq. 37), actuators held.
+
+    Parameters
+    ----------
+    machine : Machine
+    actuators : ndarray, shape (P, N)
+        Actuator positions, mm.
+    parameters : sequence of str, optional
+        Names such as ``l[1]``; all of the machine by default.
+    theta : ndarray, shape (D,), optional
+        The machine's parameters; nominal by default.
+
+    Returns
+    -------
+    DataFrame
+        A row for each pose, counted from one, and component (position in mm, rotation vector in rad, base frame); a
+        column for each parameter, in pose units per the parameter's unit.
+
+    Raises
+    ------
+    InputError
+        Where forward kinematics finds no pose.
+    """
+    layout = machine.layout
+    names = list(layout.names if parameters is None else parameters)
+    values = layout.nominal if theta is None else theta
+    knowledge = Knowledge(machine, dict.fromkeys(names, 1.0), dict(zip(layout.names, values.tolist(), strict=True)))
+    slope = compute_sensitivity(knowledge, np.atleast_2d(actuators)).slope
+    order = [knowledge.names.index(name) for name in names]
+    index = pd.MultiIndex.from_product([range(1, len(slope) + 1), COMPONENTS], names=["pose", "component"])
+    return pd.DataFrame(slope[..., order].reshape(-1, len(names)), index=index, columns=names)

@@ -12,12 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayescal.errors import NumericalError
-from bayescal.inference.clusters import fit_mixture
 from bayescal.inference.ensemble import run_ensemble
 from bayescal.inference.importance import estimate_by_importance
 from bayescal.inference.mode import Mode, find_modes, revisit_modes
 from bayescal.inference.peaks import Peak, bend_at, curve_at, proposal_from_peaks, refine_peak
-from bayescal.inference.proposal import MixtureProposal, proposal_from_draws
+from bayescal.inference.proposal import MixtureProposal, fit_mixture, proposal_from_draws
 from bayescal.inference.ridges import trace_ridges
 from bayescal.inference.stages import stage
 from bayescal.inference.straightening import Straightening, straighten

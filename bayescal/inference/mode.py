@@ -11,7 +11,7 @@ from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import OptimizeResult, minimize
 
 from bayescal.errors import NumericalError
-from bayescal.inference.differences import difference_twice
+from bayescal.inference.importance import difference_twice
 from bayescal.inference.target import Target
 from bayescal.limits import FAR_AWAY
 from bayescal.numerics.geometry import Array

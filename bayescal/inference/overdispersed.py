@@ -13,9 +13,11 @@ import numpy as np
 from scipy.special import logsumexp
 
 from bayescal.inference.diagnostics import LEAST_LACKING
+from bayescal.inference.ensemble import run_ensemble
 from bayescal.inference.exploration import Exploration
 from bayescal.inference.importance import evaluate_in_batches
 from bayescal.inference.proposal import MixtureProposal
+from bayescal.inference.sampling import Sample
 from bayescal.inference.stages import stage
 from bayescal.numerics.geometry import Array
 
@@ -27,6 +29,10 @@ SELDOM = 20.0
 """By what factor a proposal leads somewhere less often than the posterior's mass would have it."""
 CERTAIN = 2.0  # standard errors by which there have to be tails
 HEAVIER = (20.0, 10.0, 6.0, 4.0)  # degrees of freedom
+
+N_STEPS = 20
+RARE, FEWEST = 1e-3, 20  # share of the other draws beyond the quantiles, and how many these are at least
+FALSE_ALARM = 1e-4  # of a posterior with all its coordinates
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,3 +131,83 @@ class Stretched:
             stretched = logsumexp(0.5 * square * (1.0 - STRETCH**-2), axis=1, b=self._shares[m])
             terms[m] = np.log(self._weights[m]) - np.log(sizes).sum() - 0.5 * square.sum(axis=1) + stretched
         return np.asarray(logsumexp(terms, axis=0) - constant)
+
+
+@dataclass(frozen=True)
+class Tails:
+    """The share of a posterior where its proposal seldom leads.
+
+    Attributes
+    ----------
+    expected : float
+        By the weights of draws that get there.
+    found : float
+        Of the ensembles' draws.
+    error : float
+        Standard error of their difference.
+    """
+
+    expected: float
+    found: float
+    error: float
+
+
+def compare_tails(exploration: Exploration, sample: Sample, far: FarDraws) -> Tails:
+    """Return how much of the posterior lies where the proposal seldom leads, and how many of the draws.
+
+    Where the proposal leads too seldom, in a long tail or a lesser mode, a short run has too little of the mass, and
+    neither R-hat nor effective sizes see what no draw is of. Weights of draws from farther out count it without them.
+    """
+    weights = far.weights
+
+    def is_seldom(log_density: Array, x: Array) -> np.ndarray:
+        return log_density - far.log_evidence - exploration.proposal.log_density(x) > np.log(SELDOM)
+
+    there = is_seldom(far.log_density, far.x)
+    expected = float(weights[there].sum())
+    n_ensembles, n_walkers, _, n = sample.straight.shape
+    seen = is_seldom(sample.log_density.ravel(), sample.straight.reshape(-1, n)).reshape(n_ensembles, -1)
+    shares = seen.mean(axis=1)
+    found = float(shares.mean())
+    between = shares.std(ddof=1) / np.sqrt(n_ensembles) if n_ensembles > 1 else 0.0
+    more = max(found, expected)
+    within = np.sqrt(more * (1.0 - more) / (n_ensembles * n_walkers))  # a walker that gets there stays
+    of_weights = np.sqrt(np.sum((weights * (there - expected)) ** 2))
+    return Tails(expected, found, float(np.hypot(max(between, within), of_weights)))
+
+
+@dataclass(frozen=True)
+class Scouts:
+    """How many of so many scouts stayed beyond other draws' quantiles, in the worst coordinate, and its limit."""
+
+    n_apart: int
+    n_walkers: int
+    limit: int
+
+
+def send_scouts(exploration: Exploration, sample: Sample, far: FarDraws, seed: np.random.SeedSequence) -> Scouts:
+    """Return where walkers that start far out end, against draws of ensembles that did not.
+
+    Ensembles that all start from one proposal agree about what that proposal misses. These start elsewhere, as Gelman
+    and Rubin (1992) advise: at draws from farther out that their weights give mass. Where nothing is missed a few steps
+    turn them into draws like all others. Where mass was missed, in a tail, beyond a bend or in a mode of its own, some
+    stay: jumps that seldom lead there seldom are accepted from there. How many may has a binomial bound.
+    """
+    from scipy.stats import binom  # a second to import, for those who sample
+
+    n_walkers, n = sample.straight.shape[1], sample.straight.shape[-1]
+    known = np.flatnonzero(np.isfinite(far.log_weights))
+
+    def draw(n: int, rng: np.random.Generator) -> Array:
+        # those with the largest sums are n draws by weight, none of them twice (Gumbel)
+        return far.x[known[np.argsort(far.log_weights[known] + rng.gumbel(size=len(known)))[-n:]]]
+
+    density = exploration.straight.log_density
+    with stage("comparison of walkers", n_walkers * (N_STEPS + 2)):
+        run = run_ensemble(density, exploration.proposal, seed, n_walkers, N_STEPS, 1, draw)
+    last = np.column_stack([run.draws[:, -1], run.log_density[:, -1]])
+    others = np.column_stack([sample.straight.reshape(-1, n), sample.log_density.ravel()])
+    rare = min(1.0, max(RARE, FEWEST / len(others)))
+    low, high = np.quantile(others, [0.5 * rare, 1.0 - 0.5 * rare], axis=0)
+    apart = ((last < low) | (last > high)).sum(axis=0)
+    return Scouts(int(apart.max()), n_walkers, int(binom.isf(FALSE_ALARM / (n + 1), n_walkers, rare)) + 1)

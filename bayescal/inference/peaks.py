@@ -13,8 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import logsumexp
 
-from bayescal.inference.differences import difference_twice
-from bayescal.inference.importance import LogDensity
+from bayescal.inference.importance import LogDensity, difference_twice
 from bayescal.inference.proposal import MixtureProposal
 from bayescal.inference.straightening import QUANTILES, Bend, Curve, Straightening, bend_from_quantiles
 from bayescal.numerics.geometry import Array

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.polynomial.chebyshev import chebder, chebfit, chebpts1, chebval
 from scipy.interpolate import CubicSpline
 
-from bayescal.inference.differences import difference_many
+from bayescal.inference.importance import difference_many
 from bayescal.inference.mode import Mode
 from bayescal.inference.skew import Quantiles, Skew, find_quantiles
 from bayescal.inference.straightening import Ridges, Straightening

@@ -21,9 +21,8 @@ from scipy.special import logsumexp
 
 from bayescal.errors import NumericalError
 from bayescal.inference.bridge import iterate_bridge
-from bayescal.inference.clusters import fit_mixture
 from bayescal.inference.importance import evaluate_in_batches
-from bayescal.inference.proposal import MixtureProposal
+from bayescal.inference.proposal import MixtureProposal, fit_mixture
 from bayescal.inference.stages import stage
 from bayescal.inference.target import Prospect
 from bayescal.numerics.geometry import Array

@@ -8,10 +8,8 @@ from typing import Any
 import numpy as np
 from pydantic import create_model
 
-from bayescal.config.classes import Choice, choose, name_failures
-from bayescal.config.files import find_classes, find_files
-from bayescal.config.lines import find_line
-from bayescal.config.load import check_section, read_toml
+from bayescal.config.classes import Choice, choose, find_classes, find_files, name_failures
+from bayescal.config.load import check_section, find_line, read_toml
 from bayescal.config.registry import find_class, is_own, list_references, list_sources
 from bayescal.config.sections import Section
 from bayescal.errors import BayescalError, InputError, name_faults
@@ -22,11 +20,12 @@ from bayescal.machines.mechanism import BeamSection, ExternalLoad, Flexures, Mec
 from bayescal.machines.models import KinematicModel
 from bayescal.machines.parameters import HomeStart
 from bayescal.machines.readings import FunctionModel, Legs, ReadingMachine, ReadingModel
-from bayescal.machines.readings.schema import LegsMachineConfig, MachineFileConfig
 from bayescal.machines.schema import (
     BeamSectionConfig,
     HomeConfig,
+    LegsMachineConfig,
     LoadConfig,
+    MachineFileConfig,
     MechanismConfig,
     PointsConfig,
     TargetRingConfig,

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
 
 MICROMETRE = 1e-3
 ARCSECOND = math.pi / 180 / 3600
@@ -17,3 +21,28 @@ def choose_arcseconds(arcsec: float | None, urad: float | None) -> float | None:
     if arcsec is not None and urad is not None:
         raise ValueError(f"found orientation_arcsec {arcsec:g} beside orientation_urad {urad:g}, expected one of them")
     return arcsec if urad is None else urad * MICRORADIAN / ARCSECOND
+
+
+LENGTHS = {"um": 1e-3, "mm": 1.0, "m": 1e3}
+ANGLES = {"arcsec": np.pi / 180 / 3600, "mrad": 1e-3, "deg": np.pi / 180, "rad": 1.0}
+
+
+def units_like(unit: str) -> Mapping[str, float]:
+    """Return the units that a column may be in instead of a channel's, each with its size in it."""
+    return {"mm": LENGTHS, "rad": {name: float(v) for name, v in ANGLES.items()}}.get(unit, {unit: 1.0})
+
+
+@dataclass(frozen=True)
+class Units:
+    """Units of lengths and of angles by name."""
+
+    length: str = "mm"
+    angle: str = "deg"
+
+    def factor(self, unit: str) -> float:
+        """Return the size of the design's unit in an inner one, ``mm``, ``rad`` or another."""
+        return {"mm": LENGTHS[self.length], "rad": float(ANGLES[self.angle])}.get(unit, 1.0)
+
+    def name(self, unit: str) -> str:
+        """Return the design's name of an inner unit."""
+        return {"mm": self.length, "rad": self.angle}.get(unit, unit)

@@ -16,9 +16,10 @@ import numpy as np
 from scipy.stats import qmc
 
 from bayescal.errors import InputError
+from bayescal.identifiability.design import describe_move
 from bayescal.identifiability.sensitivity import Sensitivity
 from bayescal.numerics.geometry import Array
-from bayescal.pose_selection.domain import PlacedPoses, PoseDomain, describe_move
+from bayescal.pose_selection.domain import PlacedPoses, PoseDomain
 
 DIGITS = 9  # of shares of the box: poses that agree so far are the same
 ATTEMPTS = 100

@@ -14,8 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from bayescal.errors import InputError
-from bayescal.identifiability.design import Knowledge
-from bayescal.identifiability.pose_volume import AXES, SLACK
+from bayescal.identifiability.design import SLACK, Knowledge, describe_move
 from bayescal.identifiability.sensitivity import Sensitivity, linearise_at
 from bayescal.machines.kinematics import (
     ForwardKinematics,
@@ -208,14 +207,3 @@ def _check_half(half: Array) -> None:
         raise InputError(
             f"workspace: found half widths {listed}, expected six that are finite, not negative, not all 0"
         )
-
-
-def describe_move(move: Array) -> str:
-    """Return a displacement (6,) from home in words."""
-    degrees = np.concatenate([move[:3], np.degrees(move[3:])])
-    parts = [
-        f"{a} {v:.4g} {'mm' if k < 3 else 'deg'}"
-        for k, (a, v) in enumerate(zip(AXES, degrees, strict=True))
-        if abs(v) > 1e-9
-    ]
-    return ", ".join(parts) or "home"

@@ -17,6 +17,9 @@ type Level = Literal["plain", "good", "warning", "bad"]
 
 FIGURE_NAME = re.compile(r"[A-Za-z0-9_-]+")
 
+MOST_FINDINGS = 5
+URGENCY = {"bad": 0, "warning": 1}
+
 
 @dataclass(frozen=True)
 class Statement:
@@ -367,3 +370,18 @@ def _unfold(blocks: Sequence[Block]) -> Iterator[Block]:
         yield block
         if isinstance(block, Fold):
             yield from _unfold(block.blocks)
+
+
+def choose_first(findings: Sequence[Statement]) -> tuple[list[Statement], list[Statement]]:
+    """Return what stands in the verdict at first sight and what is folded, both in their order.
+
+    At most five are seen: bad news before warnings, warnings before the rest, else what comes first.
+    """
+    ranked = sorted(range(len(findings)), key=lambda k: (URGENCY.get(findings[k].level, 2), k))
+    first = set(ranked[:MOST_FINDINGS])
+    return [findings[k] for k in sorted(first)], [findings[k] for k in sorted(set(ranked) - first)]
+
+
+def count_folded(folded: Sequence[Statement]) -> str:
+    """Return where the rest of the findings is, in a line of the terminal."""
+    return f"{len(folded)} more finding{'s' if len(folded) > 1 else ''} in the report"

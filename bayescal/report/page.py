@@ -4,19 +4,33 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import json
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup, escape
 
 from bayescal.errors import InputError
 from bayescal.files.atomic import write_atomically
-from bayescal.report.blocks import Page, Section, find_scenes
-from bayescal.report.findings import choose_first
+from bayescal.report.blocks import (
+    Column,
+    Fold,
+    Page,
+    Preformatted,
+    Section,
+    Side,
+    Table,
+    choose_first,
+    find_scenes,
+    make_pairs,
+    make_table,
+)
 from bayescal.report.glossary import find_terms
+from bayescal.report.numbers import NOTHING
 from bayescal.report.pictures import Picture, render_picture
 from bayescal.report.symbols import split_symbol
 
@@ -28,6 +42,15 @@ SUPERSCRIPT = re.compile(r"(?<![\w&#])([A-Za-zα-ω])\^([A-Za-z0-9])(?!\w)")
 
 
 type Render = Callable[[Mapping[str, Callable[[], Picture]]], Mapping[str, Picture]]
+
+RUN = {
+    "kind": "Kind of experiment",
+    "name": "Experiment",
+    "config_sha256": "SHA-256 of config and inputs",
+    "seed": "Seed",
+    "python": "Python",
+    "platform": "Platform",
+}
 
 
 def draw_in_turn(calls: Mapping[str, Callable[[], Picture]]) -> dict[str, Picture]:
@@ -154,3 +177,33 @@ def set_symbol(symbol: str) -> Markup:
     lower = Markup("<sub>{}</sub>").format(below) if below else ""
     upper = Markup("<sup>{}</sup>").format(above) if above else ""
     return Markup("{}{}{}").format(text, lower, upper)
+
+
+def show_provenance(provenance: Mapping[str, Any]) -> Section:
+    """Return the section that says what run, of which config and files, with which versions, made the results."""
+    rows = [[title, str(provenance.get(key, NOTHING))] for key, title in RUN.items()]
+    mappings = (
+        _tabulate(provenance.get("versions"), "Versions.", "Package", "Version"),
+        _tabulate(provenance.get("files"), "Input files.", "File", "SHA-256"),
+        _tabulate(provenance.get("modules"), "Modules of others' classes.", "Module", "SHA-256"),
+    )
+    side = Side(tuple(table for table in mappings if table.rows))
+    config = Preformatted(format_config(provenance.get("config", {})))
+    return Section("Provenance", (make_pairs("Run.", rows), side, Fold("Config", (config,))), anchor="provenance")
+
+
+def _tabulate(content: object, caption: str, key: str, value: str) -> Table:
+    rows = [[str(k), str(v)] for k, v in content.items()] if isinstance(content, dict) else []
+    return make_table(caption, [Column(key, kind="name"), Column(value, kind="name")], rows)
+
+
+def format_config(value: object, indent: str = "") -> str:
+    """Return JSON, indented; what holds no lists or objects stands on one line."""
+    inner = f"{indent}  "
+    if isinstance(value, dict) and any(isinstance(one, dict | list) for one in value.values()):
+        lines = [f"{inner}{json.dumps(key)}: {format_config(one, inner)}" for key, one in value.items()]
+        return "{\n" + ",\n".join(lines) + f"\n{indent}}}"
+    if isinstance(value, list) and any(isinstance(one, dict | list) for one in value):
+        lines = [f"{inner}{format_config(one, inner)}" for one in value]
+        return "[\n" + ",\n".join(lines) + f"\n{indent}]"
+    return json.dumps(value, ensure_ascii=False)

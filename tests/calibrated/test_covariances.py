@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bayescal.calibrated.covariances import check_covariance
+from bayescal.calibrated.exported import check_covariance
 from bayescal.errors import InputError
 
 NAMES, PATH = ["l[1]", "l[2]", "k"], Path("covariance.csv")

@@ -15,9 +15,16 @@ import pytest
 import studies
 import telescope_machines as machines
 
-from bayescal.calibrated.export import export_machine
-from bayescal.calibrated.exported import read_exported
-from bayescal.calibrated.kept import keep_machines
+from bayescal.calibrated.accuracy import (
+    GEOMETRY,
+    check_standards,
+    compute_budget,
+    enclose_measured,
+    sample_range,
+    sample_region,
+)
+from bayescal.calibrated.exported import keep_machines, read_exported
+from bayescal.calibrated.formats import export_machine
 from bayescal.calibrated.machine import (
     CalibratedMachine,
     Errors,
@@ -26,9 +33,6 @@ from bayescal.calibrated.machine import (
     build_leg_errors,
 )
 from bayescal.calibrated.predict import bound_workspace, command_poses, draw_poses, is_pose, predict_poses
-from bayescal.calibrated.region import enclose_measured, sample_range, sample_region
-from bayescal.calibrated.standards import check_standards
-from bayescal.calibrated.uncertainty import GEOMETRY, compute_budget
 from bayescal.errors import InputError
 from bayescal.experiments.shared.certificate_page import build_certificate, state_headline
 from bayescal.experiments.shared.certify import Wishes, certify

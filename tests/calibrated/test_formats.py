@@ -18,7 +18,7 @@ import studies
 import telescope_machines as machines
 from scipy.spatial.transform import Rotation
 
-from bayescal.calibrated.export import export_machine
+from bayescal.calibrated.formats import export_machine
 from bayescal.calibrated.machine import Source, build_calibrated_legs, build_leg_errors
 from bayescal.calibrated.predict import predict_poses
 from bayescal.errors import InputError

@@ -11,14 +11,14 @@ import pytest
 import telescope_machines as machines
 from scipy.stats import norm
 
-from bayescal.calibrated.export import export_machine
+from bayescal.calibrated.formats import export_machine
 from bayescal.calibrated.machine import CalibratedMachine, build_leg_errors
-from bayescal.calibrated.recheck.judge import judge_recheck
 from bayescal.calibrated.recheck.plan import Demand, list_candidates, plan_recheck
 from bayescal.calibrated.recheck.statistics import (
     build_test,
     choose_suspects,
     compute_knowledge,
+    judge_recheck,
     predict_knowledge,
 )
 from bayescal.calibrated.recheck.tables import build_covariance, expect_pose, place_poses

@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 
 from bayescal.calibrated.machine import CalibratedMachine
-from bayescal.calibrated.recheck.judge import judge_recheck
 from bayescal.calibrated.recheck.plan import Demand, list_candidates, plan_recheck
-from bayescal.calibrated.recheck.statistics import choose_suspects, compute_knowledge, find_poses
+from bayescal.calibrated.recheck.statistics import choose_suspects, compute_knowledge, find_poses, judge_recheck
 from bayescal.calibrated.recheck.tables import expect_readings
 from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import telescope_machines as machines
 
-from bayescal.calibrated.region import (
+from bayescal.calibrated.accuracy import (
     FEWEST,
     box_about_home,
     enclose_measured,

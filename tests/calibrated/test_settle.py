@@ -12,10 +12,9 @@ import pytest
 import studies
 import telescope_machines as machines
 
-from bayescal.calibrated.export import export_machine
-from bayescal.calibrated.exported import read_exported
+from bayescal.calibrated.exported import format_mechanism, read_exported
+from bayescal.calibrated.formats import export_machine
 from bayescal.calibrated.machine import Source, build_calibrated_legs, build_leg_errors
-from bayescal.calibrated.mechanism_file import format_mechanism
 from bayescal.calibrated.predict import command_poses, predict_poses
 from bayescal.calibrated.settle import express_parameters, settle_machine
 from bayescal.errors import InputError

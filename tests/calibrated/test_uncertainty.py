@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 import telescope_machines as machines
 
-from bayescal.calibrated.machine import MODEL, NOISE, Errors
-from bayescal.calibrated.predict import draw_poses, predict_poses
-from bayescal.calibrated.region import sample_range
-from bayescal.calibrated.standards import (
+from bayescal.calibrated.accuracy import (
+    GEOMETRY,
+    compute_budget,
+    coverage_factor,
     draw_cycles,
     fit_cube,
     judge_axis,
@@ -20,13 +20,11 @@ from bayescal.calibrated.standards import (
     list_axis_poses,
     list_cube_poses,
     place_lengths,
-)
-from bayescal.calibrated.uncertainty import (
-    GEOMETRY,
-    compute_budget,
-    coverage_factor,
     propagate,
+    sample_range,
 )
+from bayescal.calibrated.machine import MODEL, NOISE, Errors
+from bayescal.calibrated.predict import draw_poses, predict_poses
 from bayescal.errors import InputError
 
 

@@ -13,7 +13,7 @@ from bayescal.experiments.audit.inputs import read_inputs
 from bayescal.experiments.audit.load import load_audit
 from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.frame.run import run_experiment
-from bayescal.identifiability.ridge_laws import find_legs, list_laws
+from bayescal.identifiability.ridges import find_legs, list_laws
 from bayescal.machines.read import load_mechanism
 from bayescal.machines.readings import Legs
 

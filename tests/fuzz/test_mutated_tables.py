@@ -13,7 +13,7 @@ import telescope_machines as machines
 from fuzz.hostile import change_file
 from fuzz.judged import judge_call
 
-from bayescal.calibrated.export import export_machine
+from bayescal.calibrated.formats import export_machine
 from bayescal.calibrated.predict import predict_poses
 from bayescal.data.actuators import name_actuators
 from bayescal.numerics.geometry import rotation_vector_from_matrix

@@ -10,7 +10,7 @@ import pytest
 import reading_machines
 import studies
 
-from bayescal.identifiability.alignment import find_alignment
+from bayescal.identifiability.reading_rows import find_alignment
 from bayescal.machines.read import read_reading_model
 from bayescal.numerics.geometry import matrix_from_rotation_vector
 

@@ -16,16 +16,17 @@ from bayescal.experiments.audit.inputs import read_inputs
 from bayescal.experiments.audit.load import load_audit
 from bayescal.identifiability.calibration import (
     SimulatedCalibrations,
+    compare_kept,
     compare_with_prediction,
+    count_kept,
     expected_covariance,
     simulate_calibrations,
     simulate_measurements,
 )
 from bayescal.identifiability.fits import Fitter, Measurements
 from bayescal.identifiability.information import Information, information_of_rows
-from bayescal.identifiability.kept import compare_kept, count_kept
-from bayescal.identifiability.reduced import judge_reduced
 from bayescal.identifiability.requirements import DRAWS
+from bayescal.identifiability.selection import judge_reduced
 from bayescal.identifiability.sensitivity import compute_measured_poses, compute_sensitivity, root_of
 from bayescal.machines.frames import N_FRAME_PARAMETERS, frame_slopes, measured_pose_slopes, move_frames
 from bayescal.machines.kinematics import solve_forward_kinematics, solve_inverse_kinematics
@@ -231,8 +232,8 @@ def test_errors_are_as_predicted_where_all_is_linear(n_legs):
     assert abs(right.chi_square - 1.0) < 4 * right.chi_square_error
     assert right.chi_square_error < 0.04
     assert np.abs((right.ratio - 1.0) / right.ratio_error).max() < 4.5
-    claimed = np.sqrt(np.diagonal(predict_covariance(knowledge, plan))) * knowledge.sd
-    assert simulated.sd == pytest.approx(np.tile(claimed, (80, 1)), rel=0.05)
+    claimed = np.sqrt(np.diagonal(predict_covariance(knowledge, plan)))
+    assert simulated.claimed == pytest.approx(np.tile(claimed, (80, 1)), rel=0.05)
     quiet = replace(plan, noise_factor=0.5, actuator_noise=0.5e-3, model_error=1e-3)
     wrong = compare_with_prediction(simulated, predict_covariance(knowledge, quiet))
     assert wrong.chi_square > 1.0 + 4 * wrong.chi_square_error
@@ -275,8 +276,10 @@ def test_comparison_of_known_errors():
     estimate[:4, knowledge.free[0]] += 2.0 * 0.2 * signs
     estimate[:4, knowledge.free[1]] += 0.2 * signs
     estimate[4] += 100.0  # not converged, does not count
-    converged, sd = np.array([True] * 4 + [False]), np.tile([0.8, 0.1], (5, 1))
-    simulated = SimulatedCalibrations(knowledge, np.arange(2), truth, estimate, sd, converged, np.ones(5, dtype=int), 0)
+    converged, precision = np.array([True] * 4 + [False]), np.tile(np.diag([0.4**-2, 0.05**-2]), (5, 1, 1))
+    simulated = SimulatedCalibrations(
+        knowledge, np.arange(2), truth, estimate, precision, converged, np.ones(5, dtype=int), 0
+    )
     found = compare_with_prediction(simulated, np.diag([0.1**2, 0.1**2]))
     assert found.ratio == pytest.approx([2.0, 1.0])
     assert found.ratio_error == pytest.approx([0.0, 0.0], abs=1e-9)

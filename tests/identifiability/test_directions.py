@@ -7,18 +7,17 @@ import numpy as np
 import pytest
 import telescope_machines as machines
 
-from bayescal.identifiability.directions import find_directions
+from bayescal.identifiability.directions import find_directions, find_sparse_basis
 from bayescal.identifiability.information import Information, information_of_rows
 from bayescal.identifiability.ridges import describe_ridges
 from bayescal.identifiability.selection import select_parameters
 from bayescal.identifiability.sensitivity import compute_measured_poses, compute_sensitivity
-from bayescal.identifiability.sparse import find_sparse_basis
 from bayescal.identifiability.structure import find_structural_rank
-from bayescal.identifiability.units import Units
 from bayescal.limits import INFORMED
 from bayescal.machines.frames import frame_symbols
 from bayescal.machines.kinematics import compute_home_legs
 from bayescal.numerics.geometry import compute_pose_error
+from bayescal.numerics.units import Units
 
 POINTS = {"a_x", "a_y", "b_x", "b_y", "l"}
 FRAMES = tuple(s for frame in ("base", "tool") for part in frame_symbols(frame) for s in part)

@@ -18,8 +18,8 @@ from bayescal.experiments.audit.load import load_audit
 from bayescal.experiments.audit.results import summarise, tabulate, tabulate_variants
 from bayescal.experiments.audit.schema import WhatIfConfig
 from bayescal.experiments.frame.parallel import Run
+from bayescal.identifiability.design import PoseVolume, find_workspace_actuators
 from bayescal.identifiability.information import Information, information_of_rows
-from bayescal.identifiability.pose_volume import PoseVolume, find_workspace_actuators
 from bayescal.identifiability.requirements import Forecast, Requirement
 from bayescal.identifiability.sensitivity import compute_measured_poses, compute_sensitivity
 from bayescal.machines.kinematics import check_home_pose, solve_forward_kinematics

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import telescope_machines as machines
 
-from bayescal.identifiability.jacobian import tabulate_jacobian
+from bayescal.identifiability.sensitivity import tabulate_jacobian
 from bayescal.machines.kinematics import solve_forward_kinematics
 from bayescal.numerics.geometry import compute_pose_error
 

@@ -9,9 +9,8 @@ import pytest
 import telescope_machines as machines
 
 from bayescal.errors import NumericalError
-from bayescal.identifiability import remaining
-from bayescal.identifiability.remaining import Standing, ToolRemaining, move_draws
-from bayescal.identifiability.requirements import Requirement
+from bayescal.identifiability import requirements
+from bayescal.identifiability.requirements import Requirement, Standing, ToolRemaining, move_draws
 from bayescal.machines.kinematics import solve_forward_kinematics
 from bayescal.machines.readings import Legs
 from bayescal.numerics.geometry import compute_pose_error
@@ -58,7 +57,7 @@ def test_bent_machines_are_followed_by_their_closures(place, monkeypatch):
     assert found._leaves_tangent(far)
     assert not found._leaves_tangent(true)
     followed = found.find_largest(REQUIREMENTS, far)
-    monkeypatch.setattr(remaining, "BENT", np.inf)
+    monkeypatch.setattr(requirements, "BENT", np.inf)
     expected, tangent = compute_directly(found, far), found.find_largest(REQUIREMENTS, far)
     off = [np.median(np.abs(one / expected - 1.0)) for one in (followed, tangent)]
     assert off[0] < 0.9 * off[1], off

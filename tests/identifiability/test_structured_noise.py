@@ -10,17 +10,16 @@ import pytest
 import telescope_machines as machines
 
 from bayescal.density.exact import ExactDensity
-from bayescal.density.model_error import LinearKernel, SmoothKernel
 from bayescal.density.pose_likelihood import PoseLikelihood
+from bayescal.density.priors import LinearKernel, SmoothKernel
 from bayescal.density.structured import StructuredLikelihood
 from bayescal.errors import InputError
 from bayescal.experiments.audit.inputs import read_inputs
 from bayescal.experiments.audit.load import load_audit
 from bayescal.experiments.audit.schema import AuditConfig
 from bayescal.identifiability.design import FunctionOfPose
-from bayescal.identifiability.information import information_of_rows
-from bayescal.identifiability.sensitivity import compute_sensitivity
-from bayescal.identifiability.structured_noise import inform, marginalise
+from bayescal.identifiability.information import information_of_rows, marginalise
+from bayescal.identifiability.sensitivity import compute_sensitivity, inform
 
 KERNELS = [LinearKernel(), SmoothKernel(1.5)]
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayescal.inference import differences
-from bayescal.inference.differences import difference_twice
+from bayescal.inference import importance as differences
+from bayescal.inference.importance import difference_twice
 
 
 @pytest.mark.parametrize("at_once", [2**14, 5])

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from arviz_stats.base import array_stats
 
-from bayescal.inference.diagnostics import APART, diagnose
-from bayescal.inference.rank_diagnostics import judge_draws
+from bayescal.inference.diagnostics import APART, diagnose, judge_draws
 
 
 def _walk(rng, shape, repeats: bool):

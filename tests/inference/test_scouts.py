@@ -10,10 +10,9 @@ import pytest
 from bayescal.inference.diagnostics import list_importance_problems, list_scout_problems
 from bayescal.inference.exploration import Exploration
 from bayescal.inference.importance import estimate_by_importance
-from bayescal.inference.overdispersed import Stretched, draw_far_out
+from bayescal.inference.overdispersed import Stretched, draw_far_out, send_scouts
 from bayescal.inference.proposal import MixtureProposal
 from bayescal.inference.sampling import sample_posterior
-from bayescal.inference.scouts import send_scouts
 from bayescal.inference.straightening import Straightening
 
 N = 6

@@ -8,10 +8,9 @@ from test_scouts import CLEAN, MISSED, N, Toy, gaussian, long_tail
 
 from bayescal.inference.diagnostics import list_tail_problems
 from bayescal.inference.exploration import Exploration
-from bayescal.inference.overdispersed import draw_far_out, fit_tails
+from bayescal.inference.overdispersed import compare_tails, draw_far_out, fit_tails
 from bayescal.inference.sampling import sample_posterior
 from bayescal.inference.straightening import Straightening
-from bayescal.inference.tails import compare_tails
 
 
 def explored(density, proposal):

@@ -15,8 +15,8 @@ from bayescal.density.legs import build_leg_posterior
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.priors import NormalPrior, UniformPrior
 from bayescal.errors import NumericalError
-from bayescal.inference.clusters import fit_mixture
 from bayescal.inference.diagnostics import list_check_problems
+from bayescal.inference.proposal import fit_mixture
 from bayescal.inference.tempered import estimate_by_tempering
 
 LOG_TWO_PI = np.log(2 * np.pi)

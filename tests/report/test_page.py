@@ -35,12 +35,11 @@ from bayescal.report.blocks import (
     Section,
     Side,
     Statement,
+    choose_first,
     make_table,
 )
-from bayescal.report.findings import choose_first
-from bayescal.report.page import make_prose, render_page, set_symbol, write_page
+from bayescal.report.page import format_config, make_prose, render_page, set_symbol, show_provenance, write_page
 from bayescal.report.pictures import render_picture
-from bayescal.report.provenance import format_config, show_provenance
 from bayescal.report.scene import Scene, SceneLine, ScenePoint, choose_magnification
 
 pytestmark = pytest.mark.usefixtures("pictures")

@@ -10,14 +10,12 @@ import numpy as np
 from bayescal.experiments.audit.changes import ChangeEffect, SweepPoint, check_changes, evaluate_changes
 from bayescal.experiments.audit.planned import Planned
 from bayescal.experiments.frame.parallel import Run
-from bayescal.identifiability.directions import Direction, find_directions
+from bayescal.identifiability.directions import Direction, Verdict, find_directions, judge_parameters
 from bayescal.identifiability.information import Information
-from bayescal.identifiability.reduced import ReducedSet, judge_reduced
 from bayescal.identifiability.requirements import Forecast, Outlook
 from bayescal.identifiability.ridges import Ridge
-from bayescal.identifiability.selection import Selection, select_parameters
+from bayescal.identifiability.selection import ReducedSet, Selection, judge_reduced, select_parameters
 from bayescal.identifiability.structure import Structure
-from bayescal.identifiability.verdicts import Verdict, judge_parameters
 from bayescal.limits import NINETY_FIVE
 
 type Harm = Literal["harmless", "noticeable", "harmful", "unknown"]

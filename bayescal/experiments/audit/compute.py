@@ -20,8 +20,7 @@ from bayescal.experiments.audit.ridge_curves import plot_ridges, tabulate_plots
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.shared.joints import tabulate_joints
-from bayescal.identifiability.calibration import Comparison, compare_with_prediction
-from bayescal.identifiability.kept import Kept, compare_kept
+from bayescal.identifiability.calibration import Comparison, Kept, compare_kept, compare_with_prediction
 from bayescal.identifiability.profile import Profile, compute_profiles
 from bayescal.identifiability.requirements import DRAWS
 from bayescal.numerics.geometry import Array

@@ -11,7 +11,7 @@ import numpy as np
 
 from bayescal.config.classes import label_class
 from bayescal.data.actuators import read_moves
-from bayescal.density.model_error import build_kernel
+from bayescal.density.priors import build_kernel
 from bayescal.errors import InputError
 from bayescal.experiments.audit.from_study import Measured, draw_measured, read_measured, refuse_independent
 from bayescal.experiments.audit.i_optimal import plan_i_optimal
@@ -31,25 +31,34 @@ from bayescal.experiments.shared.design import (
 from bayescal.experiments.shared.measured import MeasuredVariant
 from bayescal.experiments.shared.readings.schema import ChannelConfig
 from bayescal.experiments.shared.schema import FramesConfig, ModelConfig, WorkspaceConfig
-from bayescal.identifiability.calibration import SimulatedCalibrations, expected_covariance, simulate_calibrations
-from bayescal.identifiability.design import FunctionOfPose, Knowledge, Plan, predict_poses
+from bayescal.identifiability.calibration import (
+    SimulatedCalibrations,
+    count_kept,
+    expected_covariance,
+    simulate_calibrations,
+)
+from bayescal.identifiability.design import (
+    FunctionOfPose,
+    Knowledge,
+    Plan,
+    PoseVolume,
+    draw_displacements,
+    find_workspace_actuators,
+    predict_poses,
+)
 from bayescal.identifiability.directions import Direction
 from bayescal.identifiability.information import Information
-from bayescal.identifiability.kept import count_kept
-from bayescal.identifiability.pose_volume import PoseVolume, draw_displacements, find_workspace_actuators
 from bayescal.identifiability.profile import check_profiles
 from bayescal.identifiability.requirements import Forecast, Requirement
 from bayescal.identifiability.ridges import Ridge, describe_ridges
-from bayescal.identifiability.sensitivity import compute_sensitivity
+from bayescal.identifiability.sensitivity import compute_sensitivity, inform
 from bayescal.identifiability.structure import Structure, find_structural_rank
-from bayescal.identifiability.structured_noise import inform
-from bayescal.identifiability.units import Units
 from bayescal.machines.frames import FRAME_BLOCKS, FRAMES, frame_symbols
 from bayescal.machines.kinematics import solve_forward_kinematics, solve_inverse_kinematics
 from bayescal.machines.mechanism import Mechanism
 from bayescal.machines.sensors import Sensor
 from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array
-from bayescal.numerics.units import MICROMETRE
+from bayescal.numerics.units import MICROMETRE, Units
 
 SLACK = 1e-9
 

@@ -15,8 +15,8 @@ from bayescal.identifiability.information import Information
 from bayescal.identifiability.requirements import Forecast, Requirement
 from bayescal.identifiability.ridges import Ridge
 from bayescal.identifiability.structure import Structure
-from bayescal.identifiability.units import Units
 from bayescal.numerics.geometry import Array
+from bayescal.numerics.units import Units
 
 
 class Planned(ABC):

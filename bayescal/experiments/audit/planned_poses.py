@@ -13,7 +13,7 @@ from bayescal.experiments.audit.schema import AuditConfig, PosesConfig
 from bayescal.experiments.shared.readings.priors import choose_priors
 from bayescal.experiments.shared.readings.schema import FreeConfig
 from bayescal.experiments.shared.readings.workspace import Workspace, check_given, draw_given, draw_standing
-from bayescal.identifiability.pose_volume import draw_displacements
+from bayescal.identifiability.design import draw_displacements
 from bayescal.machines.readings import ReadingModel
 from bayescal.numerics.geometry import Array
 

@@ -29,9 +29,9 @@ from bayescal.experiments.shared.readings.workspace import Workspace, build_work
 from bayescal.experiments.shared.study_schema import VariantConfig as FittedConfig
 from bayescal.identifiability.reading_rows import name_tool
 from bayescal.identifiability.requirements import Requirement
-from bayescal.identifiability.units import Units
 from bayescal.machines.readings import ReadingModel, place
 from bayescal.numerics.geometry import Array
+from bayescal.numerics.units import Units
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,8 +9,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from bayescal.density.calibration.joint_fit import JointFit
-from bayescal.density.calibration.likelihood import CalibrationPosterior
+from bayescal.density.calibration.likelihood import CalibrationPosterior, JointFit
 from bayescal.errors import InputError, NumericalError
 from bayescal.experiments.audit.planned import Planned
 from bayescal.experiments.audit.planned_poses import PlannedPoses
@@ -22,10 +21,10 @@ from bayescal.identifiability.directions import Direction
 from bayescal.identifiability.information import Information, information_of_rows
 from bayescal.identifiability.reading_rows import View, see
 from bayescal.identifiability.requirements import Forecast, Requirement
-from bayescal.identifiability.ridges import Ridge, describe_move, round_below
+from bayescal.identifiability.ridges import Ridge, describe_reading_ridges
 from bayescal.identifiability.structure import EPSILON, OFF, TWIN_SHIFT, TWINS, Structure, find_structure
-from bayescal.identifiability.units import Units
 from bayescal.numerics.geometry import Array
+from bayescal.numerics.units import Units
 
 WIDE_POSES = 40
 ROUNDS = 20  # of machines that are drawn anew
@@ -171,23 +170,21 @@ class ReadingPlan(Planned):
 
     def describe(self, directions: Sequence[Direction]) -> list[Ridge]:
         """Return the ridges among directions: how far the parameters move together, and what readings show of it."""
-        rows, kinds, scale, found = see(self.posterior, self._expected), self.parameter_units, self.sd, []
-        forecast, lengths = self.forecast(), np.array([unit == "mm" for unit in self.tool_units])
-        for direction in directions:
-            if (pivot := direction.pivot) is None:
-                continue
-            factor = self.units.factor(kinds[pivot])
-            largest = scale[pivot] * min(1.0, abs(direction.vector[pivot]) / np.abs(direction.vector).max())
-            step = factor * round_below(largest / factor)
-            size = step / (direction.vector[pivot] * scale[pivot])
-            move = direction.vector * scale * size
-            text = describe_move(self.names, kinds, direction, move, self.units, self.variant.model.member)
-            left = float(np.abs(rows @ (direction.vector * size)).max())
-            effect = np.nan_to_num(np.abs(forecast.effect(direction.vector * size)))
+        described = describe_reading_ridges(
+            directions,
+            see(self.posterior, self._expected),
+            self.names,
+            self.parameter_units,
+            self.sd,
+            self.units,
+            self.variant.model.member,
+        )
+        forecast, lengths, found = self.forecast(), np.array([unit == "mm" for unit in self.tool_units]), []
+        for direction, step, move, sentence in described:
+            effect = np.nan_to_num(np.abs(forecast.effect(move / self.sd)))
             moves = [float(np.linalg.norm(effect[:, part], axis=1).max(initial=0.0)) for part in (lengths, ~lengths)]
             loadings = {self.names[k]: float(move[k]) for k in np.flatnonzero(move)}
-            sentence = f"{text} changes no reading by more than {left:.2g} of its noise."
-            found.append(Ridge(direction, float(step), 0.0, 0.0, moves[0], moves[1], loadings, sentence))
+            found.append(Ridge(direction, step, 0.0, 0.0, moves[0], moves[1], loadings, sentence))
         return found
 
     def describe_variant(self) -> dict[str, Any]:

@@ -15,9 +15,9 @@ from bayescal.experiments.audit.inputs import AuditInputs
 from bayescal.experiments.audit.planned import Planned
 from bayescal.identifiability.directions import Direction
 from bayescal.identifiability.information import nats_from_contraction
-from bayescal.identifiability.reduced import ReducedSet
 from bayescal.identifiability.requirements import COMPONENTS, Requirement
 from bayescal.identifiability.ridges import Ridge
+from bayescal.identifiability.selection import ReducedSet
 from bayescal.limits import COVERAGE, INFORMED
 from bayescal.numerics.geometry import Array
 

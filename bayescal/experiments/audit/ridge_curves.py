@@ -23,7 +23,7 @@ from bayescal.experiments.audit.posterior import LeftOut, PosteriorLevel, list_p
 from bayescal.identifiability.design import Knowledge
 from bayescal.identifiability.directions import Direction
 from bayescal.identifiability.information import Information
-from bayescal.identifiability.ridge_laws import Law, Leg, LevelLine, angle_between, find_legs, list_laws
+from bayescal.identifiability.ridges import Law, Leg, LevelLine, angle_between, find_legs, list_laws
 from bayescal.identifiability.sensitivity import root_of
 from bayescal.numerics.geometry import Array
 
@@ -189,9 +189,7 @@ class _Plotter:
         (a, leg_a), (b, leg_b) = (split_name(knowledge.names[i]) for i in (x, y))
         if leg_a is None or leg_a != leg_b or not direction.vector[y]:
             return None
-        machine = knowledge.machine
-        laws = list_laws(machine)
-        law = next((law for law in laws if law.holds_for(machine.mechanism.drive, (a, b))), None)
+        law = next((law for law in list_laws(knowledge.machine) if law.ties((a, b))), None)
         if law is None:
             return None
         own = direction.vector * knowledge.sd / direction.vector[x]

@@ -12,7 +12,7 @@ from bayescal.experiments.audit.reading_inputs import ReadingAudit
 from bayescal.experiments.audit.set_search import FoundSets, find_hopeless
 from bayescal.experiments.shared.readings.inputs import Variant
 from bayescal.identifiability.reading_rows import name_tool
-from bayescal.identifiability.units import Units
+from bayescal.numerics.units import Units
 
 DIGITS = 9  # of a price, for sums of the same prices to be the same
 

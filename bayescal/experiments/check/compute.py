@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pandas as pd
 
 from bayescal.errors import NumericalError
-from bayescal.experiments.check.bands import find_band
-from bayescal.experiments.check.faults.finding import Finding
-from bayescal.experiments.check.inputs import CheckInputs
-from bayescal.experiments.check.judge import FALSE_ALARMS, judge_ranks, tabulate_parameters
-from bayescal.experiments.check.look import look_at_data
-from bayescal.experiments.check.ranks import POSTERIOR, PRIOR, Arrays, rank_truth
-from bayescal.experiments.check.subject import Subject
+from bayescal.experiments.check.faults import Finding, look_at_data
+from bayescal.experiments.check.inputs import CheckInputs, Subject
+from bayescal.experiments.check.ranks import (
+    FALSE_ALARMS,
+    POSTERIOR,
+    PRIOR,
+    Arrays,
+    find_band,
+    judge_ranks,
+    rank_truth,
+    tabulate_parameters,
+)
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.inference.exploration import explore
@@ -22,16 +25,15 @@ from bayescal.inference.importance import estimate_by_importance
 
 DRAWS = 2000  # for the evidence by which the best variant is found
 
-type Tables = dict[str, list[pd.DataFrame]]
-
 
 def compute_check(inputs: CheckInputs, run: Run) -> Results:
     """Return what is found of the variants that are checked."""
-    tables: Tables = {"findings": [], "parameters": [], "ranks": [], "bands": [], "timings": []}
+    tables: dict[str, list[pd.DataFrame]] = {"findings": [], "parameters": [], "ranks": [], "bands": [], "timings": []}
     variants = {}
     for name in _choose(inputs, run):
         findings, own = _check_variant(inputs, name, run)
-        variants[name] = _summarise(findings)
+        passed = not any(one.level == "bad" for one in findings)
+        variants[name] = {"passed": passed, "faults": [one.fault for one in findings if one.fault]}
         own["findings"] = pd.DataFrame([vars(one) for one in findings])
         for key, table in own.items():
             table.insert(0, "variant", name)
@@ -46,11 +48,6 @@ def compute_check(inputs: CheckInputs, run: Run) -> Results:
         "variants": variants,
     }
     return Results(summary, {key: pd.concat(parts, ignore_index=True) for key, parts in tables.items() if parts})
-
-
-def _summarise(findings: list[Finding]) -> dict[str, Any]:
-    faults = [one.fault for one in findings if one.fault]
-    return {"passed": not any(one.level == "bad" for one in findings), "faults": faults}
 
 
 # --- which variant -----------------------------------------------------------------------------------------------

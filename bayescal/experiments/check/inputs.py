@@ -2,17 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from bayescal.density.calibration.prediction import draw_readings
 from bayescal.density.legs import find_function_of_pose
-from bayescal.errors import InputError
+from bayescal.errors import InputError, NumericalError
 from bayescal.experiments.check.schema import CheckConfig
-from bayescal.experiments.check.subject import Subject
 from bayescal.experiments.frame.load import load
-from bayescal.experiments.shared.measured import MeasuredVariant, measure_variants
+from bayescal.experiments.shared.measured import Found, MeasuredReadings, MeasuredVariant, measure_variants
+from bayescal.experiments.shared.search_memory import list_readings, list_search
+from bayescal.inference.exploration import Exploration, explore
+from bayescal.inference.importance import resample
+from bayescal.inference.sampling import sample_posterior
+from bayescal.limits import PARETO_K_LIMIT
+from bayescal.numerics.geometry import Array
+
+TRIES = 100
+KEPT = 1000
+ENSEMBLES, WALKERS, BURN_IN, STEPS = 4, 64, 30, 30  # where importance resampling will not do
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,3 +76,99 @@ def _refuse_function(measured: MeasuredVariant, where: str) -> None:
             f"{where}: found kernel {function[0].name!r} of its model error, expected 'independent', or deformation "
             "'free_matrix' for linear errors: checks have no errors that are functions of the pose"
         )
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """A variant as a check sees it, whatever its machine.
+
+    Attributes
+    ----------
+    measured : MeasuredReadings
+    """
+
+    measured: MeasuredReadings
+
+    @property
+    def posterior(self) -> Found:
+        """The posterior of the measured data."""
+        return self.measured.found
+
+    def list_arrays(self) -> list[Sequence[float]]:
+        """Return the arrays of one data set's search; see `bayescal.experiments.frame.memory.estimate_arrays`."""
+        if self.measured.legs is not None:
+            return list_search(self.measured.legs.posterior)
+        likelihood = self.measured.posterior.likelihood
+        n_poses, n_coordinates = likelihood.start.shape
+        return list_readings(n_poses, len(likelihood.model.channels), self.posterior.n_geometry, n_coordinates)
+
+    def draw_case(self, rng: np.random.Generator) -> tuple[Array, Found]:
+        """Return a truth drawn from the priors, natural units, (n,), and the posterior of what is measured of it."""
+        y, values = self.draw_truth(rng)
+        return self.posterior.natural(y[None])[0], self.measured.retake(values).found
+
+    def repeat(self, y: Array, rng: np.random.Generator) -> Found:
+        """Return the posterior of the measured data and those simulated of a true machine (n,) together.
+
+        Raises
+        ------
+        NumericalError
+            Where the machine cannot take the poses.
+        """
+        values = self.simulate(y, rng)
+        if values is None:
+            raise NumericalError("a draw of the posterior cannot take the poses")
+        return self.measured.retake(np.concatenate([self.measured.posterior.likelihood.data.values, values])).found
+
+    def draw_truth(self, rng: np.random.Generator) -> tuple[Array, Array]:
+        """Return a machine of the priors (n,), with its errors, and its readings (P, K).
+
+        Raises
+        ------
+        NumericalError
+            Where hardly any draw of the priors is a machine that can take the poses.
+        """
+        for _ in range(TRIES):
+            y = self.posterior.draw_prior(1, rng)[0]
+            values = self.simulate(y, rng)
+            if values is not None:
+                return y, values
+        raise NumericalError(f"simulation: found no machine that takes the poses in {TRIES} draws of the priors")
+
+    def simulate(self, y: Array, rng: np.random.Generator) -> Array | None:
+        """Return readings (P, K) of a machine (n,) at the poses of the measured ones; None where it has none there.
+
+        A machine that was sent to its poses by commands goes where these take it.
+        """
+        posterior = self.measured.anchored
+        own, likelihood = self.measured.adopt(y[None])[0], posterior.likelihood
+        theta, data, model = posterior.theta(own[None])[0], likelihood.data, likelihood.model
+        if not model.layout.inside(theta[None])[0]:
+            return None
+        pose, places = likelihood.start, model.select(model.commanded)
+        if data.commanded is not None and len(places) and data.commanded[:, places].all():
+            pose, found = model.locate(theta, data.values[:, places], data.given, pose)
+            if not found.all():
+                return None
+        values = draw_readings(posterior, own, pose, rng)
+        return values if (np.isfinite(values) == data.present).all() else None
+
+
+def draw_posterior(
+    posterior: Found, n_draws: int, seed: np.random.SeedSequence
+) -> tuple[Array, Array, Exploration, Array]:
+    """Return draws (S, n), natural and in coordinates, the exploration, and their weights' efficiency and Pareto k.
+
+    Draws of the proposal resampled by their weights; of an ensemble where their tail forbids it.
+    """
+    explore_seed, draw_seed, ensemble_seed = seed.spawn(3)
+    found = explore(posterior, explore_seed)
+    straight = found.straight
+    made = resample(straight.log_density, found.proposal, np.random.default_rng(draw_seed), n_draws, KEPT)
+    quality = np.array([made.efficiency, made.pareto_k])
+    if made.pareto_k > PARETO_K_LIMIT:
+        sample = sample_posterior(found, ensemble_seed, ENSEMBLES, WALKERS, BURN_IN, STEPS)
+        n = posterior.n_parameters
+        return sample.natural.reshape(-1, n), sample.y.reshape(-1, n), found, quality
+    y = straight.y_from_x(made.draws)
+    return posterior.natural(y), y, found, quality

@@ -9,45 +9,29 @@ from __future__ import annotations
 
 import time
 import zlib
+from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
+import pandas as pd
+from scipy.stats import binom
 
 from bayescal.errors import NumericalError
-from bayescal.experiments.check.subject import Subject
-from bayescal.experiments.shared.measured import Found
-from bayescal.inference.exploration import Exploration, explore
-from bayescal.inference.importance import resample
-from bayescal.inference.sampling import sample_posterior
-from bayescal.limits import PARETO_K_LIMIT
+from bayescal.experiments.check.faults import Finding
+from bayescal.experiments.check.inputs import Subject, draw_posterior
+from bayescal.limits import COVERAGE, PARETO_K_LIMIT
 from bayescal.numerics.geometry import Array
 
 PRIOR, POSTERIOR = "prior", "posterior"
-KEPT = 1000
-ENSEMBLES, WALKERS, BURN_IN, STEPS = 4, 64, 30, 30  # where importance resampling will not do
+POINTS = 40
+SIMULATED = 20_000
+FALSE_ALARMS = 0.01  # of all parameters together
+OFF = 3.5  # standard errors of a coverage
+OFF_SHARE = 0.02
 
 type Arrays = dict[str, Array]
 type Shared = tuple[Subject, Array, Array, int, int]
 """Subject, draws of its posterior (S, n), natural and in coordinates, draws to be made of each data set's, seed."""
-
-
-def draw_posterior(
-    posterior: Found, n_draws: int, seed: np.random.SeedSequence
-) -> tuple[Array, Array, Exploration, Array]:
-    """Return draws (S, n), natural and in coordinates, the exploration, and their weights' efficiency and Pareto k.
-
-    Draws of the proposal resampled by their weights; of an ensemble where their tail forbids it.
-    """
-    explore_seed, draw_seed, ensemble_seed = seed.spawn(3)
-    found = explore(posterior, explore_seed)
-    straight = found.straight
-    made = resample(straight.log_density, found.proposal, np.random.default_rng(draw_seed), n_draws, KEPT)
-    quality = np.array([made.efficiency, made.pareto_k])
-    if made.pareto_k > PARETO_K_LIMIT:
-        sample = sample_posterior(found, ensemble_seed, ENSEMBLES, WALKERS, BURN_IN, STEPS)
-        n = posterior.n_parameters
-        return sample.natural.reshape(-1, n), sample.y.reshape(-1, n), found, quality
-    y = straight.y_from_x(made.draws)
-    return posterior.natural(y), y, found, quality
 
 
 def rank_truth(shared: Shared, name: str) -> Arrays:
@@ -81,3 +65,100 @@ def _rank(shared: Shared, name: str) -> Arrays:
         "z": (found.mean(axis=0) - truth) / found.std(axis=0),
         "quality": quality,
     }
+
+
+@dataclass(frozen=True, eq=False)
+class Band:
+    """Limits of the distribution function of n uniform numbers.
+
+    Attributes
+    ----------
+    at, low, high : ndarray, shape (K,)
+    """
+
+    at: Array
+    low: Array
+    high: Array
+
+    def holds(self, ranks: Array) -> bool:
+        """Whether the distribution of ranks (n,) lies within everywhere."""
+        share = distribute(ranks, self.at)
+        return bool(np.all((share >= self.low - 1e-12) & (share <= self.high + 1e-12)))
+
+
+def distribute(ranks: Array, at: Array) -> Array:
+    """Return the share of ranks (n,) at or below each point (K,)."""
+    return np.asarray(np.searchsorted(np.sort(ranks), at, side="right") / len(ranks))
+
+
+@cache
+def find_band(n: int, false_alarms: float) -> Band:
+    """Return the band that n uniform numbers leave with a probability of ``false_alarms``, all of it at once.
+
+    By simulation after Säilynoja, Bürkner and Vehtari (2022): the pointwise level is the one at which so many sets of
+    uniform numbers as asked for stay within the pointwise binomial limits at every point.
+    """
+    at = np.arange(1, POINTS) / POINTS
+    rng = np.random.default_rng(0)
+    cells = rng.multinomial(n, np.full(POINTS, 1.0 / POINTS), SIMULATED)
+    counts = np.cumsum(cells, axis=1)[:, :-1]
+    tails = np.minimum(binom.cdf(counts, n, at), binom.sf(counts - 1, n, at))
+    level = float(np.quantile(2.0 * tails.min(axis=1), false_alarms))
+    return Band(at, binom.ppf(level / 2.0, n, at) / n, binom.isf(level / 2.0, n, at) / n)
+
+
+def judge_ranks(whence: str, names: tuple[str, ...], rank: Array, z: Array, quality: Array, n: int) -> Finding:
+    """Return whether ranks (D, n) in shares of D out of so many data sets are uniform; z and quality likewise."""
+    check = f"Simulated from the {whence}"
+    if len(rank) < n / 2:
+        return Finding(
+            check, "calibration", "bad", f"only {len(rank)} of {n} data sets have a posterior that is found."
+        )
+    uneven = find_uneven(names, rank)
+    held, error = measure_coverage(rank)
+    rms = float(np.sqrt(np.mean(z**2)))
+    poor = float(np.mean(quality[:, 1] > PARETO_K_LIMIT))
+    said = f"90 % intervals hold {100 * held:.1f} ± {100 * error:.1f} % of the truth"
+    said += f", estimates are off by {rms:.2f} sd (rms)"
+    said += f", in {len(rank)} of {n} data sets" if len(rank) < n else f", in {n} data sets"
+    said += f"; in {100 * poor:.0f} % of them ensembles took over from importance sampling" if poor else ""
+    chance = np.sqrt(COVERAGE * (1.0 - COVERAGE) / rank.size)  # few data sets may all be held
+    off = abs(held - COVERAGE) > max(OFF * max(error, chance), OFF_SHARE)
+    if not off and not uneven:
+        return Finding(check, "", "good", f"all ranks are uniform; {said}.")
+    how = "too narrow" if held < COVERAGE else "too wide"
+    which = f"ranks of {', '.join(uneven)} are not uniform; " if uneven else ""
+    where = "the priors" if whence == PRIOR else "the measured machine"
+    text = f"{which}{said}. Intervals about {where} are {how if off else 'biased'}: do not rely on them."
+    return Finding(check, "calibration", "bad", text)
+
+
+def find_uneven(names: tuple[str, ...], rank: Array) -> list[str]:
+    """Return the parameters whose ranks, columns of (D, n), leave the band of uniform ones."""
+    band = find_band(len(rank), FALSE_ALARMS / len(names))
+    return [name for k, name in enumerate(names) if not band.holds(rank[:, k])]
+
+
+def measure_coverage(rank: Array) -> tuple[float, float]:
+    """Return the share of ranks (D, n) within the middle 90 %, and its standard error over data sets."""
+    held = _find_held(rank).mean(axis=1)
+    return float(held.mean()), float(held.std(ddof=1) / np.sqrt(len(held)))
+
+
+def _find_held(rank: Array) -> np.ndarray:
+    tail = 0.5 * (1.0 - COVERAGE)
+    return np.asarray((rank > tail) & (rank < 1.0 - tail))
+
+
+def tabulate_parameters(whence: str, names: tuple[str, ...], rank: Array, z: Array) -> pd.DataFrame:
+    """Return a row per parameter: uniform or not, coverage, and how far estimates are off."""
+    uneven = find_uneven(names, rank)
+    return pd.DataFrame(
+        {
+            "simulated_from": whence,
+            "parameter": names,
+            "uniform": [name not in uneven for name in names],
+            "coverage_90": _find_held(rank).mean(axis=0),
+            "rms_z": np.sqrt(np.mean(z**2, axis=0)),
+        }
+    )

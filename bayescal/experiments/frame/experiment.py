@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from pydantic import ValidationError
 
-from bayescal.config.files import find_classes, find_files
+from bayescal.config.classes import find_classes, find_files
 from bayescal.config.registry import hash_modules
 from bayescal.config.sections import ExperimentConfig
 from bayescal.errors import InputError

@@ -1,4 +1,4 @@
-"""What determines results: the config without its titles, the content of every input file, and others' classes."""
+"""What determines results: config without titles, content of input files, others' classes; and what computes them."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import json
 import platform
 import sys
 from collections.abc import Iterable, Mapping
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,9 @@ from bayescal.files.atomic import read_text
 
 PACKAGES = ("bayescal", "numpy", "scipy", "emcee", "arviz", "arviz-stats", "pandas", "matplotlib", "h5netcdf", "xarray")
 COSMETIC = "title"
+
+NUMERIC = ("emcee", "numpy", "pandas", "scipy")
+"""Packages whose versions may change numbers."""
 
 
 def identify(
@@ -71,3 +75,14 @@ def describe_provenance(config: ExperimentConfig, identity: dict[str, Any]) -> d
         "platform": sys.platform,
         "versions": {name: version(name) for name in PACKAGES},
     }
+
+
+@cache
+def list_versions(more: tuple[str, ...] = ()) -> dict[str, str]:
+    """Return the versions of Python, of bayescal with a hash of its sources, and of packages, ``more`` besides."""
+    root = Path(__file__).parents[2]
+    content = hashlib.sha256()
+    for path in sorted(root.rglob("*.py")):
+        content.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
+    own = f"{version('bayescal')} (source {content.hexdigest()[:12]})"
+    return {"python": platform.python_version(), "bayescal": own, **{name: version(name) for name in (*NUMERIC, *more)}}

@@ -1,4 +1,4 @@
-"""What an interrupt does: one line, no process left behind, exit code 130."""
+"""What an interrupt does (one line, no process left behind, exit code 130), and the lock that dies with its process."""
 
 from __future__ import annotations
 
@@ -11,14 +11,18 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
+from pathlib import Path
+from typing import Any
 
-from bayescal.experiments.frame.lock import remove_locks
+from bayescal.errors import InputError
 
 INTERRUPTED = 130
 WARNINGS = "PYTHONWARNINGS"
 TRACKERS = ("joblib.externals.loky.backend.resource_tracker", "multiprocessing.resource_tracker")
 UNSAID = ",".join(f"ignore::UserWarning:{tracker}" for tracker in TRACKERS)
 SHOW_CURSOR = "\x1b[?25h\n"  # a progress bar hides it
+
+fcntl: Any
 
 
 @contextmanager
@@ -96,3 +100,79 @@ def follow_parent(parent: int) -> None:
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
+
+
+try:
+    import fcntl
+except ImportError:  # Windows has no such locks; two runs on one directory are then the user's to avoid
+    fcntl = None
+
+HELD: set[Path] = set()
+"""Lock files of this process, for what ends it at once to remove."""
+
+
+@contextmanager
+def hold_lock(path: Path, out: Path) -> Iterator[None]:
+    """Hold the lock file of a results directory; the system lets go of it when the process ends, however it ends.
+
+    Raises
+    ------
+    InputError
+        Where another run holds it; the message names that run's process.
+    """
+    if fcntl is None:
+        yield
+        return
+    made = [folder for folder in path.parents if not folder.exists()]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    descriptor = _acquire(path, out)
+    HELD.add(path)
+    try:
+        os.ftruncate(descriptor, 0)
+        os.write(descriptor, str(os.getpid()).encode())
+        yield
+    finally:
+        HELD.discard(path)  # first: once the file is gone, another run's may stand there
+        path.unlink(missing_ok=True)
+        os.close(descriptor)
+        _remove_empty(made)
+
+
+def _remove_empty(folders: list[Path]) -> None:
+    """Remove directories, the innermost first, that were made and in which nothing was put: input was at fault."""
+    for folder in folders:
+        try:
+            folder.rmdir()
+        except OSError:
+            return
+
+
+def remove_locks() -> None:
+    """Remove the lock files of this process, which is about to end without unwinding."""
+    for path in HELD:
+        with suppress(OSError):
+            path.unlink()
+
+
+def _acquire(path: Path, out: Path) -> int:
+    while True:
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            holder = os.read(descriptor, 32).decode(errors="replace").strip() or "unknown"
+            os.close(descriptor)
+            raise InputError(
+                f"{out}: another run (process {holder}) is under way there, expected none; wait for it or choose "
+                "another --out"
+            ) from error
+        if _is_still_there(path, descriptor):
+            return descriptor
+        os.close(descriptor)  # its last holder removed the file in between: take the new one
+
+
+def _is_still_there(path: Path, descriptor: int) -> bool:
+    try:
+        return os.path.samestat(path.stat(), os.fstat(descriptor))
+    except FileNotFoundError:
+        return False

@@ -1,14 +1,15 @@
-"""From a TOML file to a kind of experiment and its checked config."""
+"""From a TOML file to a kind of experiment and its checked config; and all that a config can name."""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Mapping
+import inspect
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from bayescal.config.load import check_section, read_extended
-from bayescal.config.registry import find_class, list_references
+from bayescal.config.registry import REGISTRIES, find_class, is_own, list_references, load_class
 from bayescal.config.sections import ExperimentConfig
 from bayescal.errors import InputError
 from bayescal.experiments import GONE, KINDS, USES
@@ -16,6 +17,20 @@ from bayescal.experiments.frame.experiment import Experiment
 from bayescal.experiments.frame.memory import check_tables
 
 type AnyExperiment = Experiment[Any, Any]
+
+TITLES = {
+    "KINDS": "Kinds of experiment",
+    "BLOCKS": "Blocks of pages",
+    "CLAIMS": "Claims of publications",
+    "MACHINES": "Machines of one function",
+    "INSTRUMENTS": "Instruments beside a machine",
+    "MODELS": "Kinematic models",
+    "DEFORMATIONS": "Deformations of the platform",
+    "ERRORS": "Errors of readings",
+    "SENSORS": "Sensors of an audit",
+    "CRITERIA": "Criteria of pose selection",
+    "METHODS": "Methods of pose selection",
+}
 
 
 def find_kind(kind: str, where: Path, folder: Path | None) -> AnyExperiment:
@@ -42,8 +57,10 @@ def load(path: Path) -> tuple[AnyExperiment, ExperimentConfig]:
     content, text = read_extended(path)
     kind = content.get("kind", "next" if "study" in content else None)
     if not isinstance(kind, str):
-        names = ", ".join(sorted(list_references("KINDS")))
-        raise InputError(f"{path}: kind: found {_describe(content)}, expected one of {names}")
+        found, names = repr(kind), ", ".join(sorted(list_references("KINDS")))
+        if "legs" in content and "platform" in content:
+            found = "none in a machine's file, which an experiment names as its mechanism"
+        raise InputError(f"{path}: kind: found {found}, expected one of {names}")
     experiment = find_kind(kind, path, path.parent)
     return experiment, check_section(experiment.schema, content, path, text)
 
@@ -61,13 +78,6 @@ def read_inputs(experiment: AnyExperiment, config: ExperimentConfig, folder: Pat
         names = experiment.files(config, folder)
     check_tables(folder / name for name in names)
     return experiment.read(config, folder)
-
-
-def _describe(content: Mapping[str, Any]) -> str:
-    """Return what a file without a kind of experiment has, or is."""
-    if "legs" in content and "platform" in content:
-        return "none in a machine's file, which an experiment names as its mechanism"
-    return repr(content.get("kind"))
 
 
 def load_experiment(path: Path | str) -> Any:
@@ -88,3 +98,42 @@ def load_kind(path: Path, kind: str) -> Any:
     if config.kind != kind:
         raise InputError(f"{path}: kind: found {config.kind!r}, expected {kind!r}; bayescal run takes any kind")
     return config
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One name: what it is in a sentence, and whether somebody else's package brings it."""
+
+    name: str
+    text: str
+    own: bool
+
+
+def list_sorts() -> dict[str, str]:
+    """Return what can be listed, with its title: ``kinds`` to ``Kinds of experiment``."""
+    return {what.lower(): TITLES[what] for what in REGISTRIES}
+
+
+def list_entries(sort: str) -> list[Entry]:
+    """Return all names of a sort, in order; InputError for another sort."""
+    what = sort.upper()
+    if what not in REGISTRIES:
+        raise InputError(f"list: found {sort!r}, expected one of {', '.join(list_sorts())}")
+    return [_describe(what, name) for name in sorted(list_references(what))]
+
+
+def _describe(what: str, name: str) -> Entry:
+    try:
+        found = load_class(what, name, None)
+    except InputError as error:  # of an installed package that is broken: the others are listed all the same
+        return Entry(name, str(error), own=True)
+    text = (inspect.getdoc(found) or "").partition("\n\n")[0]
+    return Entry(name, " ".join(text.split()), is_own(found))
+
+
+def describe_schema(kind: str) -> dict[str, Any]:
+    """Return the JSON Schema of a kind's config, for editors; InputError for an unknown kind."""
+    if kind not in {**list_references("KINDS"), **USES}:
+        raise InputError(f"schema: found {kind!r}, expected one of {', '.join(sorted(list_references('KINDS')))}")
+    schema: dict[str, Any] = find_kind(kind, None, None).schema.model_json_schema()  # type: ignore[arg-type]
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}

@@ -12,9 +12,9 @@ from typing import Any
 
 from bayescal.errors import InputError, NumericalError
 from bayescal.experiments.frame.engine import Engine, Processes
-from bayescal.experiments.frame.progress import Progress, Watch, run_marked
 from bayescal.experiments.frame.records import decode
 from bayescal.experiments.frame.store import Store
+from bayescal.experiments.frame.terminal import Progress, Watch, run_marked
 
 UNFIT = re.compile(r"[^A-Za-z0-9_.+-]+")
 """What no file name should hold."""

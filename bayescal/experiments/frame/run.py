@@ -1,4 +1,4 @@
-"""Running an experiment of any kind: read, compute, write, put in place as a whole."""
+"""Running an experiment of any kind: read, compute, write, put in place as a whole; reports and comparisons."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from rich.console import Console
 from threadpoolctl import threadpool_limits
 
@@ -20,11 +21,10 @@ from bayescal.errors import BayescalError, InputError, NumericalError, SeveralFa
 from bayescal.experiments.frame.blocks import CODE, PageBlock, add_blocks, find_blocks, find_kept, keep_code
 from bayescal.experiments.frame.engine import Processes, call_side_by_side, import_all, open_engine, start_ahead
 from bayescal.experiments.frame.identity import describe_provenance, identify
+from bayescal.experiments.frame.interrupts import hold_lock
 from bayescal.experiments.frame.load import AnyExperiment, find_kind, load, read_inputs
-from bayescal.experiments.frame.lock import hold_lock
 from bayescal.experiments.frame.memory import check_memory
 from bayescal.experiments.frame.parallel import Run
-from bayescal.experiments.frame.progress import Progress
 from bayescal.experiments.frame.results import (
     SUMMARY_FILE,
     WRITTEN,
@@ -35,9 +35,9 @@ from bayescal.experiments.frame.results import (
     write_results,
 )
 from bayescal.experiments.frame.store import Store
+from bayescal.experiments.frame.terminal import Progress
 from bayescal.report.blocks import Page, Statement
-from bayescal.report.page import PAGE, write_page
-from bayescal.report.provenance import show_provenance
+from bayescal.report.page import PAGE, show_provenance, write_page
 
 MANY_PICTURES = 10  # fewer are drawn before other processes have started
 
@@ -315,3 +315,23 @@ def _find_results_blocks(folder: Path, trust: bool) -> list[PageBlock]:
     results = read_results(folder)
     names = [find_kept(folder, results, "BLOCKS", str(name), trust) for name in results.config.get("blocks", [])]
     return find_blocks(names, folder, folder / CODE)
+
+
+def compare_results(folders: Sequence[Path], trust: bool = False) -> tuple[AnyExperiment, pd.DataFrame]:
+    """Return the kind of results, and what it says of them side by side.
+
+    Raises
+    ------
+    InputError
+        Where a directory holds no results, kinds differ, or the kind finds them not comparable.
+    """
+    results = {str(folder): read_results(folder) for folder in folders}
+    kinds = [one.provenance.get("kind") for one in results.values()]
+    for folder, kind in zip(results, kinds, strict=True):
+        if kind != kinds[0]:
+            raise InputError(
+                f"{folder}: found results of kind {kind!r}, expected {kinds[0]!r} as in {folders[0]}: evidences "
+                "compare only of the same data, which tables of two kinds do not show"
+            )
+    experiment = find_results_kind(folders[0], trust)
+    return experiment, experiment.compare(results)

@@ -14,6 +14,7 @@ import json
 import os
 import shutil
 import zipfile
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from bayescal.errors import InputError
-from bayescal.experiments.frame.identity import hash_identity
+from bayescal.experiments.frame.identity import hash_identity, list_versions
 from bayescal.experiments.frame.results import PROVENANCE_FILE, WRITTEN
 from bayescal.files.atomic import check_writable, read_json, resolve, write_atomically
 from bayescal.numerics.geometry import Array
@@ -246,3 +247,32 @@ def list_differences(old: Any, new: Any, where: str = "") -> list[str]:
         pairs = zip(old, new, strict=True)
         return [d for k, (a, b) in enumerate(pairs) for d in list_differences(a, b, f"{where}[{k}]")]
     return [] if old == new else [f"{where}: {json.dumps(old)} -> {json.dumps(new)}"]
+
+
+@dataclass(frozen=True)
+class Pool(Store):
+    """A folder of finished tasks whose names are hashes of all that determines them; ``out`` is the folder.
+
+    A task computed by another bayescal, or with other versions of what numbers depend on, counts as not finished. The
+    folder may be removed at any time: what is missing is computed anew.
+    """
+
+    def locate_task(self, key: str) -> Path:
+        """Return the file of a finished task, in one of 256 folders."""
+        return self.out / key[-2:] / f"{key}.npz"
+
+    def save_task(self, key: str, arrays: dict[str, Array]) -> None:
+        """Keep a finished task; where another run keeps the same one just now, it may."""
+        self.locate_task(key).parent.mkdir(parents=True, exist_ok=True)
+        with suppress(FileExistsError, FileNotFoundError):
+            super().save_task(key, arrays)
+
+    @property
+    def partial(self) -> Path:
+        """Directory of the finished tasks."""
+        return self.out
+
+
+def open_pool(folder: Path) -> Pool:
+    """Return a folder's tasks, those of this bayescal and these versions."""
+    return Pool(folder, json.dumps(list_versions(), sort_keys=True))

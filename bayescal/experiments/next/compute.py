@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.next.inputs import NextInputs
 from bayescal.experiments.next.state import State, Subject, find_state
-from bayescal.identifiability.remaining import Standing
+from bayescal.identifiability.requirements import Standing
 from bayescal.limits import PARETO_K_LIMIT
 from bayescal.numerics.geometry import Array
 from bayescal.pose_selection.next_pose import Step, compare_variants, look_ahead

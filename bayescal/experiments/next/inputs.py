@@ -20,13 +20,12 @@ from bayescal.experiments.shared.measured import MeasuredReadings, measure_varia
 from bayescal.experiments.shared.reading_slips import find_measured_slip
 from bayescal.experiments.shared.schema import WorkspaceConfig
 from bayescal.experiments.shared.slips import FoundSlip
-from bayescal.identifiability.design import Knowledge
-from bayescal.identifiability.pose_volume import PoseVolume
+from bayescal.identifiability.design import Knowledge, PoseVolume
 from bayescal.identifiability.reading_rows import differentiate_poses, typical_given
 from bayescal.identifiability.requirements import COMPONENTS, Requirement
-from bayescal.identifiability.units import Units
 from bayescal.machines.readings import Given
 from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array
+from bayescal.numerics.units import Units
 from bayescal.pose_selection import (
     ActuatorBox,
     Candidates,

@@ -24,8 +24,7 @@ from bayescal.identifiability.reading_rows import (
     typical_noise,
     whiten,
 )
-from bayescal.identifiability.remaining import Standing, ToolRemaining, move_draws
-from bayescal.identifiability.requirements import Requirement, find_limits
+from bayescal.identifiability.requirements import Requirement, Standing, ToolRemaining, find_limits, move_draws
 from bayescal.inference.updating import Belief, update
 from bayescal.machines.readings import Channel, Coordinate, Given, ReadingModel
 from bayescal.numerics.geometry import Array

@@ -37,8 +37,8 @@ from bayescal.experiments.shared.design import (
 from bayescal.identifiability.design import Knowledge, Plan
 from bayescal.identifiability.requirements import find_limits
 from bayescal.identifiability.sensitivity import Sensitivity, compute_sensitivity
-from bayescal.identifiability.units import Units
 from bayescal.numerics.geometry import Array
+from bayescal.numerics.units import Units
 from bayescal.pose_selection import (
     METHODS,
     ActuatorBox,

@@ -10,7 +10,7 @@ from bayescal.experiments.selection.inputs import SelectionInputs
 from bayescal.experiments.selection.published import KEY
 from bayescal.experiments.selection.tasks import DESIGN, JudgedPoses, Task
 from bayescal.files.csv_tables import format_table
-from bayescal.identifiability.pose_volume import AXES
+from bayescal.identifiability.design import AXES
 from bayescal.pose_selection import Criterion, SelectionMethod
 
 MICROMETRES = 1e3

@@ -1,23 +1,35 @@
-"""Computing sessions: with and without drift, and with every part that may move held still by itself."""
+"""Computing sessions: with and without drift, and with every part that may move held still by itself.
+
+Scales by importance sampling, states in closed form, both compared with the exact density.
+"""
 
 from __future__ import annotations
 
 import zlib
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 import pandas as pd
+from scipy.special import logsumexp
 
-from bayescal.density.sessions.model import SessionModel
+from bayescal.density.sessions import LinearSessions, SessionModel, find_state
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
-from bayescal.experiments.sessions.fit import SessionFit, fit_sessions
-from bayescal.experiments.sessions.inputs import SessionsInputs
-from bayescal.experiments.sessions.tables import SHIFT_ARCSEC, Found, tabulate
+from bayescal.experiments.sessions.inputs import PPM, UNITS, Motions, SessionsInputs
 from bayescal.experiments.shared.origin import name_origin
+from bayescal.inference.scales import Scales, find_scales_mode, keep_by_weight, sample_scales
+from bayescal.limits import PARETO_K_LIMIT
+from bayescal.numerics.geometry import Array
+from bayescal.numerics.units import MICROMETRE
 
 ALL, NONE = "drift", "no drift"
 STILL = "still: "
+LOW, HIGH = 0.05, 0.95
+SHIFT_ARCSEC = 20.0
+ROUNDS = 2  # of linearising at the state that the scales want
+HALF_LOG_TWO_PI = 0.5 * np.log(2.0 * np.pi)
 
 type Task = tuple[SessionModel, int, int]
 
@@ -76,3 +88,249 @@ def _tabulate_models(fits: dict[str, SessionFit]) -> pd.DataFrame:
     rows = [(name, fit.log_evidence, fit.standard_error, *map(float, fit.quality)) for name, fit in fits.items()]
     columns = ["model", "log_evidence", "se", "efficiency", "pareto_k", "exact_efficiency", "exact_pareto_k"]
     return pd.DataFrame(rows, columns=columns)
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """Sessions and the draws of their posterior."""
+
+    inputs: SessionsInputs
+    fit: SessionFit
+
+    @cached_property
+    def _states(self) -> tuple[Array, Array]:
+        model = self.inputs.model
+        return model.split(self.fit.z, model.read_scales(self.fit.zeta)[1])
+
+    @property
+    def parameters(self) -> Array:
+        """Free parameters of every session, shape (T, S, m)."""
+        return self.inputs.model.mean + self._states[0]
+
+    @property
+    def expansion(self) -> Array:
+        """Coefficients α, shape (T, A), 1/K."""
+        return self._states[1]
+
+    @property
+    def labels(self) -> list[str]:
+        """Of the sessions."""
+        return [one.label for one in self.inputs.config.sessions]
+
+    @property
+    def pairs(self) -> list[tuple[int, int]]:
+        """Which sessions are set against each other: neighbours, then first and last; machines against their mean."""
+        n = self.inputs.model.n_sessions
+        if self.inputs.config.drift.hierarchy == "machines":
+            return [(-1, k) for k in range(n)]
+        return [(k - 1, k) for k in range(1, n)] + ([(0, n - 1)] if n > 2 else [])
+
+    def name(self, session: int) -> str:
+        """Return a session's label; that of the mean of all machines for -1."""
+        return "mean" if session < 0 else self.labels[session]
+
+    def move(self, pair: tuple[int, int]) -> Array:
+        """Return by how much parameters moved between two sessions, shape (T, m)."""
+        x = self.parameters
+        before = x.mean(axis=1) if pair[0] < 0 else x[:, pair[0]]
+        return np.asarray(x[:, pair[1]] - before)
+
+    @cached_property
+    def motions(self) -> Motions:
+        """What a free parameter does to each leg, or to each channel, at home."""
+        model, x = self.inputs.model, self.parameters.mean(axis=(0, 1))
+        return self.inputs.first.move(model.start + (x - model.mean) @ model.moves, model.moves)
+
+
+def tabulate(found: Found) -> dict[str, pd.DataFrame]:
+    """Return all tables of sessions."""
+    return {
+        "sessions": _tabulate_sessions(found),
+        "scales": _tabulate_scales(found),
+        "legs": _tabulate_legs(found) if found.inputs.first.by_leg else pd.DataFrame(),
+        "channels": pd.DataFrame() if found.inputs.first.by_leg else _tabulate_channels(found),
+        "shifts": _tabulate_shifts(found),
+        "parameters": _tabulate_parameters(found),
+        "expansion": _tabulate_expansion(found),
+        "model_error": _tabulate_model_error(found) if found.inputs.first.by_leg else pd.DataFrame(),
+    }
+
+
+def _describe(draws: Array, unit: float) -> dict[str, float]:
+    """Return mean, standard deviation and 90 % interval of draws (T,), in a unit."""
+    low, high = np.quantile(draws / unit, [LOW, HIGH])
+    return {"mean": draws.mean() / unit, "sd": draws.std(ddof=1) / unit, "q05": low, "q95": high}
+
+
+def _tabulate_sessions(found: Found) -> pd.DataFrame:
+    inputs = found.inputs
+    days = [np.nan if one.day is None else one.day for one in inputs.config.sessions]
+    return pd.DataFrame(
+        {"session": found.labels, "day": days, "n_poses": inputs.n_poses, "temperature_celsius": inputs.temperature}
+    )
+
+
+def _tabulate_scales(found: Found) -> pd.DataFrame:
+    sigma = found.inputs.model.read_scales(found.fit.zeta)[1]
+    units = found.inputs.model.drift.units
+    kinds = [found.inputs.model.units[found.inputs.model.drift.index[unit]] for unit in _first_of(found)]
+    rows = [(unit, *_tell_in(kind)) for unit, kind in zip(units, kinds, strict=True)]
+    told = [{"unit": unit, **_describe(sigma[:, k], size)} for k, (unit, _, size) in enumerate(rows)]
+    if not found.inputs.first.by_leg:
+        told = [{**one, "in": word} for one, (_, word, _) in zip(told, rows, strict=True)]
+    return pd.DataFrame(told)
+
+
+def _first_of(found: Found) -> list[int]:
+    """Return the first of what moves with each scale, by its place in the drift."""
+    unit = found.inputs.model.drift.unit
+    return [int(np.argmax(unit == k)) for k in range(len(found.inputs.model.drift.units))]
+
+
+def _tell_in(unit: str) -> tuple[str, float]:
+    """Return the unit that a motion is told in, and its size in the inner one."""
+    return UNITS.get(unit, (unit, 1.0))
+
+
+def _compare(found: Found, pair: tuple[int, int], what: dict[str, Any], draws: Array, unit: str) -> dict[str, Any]:
+    config, (_, size) = found.inputs.config, _tell_in(unit)
+    limit = {"mm": config.shift_um, "rad": config.shift_arcsec or SHIFT_ARCSEC}.get(unit, np.inf)
+    ends = {"since": found.name(pair[0]), "session": found.name(pair[1])}
+    return {**ends, **what, **_describe(draws, size), "beyond": float(np.mean(np.abs(draws) > limit * size))}
+
+
+def _tabulate_legs(found: Found) -> pd.DataFrame:
+    rows = []
+    for pair in found.pairs:
+        legs = found.move(pair) @ found.motions.slope.T
+        rows += [_compare(found, pair, {"leg": k + 1}, legs[:, k], "mm") for k in range(legs.shape[1])]
+    return pd.DataFrame(rows)
+
+
+def _tabulate_channels(found: Found) -> pd.DataFrame:
+    rows, motions = [], found.motions
+    for pair in found.pairs:
+        moved = found.move(pair) @ motions.slope.T
+        for k, (name, unit) in enumerate(zip(motions.names, motions.units, strict=True)):
+            what = {"channel": name, "unit": _tell_in(unit)[0]}
+            rows.append(_compare(found, pair, what, moved[:, k], unit))
+    return pd.DataFrame(rows)
+
+
+def _tabulate_shifts(found: Found) -> pd.DataFrame:
+    model, rows = found.inputs.model, []
+    for pair in found.pairs:
+        moved = found.move(pair)
+        for k in model.drift.index:
+            what = {"parameter": model.names[k]}
+            if not found.inputs.first.by_leg:
+                what["unit"] = _tell_in(model.units[k])[0]
+            rows.append(_compare(found, pair, what, moved[:, k], model.units[k]))
+    return pd.DataFrame(rows)
+
+
+def _tabulate_parameters(found: Found) -> pd.DataFrame:
+    x, model = found.parameters, found.inputs.model
+    rows = []
+    for s, label in enumerate(found.labels):
+        for k, name in enumerate(model.names):
+            one = {"mean": x[:, s, k].mean(), "sd": x[:, s, k].std(ddof=1)}
+            rows.append({"session": label, "parameter": name, **one, "prior_sd": model.sd[k]})
+    return pd.DataFrame(rows)
+
+
+def _tabulate_expansion(found: Found) -> pd.DataFrame:
+    rows = []
+    for k, one in enumerate(found.inputs.model.expansions):
+        prior = {"prior_mean": one.mean / PPM, "prior_sd": one.sd / PPM}
+        rows.append({"body": one.name, **prior, **_describe(found.expansion[:, k], PPM)})
+    return pd.DataFrame(rows, columns=["body", "prior_mean", "prior_sd", "mean", "sd", "q05", "q95"])
+
+
+def _tabulate_model_error(found: Found) -> pd.DataFrame:
+    tau = found.inputs.model.read_scales(found.fit.zeta)[0]
+    return pd.DataFrame([{"leg": k + 1, **_describe(tau[:, k], MICROMETRE)} for k in range(tau.shape[1])])
+
+
+@dataclass(frozen=True, eq=False)
+class SessionFit:
+    """What sessions say.
+
+    Attributes
+    ----------
+    log_evidence, standard_error : float
+        Of the exact density.
+    quality : ndarray, shape (4,)
+        Efficiency and Pareto k of the scales' weights, then of the weights from the linearised to the exact density.
+    zeta, z : ndarray, shapes (T, n_scales) and (T, n)
+        Draws of the posterior: scales and states.
+    """
+
+    log_evidence: float
+    standard_error: float
+    quality: Array
+    zeta: Array
+    z: Array
+
+    @property
+    def is_sound(self) -> bool:
+        """Whether no weights have too heavy a tail."""
+        return bool(np.max(self.quality[[1, 3]]) <= PARETO_K_LIMIT)
+
+
+def fit_sessions(model: SessionModel, n_draws: int, rng: np.random.Generator) -> SessionFit:
+    """Return evidence and draws of the joint posterior; n_draws of the scales, a third of them kept with a state each.
+
+    Raises
+    ------
+    NumericalError
+        Where no state or no scales are found.
+    """
+    linear, mode = _find_mode(model)
+    kept = count_kept(n_draws)
+    scales = sample_scales(lambda zeta: compute_log_density(linear, zeta), mode, n_draws, kept, rng)
+    z, linearised = _draw_states(linear, scales, rng)
+    log_weights = model.log_likelihood(z, scales.draws) - linearised
+    both = np.concatenate([scales.draws, z], axis=1)
+    exact = keep_by_weight(both, log_weights, kept, rng)
+    correction = float(logsumexp(log_weights) - np.log(kept))
+    spread = float(np.std(np.exp(log_weights - correction)) / np.sqrt(kept))
+    n = model.n_scales
+    return SessionFit(
+        scales.log_evidence + correction,
+        float(np.hypot(scales.standard_error, spread)),
+        np.array([scales.efficiency, scales.pareto_k, exact.efficiency, exact.pareto_k]),
+        exact.draws[:, :n],
+        exact.draws[:, n:],
+    )
+
+
+def count_kept(n_draws: int) -> int:
+    """Return how many draws of the scales are kept with a state."""
+    return max(n_draws // 3, 100)
+
+
+def compute_log_density(linear: LinearSessions, zeta: Array) -> float:
+    """Return the log-density of scales ζ (n,), prior included, the states integrated."""
+    marginal = linear.condition(*linear.model.read_scales(zeta)).log_marginal
+    return marginal - 0.5 * float(zeta @ zeta) - len(zeta) * HALF_LOG_TWO_PI
+
+
+def _find_mode(model: SessionModel) -> tuple[LinearSessions, Array]:
+    """Return sessions linearised at the most probable state at the most probable scales, and those scales."""
+    zeta, z = np.zeros(model.n_scales), np.zeros(model.size)
+    for _ in range(ROUNDS):
+        linear, z = find_state(model, *model.read_scales(zeta), z)
+        zeta = find_scales_mode(lambda scales, at=linear: compute_log_density(at, scales), zeta)  # type: ignore[misc]
+    return linear, zeta
+
+
+def _draw_states(linear: LinearSessions, scales: Scales, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Return a state for each draw of the scales, shape (T, n), and its linearised log-likelihood, shape (T,)."""
+    model, draws = linear.model, []
+    values = np.empty(len(scales.draws))
+    for k, zeta in enumerate(scales.draws):
+        errors, sigma = model.read_scales(zeta)
+        draws.append(linear.condition(errors, sigma).draw(rng.standard_normal(model.size)))
+        values[k] = linear.log_likelihood(draws[-1], errors, sigma)
+    return np.array(draws), values

@@ -6,12 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from bayescal.density.batches import BATCH, POSES
+from bayescal.density.legs import BATCH, POSES
 from bayescal.experiments.frame.memory import Need, estimate_arrays
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
-from bayescal.experiments.sessions.compute import compute_sessions
-from bayescal.experiments.sessions.fit import count_kept
+from bayescal.experiments.sessions.compute import compute_sessions, count_kept
 from bayescal.experiments.sessions.inputs import SessionsInputs, read_sessions
 from bayescal.experiments.sessions.page import build_page
 from bayescal.experiments.sessions.schema import SessionsConfig

@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 from matplotlib import figure as mpl
 
+from bayescal.calibrated.accuracy import GEOMETRY, PoseFigures
 from bayescal.calibrated.machine import MATRIX, MODEL, NOISE
-from bayescal.calibrated.standards import PoseFigures
-from bayescal.calibrated.uncertainty import GEOMETRY
 from bayescal.experiments.shared.certify import AGREED, BOUND, Certificate
 from bayescal.experiments.shared.headline import say_accuracy, write_headline
 from bayescal.machines.readings import Legs

@@ -8,38 +8,34 @@ from typing import Any
 
 import numpy as np
 
-from bayescal.calibrated.machine import CalibratedMachine
-from bayescal.calibrated.predict import check_determined
-from bayescal.calibrated.region import (
-    Region,
-    enclose_measured,
-    enclose_workspace,
-    find_largest_cube,
-    measure_beyond,
-    sample_range,
-    sample_region,
-)
-from bayescal.calibrated.standards import (
+from bayescal.calibrated.accuracy import (
     AXIS_CYCLES,
     CYCLES,
     AxisFigures,
+    Budget,
     PoseFigures,
+    Region,
+    Spread,
     check_standards,
+    compute_budget,
+    coverage_factor,
     draw_cycles,
+    enclose_measured,
+    enclose_workspace,
+    find_largest_cube,
     fit_cube,
     judge_axis,
     judge_poses,
     list_axis_poses,
     list_cube_poses,
+    measure_beyond,
     place_lengths,
-)
-from bayescal.calibrated.uncertainty import (
-    Budget,
-    Spread,
-    compute_budget,
-    coverage_factor,
     propagate,
+    sample_range,
+    sample_region,
 )
+from bayescal.calibrated.machine import CalibratedMachine
+from bayescal.calibrated.predict import check_determined
 from bayescal.errors import InputError
 from bayescal.experiments.frame.results import PROVENANCE_FILE, SUMMARY_FILE
 from bayescal.files.atomic import read_json

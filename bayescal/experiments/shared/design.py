@@ -23,10 +23,8 @@ from bayescal.experiments.shared.schema import (
     WorkspaceConfig,
 )
 from bayescal.files.csv_tables import read_matrix
-from bayescal.identifiability.design import Knowledge, Plan
-from bayescal.identifiability.pose_volume import PoseVolume, find_workspace_actuators
+from bayescal.identifiability.design import Knowledge, Plan, PoseVolume, find_workspace_actuators
 from bayescal.identifiability.requirements import COMPONENTS, NORMS, Requirement
-from bayescal.identifiability.units import Units
 from bayescal.machines.deformations import DEFORMATIONS, NominalDeformation
 from bayescal.machines.kinematics import Machine, check_home_pose
 from bayescal.machines.mechanism import Mechanism
@@ -34,7 +32,7 @@ from bayescal.machines.models import MODELS
 from bayescal.machines.read import build_named_machine, load_mechanism, points_of
 from bayescal.machines.sensors import PointSensor, PoseSensor, Sensor
 from bayescal.numerics.geometry import Array
-from bayescal.numerics.units import ARCSECOND, MICROMETRE
+from bayescal.numerics.units import ARCSECOND, MICROMETRE, Units
 
 LEAST_TARGETS = 3
 REQUIRED = (*COMPONENTS, *NORMS)

@@ -29,18 +29,16 @@ from bayescal.inference.diagnostics import (
     list_stand_problems,
     list_tail_problems,
     measure_longest_stand,
+    measure_sensitivity,
 )
 from bayescal.inference.exploration import Exploration
 from bayescal.inference.importance import ImportanceEvidence
 from bayescal.inference.integration import Effort, integrate_posterior, widen_tails
 from bayescal.inference.leave_one_out import LeftOut, leave_out, refit_doubtful
-from bayescal.inference.overdispersed import N_DRAWS, draw_far_out
-from bayescal.inference.power_scaling import measure_sensitivity
+from bayescal.inference.overdispersed import N_DRAWS, Scouts, Tails, compare_tails, draw_far_out, send_scouts
 from bayescal.inference.sampling import sample_posterior
 from bayescal.inference.schema import EvidenceConfig, SamplerConfig
-from bayescal.inference.scouts import Scouts, send_scouts
 from bayescal.inference.stages import expect
-from bayescal.inference.tails import Tails, compare_tails
 from bayescal.inference.target import Fittable, Target
 from bayescal.inference.tempered import estimate_by_tempering
 from bayescal.limits import AGREEMENT, MOVED_LIMIT, PARETO_K_LIMIT

@@ -10,7 +10,7 @@ import pandas as pd
 from bayescal.report.blocks import Cell, Column, Level, Section, Statement, make_section, make_table
 from bayescal.report.numbers import NOTHING, format_fixed, format_percent, format_significant
 from bayescal.report.reading import list_rows
-from bayescal.report.units import Asked, format_place, name_unit, shown_in
+from bayescal.report.symbols import Asked, format_place, name_unit, shown_in
 
 VERDICT_LEVELS: dict[str, Level] = {"identifiable": "good", "weak": "warning", "not": "bad", "noise": "plain"}
 """How good the news of a parameter's verdict is."""
@@ -24,7 +24,7 @@ SENSORS = {"all": "all", "own": "the machine's own"}
 
 def name_titles(tables: Mapping[str, pd.DataFrame]) -> dict[str, str]:
     """Return what the variants are called by their names."""
-    return {str(row["variant"]): str(row["title"]) for row in list_rows(tables["variants"])}
+    return {str(row["variant"]): str(row["title"]) for row in list_rows(tables.get("variants", pd.DataFrame()))}
 
 
 def show_accuracy(tables: Mapping[str, pd.DataFrame], asked: Asked = None) -> Section | None:
@@ -63,13 +63,9 @@ def show_ridges(tables: Mapping[str, pd.DataFrame], variant: str) -> list[Sectio
     return [make_section("Undetermined combinations", text)] if text else []
 
 
-def reduce_error(gain: float) -> float:
-    """Return by what part the error falls where its mean square falls by a part ``gain``."""
-    return 1.0 - math.sqrt(max(0.0, 1.0 - gain))
-
-
 def _say_gain(gain: float) -> str:
-    return format_percent(reduce_error(gain), 1)
+    """Return by what part the error falls where its mean square falls by a part ``gain``."""
+    return format_percent(1.0 - math.sqrt(max(0.0, 1.0 - gain)), 1)
 
 
 def state_next(tables: Mapping[str, pd.DataFrame], variant: str, asked: Asked = None) -> list[Statement]:

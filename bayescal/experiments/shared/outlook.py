@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from bayescal.identifiability.directions import judge_parameters
 from bayescal.identifiability.information import information_of_rows
-from bayescal.identifiability.verdicts import judge_parameters
 from bayescal.limits import DEAD, INFORMED
 from bayescal.numerics.geometry import Array
 from bayescal.report.numbers import format_count, join_words

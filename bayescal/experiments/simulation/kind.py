@@ -15,9 +15,9 @@ from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.shared.look import look_at_machine
 from bayescal.experiments.shared.readings.machine_kind import MachineExperiment
-from bayescal.experiments.simulation.instruments import InstrumentPlan, plan_instrument
 from bayescal.experiments.simulation.readings import ReadingPlan, plan_readings
 from bayescal.experiments.simulation.schema import SimulationConfig
+from bayescal.experiments.simulation.twin import InstrumentPlan, plan_instrument
 from bayescal.machines.parameters import ParameterLayout
 from bayescal.numerics.geometry import Array
 from bayescal.report.blocks import Column, Page, Section, Statement, make_table

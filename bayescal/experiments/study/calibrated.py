@@ -16,9 +16,9 @@ from bayescal.calibrated.exported import (
     MATRIX_COVARIANCE,
     format_matrix,
     format_matrix_covariance,
+    read_kept,
     read_matrix_covariance,
 )
-from bayescal.calibrated.kept import read_kept
 from bayescal.calibrated.machine import (
     CalibratedMachine,
     Errors,

@@ -10,8 +10,7 @@ import numpy as np
 
 from bayescal.density.errors import TAU
 from bayescal.density.exact import ExactDensity
-from bayescal.density.legs import LegPosterior
-from bayescal.density.likelihood import Likelihood
+from bayescal.density.legs import LegPosterior, Likelihood
 from bayescal.density.prediction import Prediction, replicate
 from bayescal.experiments.frame.memory import Need, estimate_arrays
 from bayescal.experiments.shared.chi_square import ChiSquare

@@ -18,14 +18,11 @@ from bayescal.config.registry import find_class
 from bayescal.data.actuators import check_moves, check_range
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.data.photogrammetry.joint_deflection import JointDeflection, KappaEstimate, MatrixEstimate
-from bayescal.density.batches import BATCH
 from bayescal.density.errors import KernelLength, KernelScale, LegTerm, ModelError
 from bayescal.density.exact import CommonErrors, ExactDensity
-from bayescal.density.legs import LegPosterior, build_leg_posterior, check_machine
-from bayescal.density.likelihood import Likelihood
-from bayescal.density.model_error import INDEPENDENT, build_kernel
+from bayescal.density.legs import BATCH, LegPosterior, Likelihood, build_leg_posterior, check_machine
 from bayescal.density.outliers import NORMAL, Contaminated
-from bayescal.density.priors import Prior, SharePrior
+from bayescal.density.priors import INDEPENDENT, Prior, SharePrior, build_kernel
 from bayescal.density.structured import StructuredLikelihood, count_nodes
 from bayescal.errors import InputError, PoseInputError, name_faults
 from bayescal.experiments.frame.memory import Need, check_arrays

@@ -12,9 +12,6 @@ import numpy as np
 
 from bayescal.config.load import read_toml
 from bayescal.data.actuators import check_range, name_actuators, read_actuators
-from bayescal.data.instruments.plausible import check_places, check_units
-from bayescal.data.instruments.points import PointReadings
-from bayescal.data.instruments.poses import PoseReadings
 from bayescal.data.instruments.read_points import (
     PointNoise,
     check_point_columns,
@@ -22,14 +19,13 @@ from bayescal.data.instruments.read_points import (
     read_probe,
     read_stations,
 )
-from bayescal.data.instruments.read_poses import PoseNoise, check_pose_table, read_poses
-from bayescal.data.instruments.tables import Taken
+from bayescal.data.instruments.read_poses import PoseNoise, Taken, check_pose_table, read_poses
+from bayescal.data.instruments.readings import PointReadings, PoseReadings, check_places, check_units
 from bayescal.data.measured_poses import MeasuredPoses, check_repeated
-from bayescal.data.photogrammetry.exchanged import check_exchanged, check_pad_places
-from bayescal.data.photogrammetry.poses import PoseExtraction, extract_poses
+from bayescal.data.photogrammetry.poses import PoseExtraction, check_exchanged, check_pad_places, extract_poses
 from bayescal.data.photogrammetry.survey import Survey, check_reference, check_target_columns, read_survey
 from bayescal.density.instruments import InstrumentLikelihood
-from bayescal.density.likelihood import Likelihood
+from bayescal.density.legs import Likelihood
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.priors import NormalPrior, Prior
 from bayescal.errors import InputError, name_faults

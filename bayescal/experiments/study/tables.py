@@ -10,8 +10,8 @@ import pandas as pd
 from scipy.special import logsumexp
 
 from bayescal.config.classes import label_class
-from bayescal.density.batches import POSES
 from bayescal.density.least_squares import LeastSquaresFit, identify, list_identified
+from bayescal.density.legs import POSES
 from bayescal.density.prediction import Prediction, compute_elpd, compute_joint_elpd, measure_length, summarise_misfit
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.shared.estimate import Arrays, Fit
@@ -40,8 +40,8 @@ from bayescal.experiments.study.structured import describe_structured, tabulate_
 from bayescal.files.csv_tables import format_table
 from bayescal.inference.importance import smooth_weights
 from bayescal.limits import BLUNDER, PARETO_K_LIMIT
-from bayescal.machines.flexure import CIRCLE, PIVOT, compute_beam_shift, compute_circle_shift
 from bayescal.machines.mechanism import Mechanism
+from bayescal.machines.models.beam import CIRCLE, PIVOT, compute_beam_shift, compute_circle_shift
 from bayescal.machines.models.legs import list_dimensions
 from bayescal.numerics.geometry import Array, rotation_vector_from_matrix
 from bayescal.numerics.units import MICROMETRE

@@ -10,12 +10,11 @@ import pandas as pd
 
 from bayescal.errors import InputError
 from bayescal.experiments.frame.parallel import Failed, Run
-from bayescal.experiments.frame.pool import open_pool
 from bayescal.experiments.frame.results import Results
+from bayescal.experiments.frame.store import open_pool
 from bayescal.experiments.sweep.answers import COLUMNS, NUMBERS, find_answers
 from bayescal.experiments.sweep.inputs import SweepInputs
-from bayescal.experiments.sweep.keys import Setting, look_up
-from bayescal.experiments.sweep.members import Outcome, compute_member
+from bayescal.experiments.sweep.members import Outcome, Setting, compute_member, look_up
 from bayescal.experiments.sweep.schema import SweepConfig
 
 DONE, UNSURE, FAILED = "done", "not converged", "failed"

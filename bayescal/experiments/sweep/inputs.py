@@ -19,8 +19,7 @@ from bayescal.errors import InputError
 from bayescal.experiments.frame.identity import hash_identity, identify
 from bayescal.experiments.frame.load import AnyExperiment, find_kind, read_inputs
 from bayescal.experiments.frame.memory import Need
-from bayescal.experiments.sweep.keys import Setting, find, split_key
-from bayescal.experiments.sweep.members import Base
+from bayescal.experiments.sweep.members import Base, Setting, find, split_key
 from bayescal.experiments.sweep.schema import SEED, AxisConfig, SweepConfig
 
 

@@ -10,7 +10,7 @@ from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.sweep.compute import compute_sweep
 from bayescal.experiments.sweep.inputs import SweepInputs, list_files, read_sweep
-from bayescal.experiments.sweep.page.pages import build_page
+from bayescal.experiments.sweep.page import build_page
 from bayescal.experiments.sweep.schema import SweepConfig
 from bayescal.report.blocks import Page
 

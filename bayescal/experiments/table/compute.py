@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
+import pandas as pd
 
 from bayescal.errors import NumericalError
 from bayescal.experiments.frame.parallel import Run
@@ -10,13 +15,23 @@ from bayescal.experiments.frame.results import Results
 from bayescal.experiments.shared.estimate import Estimate, estimate_posterior
 from bayescal.experiments.shared.reading_slips import find_calibration_slip
 from bayescal.experiments.table.inputs import TableInputs
-from bayescal.experiments.table.plan import plan_measurements
-from bayescal.experiments.table.polynomial import build_terms, fit_polynomial, format_polynomial
-from bayescal.experiments.table.responses import measure_elsewhere, respond
-from bayescal.experiments.table.tables import Found, summarise, tabulate
+from bayescal.experiments.table.responses import (
+    Plan,
+    Polynomial,
+    Responses,
+    build_terms,
+    fit_polynomial,
+    format_polynomial,
+    measure_elsewhere,
+    plan_measurements,
+    respond,
+)
+from bayescal.machines.readings import Channel
+from bayescal.numerics.geometry import Array
 
 POLYNOMIAL_FILE = "polynomial.json"
 ELSEWHERE = 64  # poses of the workspace
+INTERVAL = (0.05, 0.95)
 
 
 def compute_table(inputs: TableInputs, run: Run) -> Results:
@@ -60,3 +75,134 @@ def find_table(inputs: TableInputs, draws: np.ndarray, mode: np.ndarray) -> Foun
         plan_measurements(inputs, posterior, mode, covariance),
         measure_elsewhere(inputs, posterior.theta(mode[None])[0], poses),
     )
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """A table: responses of all draws, its polynomial, what to measure next, and Δq elsewhere in the workspace (n,)."""
+
+    responses: Responses
+    polynomial: Polynomial
+    plan: Plan
+    elsewhere: Array
+
+
+def tabulate(inputs: TableInputs, found: Found) -> dict[str, pd.DataFrame]:
+    """Return all tables; lengths in mm, angles in rad, columns of places in their own units."""
+    actuators, coordinates = inputs.actuators.channels, inputs.variant.model.coordinates
+    names, units = [one.name for one in actuators], [one.unit for one in actuators]
+    pose_names, pose_units = [one.name for one in coordinates], [one.unit for one in coordinates]
+    correction, offset = found.responses.correction, found.responses.offset
+    return {
+        "lookup": _widen(inputs, correction.mean(axis=0), names, units),
+        "corrections": _describe(inputs, correction, "actuator", names, units),
+        "correction_covariance": _relate(inputs, correction, names),
+        "offsets": _describe(inputs, offset, "coordinate", pose_names, pose_units),
+        "offset_covariance": _relate(inputs, offset, pose_names),
+        "polynomial": _list_terms(found.polynomial, names, units),
+        "plan": _list_plan(inputs, found.plan),
+    }
+
+
+def _places(inputs: TableInputs, times: int) -> dict[str, Array]:
+    """Return the columns of the axes, each place repeated."""
+    return {name: np.repeat(inputs.cells[:, k], times) for k, name in enumerate(inputs.config.axes)}
+
+
+def _widen(inputs: TableInputs, mean: Array, names: Sequence[str], units: Sequence[str]) -> pd.DataFrame:
+    """Return the table as a controller takes it: a row a place, a column an actuator."""
+    columns = {f"{one.stem}_{one.unit}": mean[:, k] for k, one in enumerate(map(Channel, names, units))}
+    return pd.DataFrame({**_places(inputs, 1), **columns})
+
+
+def _describe(inputs: TableInputs, drawn: Array, what: str, names: Sequence[str], units: Sequence[str]) -> pd.DataFrame:
+    """Return mean, deviation and 90 % interval of each number (T, G, n)."""
+    low, high = np.quantile(drawn, INTERVAL, axis=0)
+    columns = {"mean": drawn.mean(axis=0), "sd": drawn.std(axis=0, ddof=1), "q05": low, "q95": high}
+    labels = {what: list(names) * len(inputs.cells), "unit": list(units) * len(inputs.cells)}
+    values = {key: value.reshape(-1) for key, value in columns.items()}
+    return pd.DataFrame({**_places(inputs, len(names)), **labels, **values})
+
+
+def _relate(inputs: TableInputs, drawn: Array, names: Sequence[str]) -> pd.DataFrame:
+    """Return the covariances of the numbers (T, G, n) of each place, the upper triangle row by row."""
+    left = drawn - drawn.mean(axis=0)
+    covariance = np.einsum("tgi,tgj->gij", left, left) / (len(drawn) - 1)
+    first, second = (one.tolist() for one in np.triu_indices(len(names)))
+    return pd.DataFrame(
+        {
+            **_places(inputs, len(first)),
+            "first": [names[k] for k in first] * len(inputs.cells),
+            "second": [names[k] for k in second] * len(inputs.cells),
+            "covariance": covariance[:, first, second].reshape(-1),
+        }
+    )
+
+
+def _list_terms(found: Polynomial, names: Sequence[str], units: Sequence[str]) -> pd.DataFrame:
+    rows = [
+        {"term": term, "actuator": name, "unit": unit, "coefficient": found.mean[i, k], "sd": found.sd[i, k]}
+        for i, term in enumerate(found.terms)
+        for k, (name, unit) in enumerate(zip(names, units, strict=True))
+    ]
+    return pd.DataFrame(rows)
+
+
+def _list_plan(inputs: TableInputs, plan: Plan) -> pd.DataFrame:
+    axes, coordinates = list(inputs.config.axes), inputs.variant.model.coordinates
+    return pd.DataFrame(
+        {
+            "order": np.arange(1, len(plan.after) + 1),
+            **{name: plan.cell[:, k] for k, name in enumerate(axes)},
+            **{f"{one.name}_{one.unit}": plan.pose[:, k] for k, one in enumerate(coordinates)},
+            "sd_after": plan.after,
+            "largest_sd_after": plan.worst,
+            "sd_after_random": plan.random,
+        }
+    )
+
+
+def summarise(inputs: TableInputs, found: Found, problems: list[str]) -> dict[str, Any]:
+    """Return what ``summary.json`` holds; lengths in mm, angles in rad."""
+    config, study = inputs.config, inputs.study
+    coordinates, offset = inputs.variant.model.coordinates, found.responses.offset
+    low, high = np.quantile(offset, INTERVAL, axis=0)
+    return {
+        "experiment": config.name,
+        "title": config.title,
+        "origin": study.config.origin.model_dump(),
+        "machine": study.machine,
+        "study": config.study,
+        "variant": inputs.variant.name,
+        "converged": not problems,
+        "problems": problems,
+        "draws": len(offset),
+        "axes": {name: [min(values), max(values)] for name, values in config.axes.items()},
+        "places": len(inputs.cells),
+        "reference": inputs.reference,
+        "pose": {one.name: float(x) for one, x in zip(coordinates, inputs.pose, strict=True)},
+        "coordinates": {
+            one.name: {
+                "unit": one.unit,
+                "largest_offset": float(np.abs(offset.mean(axis=0)[:, k]).max()),
+                "largest_half_width_90": float(0.5 * (high - low)[:, k].max()),
+            }
+            for k, one in enumerate(coordinates)
+        },
+        "actuators": {
+            one.name: {
+                "unit": one.unit,
+                "largest_correction": float(np.abs(found.responses.correction.mean(axis=0)[:, k]).max()),
+                "largest_sd": float(found.responses.correction.std(axis=0, ddof=1)[:, k].max()),
+                "polynomial_misfit": float(found.polynomial.misfit[k]),
+                "elsewhere": float(found.elsewhere[k]),
+            }
+            for k, one in enumerate(inputs.actuators.channels)
+        },
+        "sd_by_tolerances": found.plan.prior,
+        "sd_by_data": float(np.sqrt(np.mean(found.responses.correction.var(axis=0, ddof=1)))),
+        "sd_before_plan": found.plan.before,
+        "sd_after_plan": float(found.plan.after[-1]),
+        "sd_after_random": float(found.plan.random[-1]),
+        "plan_beside_data": config.plan.beside_data,
+    }

@@ -15,9 +15,9 @@ from bayescal.experiments.frame.load import load
 from bayescal.experiments.shared.readings.inputs import ReadingInputs, Variant, read_inputs
 from bayescal.experiments.shared.study_schema import StudyConfig
 from bayescal.experiments.table.schema import TableConfig
-from bayescal.identifiability.units import Units
 from bayescal.machines.readings import Given, ReadingModel
 from bayescal.numerics.geometry import Array
+from bayescal.numerics.units import Units
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,6 +7,7 @@ from dataclasses import replace
 import audit_problems as problems
 import numpy as np
 import pytest
+import telescope_machines
 
 from bayescal.experiments.audit import ridge_curves
 from bayescal.experiments.audit.audit import run_audit
@@ -15,7 +16,7 @@ from bayescal.experiments.audit.load import load_audit
 from bayescal.experiments.audit.posterior import audit_posterior
 from bayescal.experiments.audit.ridge_curves import MAX_DRAWS, plot_ridges, tabulate_plots
 from bayescal.experiments.frame.parallel import Run
-from bayescal.identifiability.ridge_laws import LAWS, Leg, LevelLine, find_legs
+from bayescal.identifiability.ridges import Leg, LevelLine, find_legs, list_laws
 from bayescal.machines.kinematics import solve_forward_kinematics
 from bayescal.numerics.geometry import compute_pose_error
 
@@ -132,7 +133,7 @@ def test_gain_curve_is_where_the_machine_goes(leg, axis, linear):
     inputs, _, _ = linear
     knowledge = inputs.knowledge
     theta, layout = knowledge.centre, knowledge.layout
-    law = next(law for law in LAWS if law.holds_for("base", ("kappa", f"u_{axis}")))
+    law = next(law for law in list_laws(knowledge.machine) if law.ties(("kappa", f"u_{axis}")))
     start = {b.symbol: float(theta[layout.index[b.symbol][leg - 1]]) for b in knowledge.machine.layout.blocks}
     at_home = find_legs(knowledge)[leg - 1]
     line = LevelLine(law, at_home, start, {}, (f"u_{axis}", "kappa"), (0.05, 0.01))
@@ -161,7 +162,7 @@ def test_home_joint_curve_changes_no_pose(linear):
 
 def test_level_lines_close_on_themselves():
     """z·u = const is a circle about the leg; the azimuth turns once and the line ends where it began."""
-    law = next(law for law in LAWS if law.holds_for("base", ("u_x", "u_y")))
+    law = next(law for law in list_laws(telescope_machines.build_machine()) if law.ties(("u_x", "u_y")))
     z = np.array([0.0, 0.05, 1.0]) / np.hypot(0.05, 1.0)
     leg = Leg(tuple(z), tuple(z))
     line = LevelLine(law, leg, {"u_x": 0.0, "u_y": 0.0}, {}, ("u_x", "u_y"), (0.05, 0.05))
@@ -175,7 +176,7 @@ def test_level_lines_close_on_themselves():
 
 def test_a_line_that_hangs_on_other_parameters_is_no_law():
     """Across a strut the invariant hardly changes; what little it does gives no direction."""
-    law = next(law for law in LAWS if law.holds_for("strut", ("a_z", "b_z")))
+    (law,) = list_laws(telescope_machines.build_machine(model="six_ups"))
     start = dict.fromkeys(("a_x", "a_y", "a_z", "b_x", "b_y", "b_z", "l"), 0.0)
     scale = dict.fromkeys(start, 0.5)
     across, along = Leg((1.0, 0.0, 1e-3), (1.0, 0.0, 1e-3)), Leg((0.0, 0.0, 1.0), (0.0, 0.0, 1.0))

@@ -8,7 +8,7 @@ import pytest
 
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.run import run_experiment
-from bayescal.report.units import format_amount, format_place, shown_in
+from bayescal.report.symbols import format_amount, format_place, shown_in
 
 UNITS = '[units]\nlength = "um"\nangle = "arcsec"\n'
 

@@ -13,9 +13,8 @@ import studies
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.density.legs import build_leg_posterior
 from bayescal.density.priors import NormalPrior
-from bayescal.experiments.check.inputs import read_check
+from bayescal.experiments.check.inputs import Subject, read_check
 from bayescal.experiments.check.kind import configure_check
-from bayescal.experiments.check.subject import Subject
 from bayescal.experiments.shared.measured import MeasuredVariant, see_legs
 
 VARIANT = "six_pus/matrix"

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import beta, norm
 
-from bayescal.experiments.check.bands import distribute, find_band
-from bayescal.experiments.check.judge import find_uneven, judge_ranks, measure_coverage
+from bayescal.experiments.check.ranks import distribute, find_band, find_uneven, judge_ranks, measure_coverage
 
 
 @pytest.mark.parametrize(("n", "level"), [(50, 0.05), (60, 0.01), (200, 0.05)])

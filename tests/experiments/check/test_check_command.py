@@ -11,7 +11,7 @@ import studies
 from bayescal import cli
 from bayescal.errors import InputError, NumericalError
 from bayescal.experiments.check import compute
-from bayescal.experiments.check.faults.finding import Finding
+from bayescal.experiments.check.faults import Finding
 from bayescal.experiments.check.kind import configure_check
 from bayescal.experiments.frame.run import run_experiment
 

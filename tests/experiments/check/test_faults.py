@@ -13,14 +13,17 @@ import telescope_machines as machines
 from bayescal.density.errors import ModelError
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.posterior import Posterior
-from bayescal.experiments.check.faults import modes
-from bayescal.experiments.check.faults.derivatives import check_derivatives
-from bayescal.experiments.check.faults.modes import check_modes, list_starts
-from bayescal.experiments.check.faults.noise import check_noise
-from bayescal.experiments.check.faults.priors import check_priors
-from bayescal.experiments.check.look import look_at_data
-from bayescal.experiments.check.ranks import draw_posterior
-from bayescal.experiments.check.subject import state_slips
+from bayescal.experiments.check import faults
+from bayescal.experiments.check.faults import (
+    check_derivatives,
+    check_modes,
+    check_noise,
+    check_priors,
+    list_starts,
+    look_at_data,
+    state_slips,
+)
+from bayescal.experiments.check.inputs import draw_posterior
 from bayescal.experiments.shared.reading_slips import audit_slips
 from bayescal.experiments.shared.soundness import find_misfit
 from bayescal.inference.mode import find_modes
@@ -197,8 +200,8 @@ def folded():
 
 def test_a_missed_mode_is_named(folded, monkeypatch):
     """A search that tries no mirror images finds but one of them."""
-    monkeypatch.setattr(modes, "PAIRS", 2)
-    monkeypatch.setattr(modes, "STARTS", 1)
+    monkeypatch.setattr(faults, "PAIRS", 2)
+    monkeypatch.setattr(faults, "DRAWN_STARTS", 1)
     every = find_modes(folded)
     starts = list_starts(folded, every[0].y, np.random.default_rng(0))
     assert check_modes(folded, every, starts).fault == ""

@@ -10,14 +10,10 @@ import numpy as np
 import pytest
 
 from bayescal.density.priors import NormalPrior
-from bayescal.experiments.check.faults.derivatives import check_derivatives
-from bayescal.experiments.check.faults.noise import check_noise
-from bayescal.experiments.check.faults.priors import check_priors
-from bayescal.experiments.check.inputs import read_check
+from bayescal.experiments.check.faults import check_derivatives, check_noise, check_priors, look_at_data, state_slips
+from bayescal.experiments.check.inputs import Subject, draw_posterior, read_check
 from bayescal.experiments.check.kind import configure_check
-from bayescal.experiments.check.look import look_at_data
-from bayescal.experiments.check.ranks import draw_posterior, rank_truth
-from bayescal.experiments.check.subject import Subject, state_slips
+from bayescal.experiments.check.ranks import rank_truth
 from bayescal.experiments.shared.reading_slips import audit_slips
 
 FUNCTION = """

@@ -7,8 +7,7 @@ from types import SimpleNamespace
 import cloudpickle
 import pytest
 
-from bayescal.experiments.frame.batches import AHEAD, TARGET, Feed
-from bayescal.experiments.frame.distributed import ANSWER, KILLED, Cluster
+from bayescal.experiments.frame.distributed import AHEAD, ANSWER, KILLED, TARGET, Cluster, Feed
 
 
 class Client:

@@ -7,7 +7,7 @@ import pytest
 import studies
 import telescope_machines as machines
 
-from bayescal.calibrated.export import export_machine
+from bayescal.calibrated.formats import export_machine
 from bayescal.errors import InputError
 from bayescal.experiments.audit.kind import Audit
 from bayescal.experiments.frame import memory

@@ -14,7 +14,7 @@ import pandas as pd
 import pytest
 import studies
 
-from bayescal.config.files import find_files
+from bayescal.config.classes import find_files
 from bayescal.errors import InputError
 from bayescal.experiments.audit.audit import analyse
 from bayescal.experiments.audit.inputs import AuditInputs, read_inputs

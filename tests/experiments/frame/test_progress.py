@@ -13,10 +13,10 @@ import pytest
 import staged
 from rich.console import Console
 
-from bayescal.experiments.frame import progress
+from bayescal.experiments.frame import terminal as progress
 from bayescal.experiments.frame.engine import open_engine
 from bayescal.experiments.frame.parallel import Run
-from bayescal.experiments.frame.progress import Progress, Stage, describe_tasks
+from bayescal.experiments.frame.terminal import Progress, Stage, describe_tasks
 from bayescal.inference.stages import Report
 
 PATH = os.pathsep.join([str(Path(__file__).parent), *filter(None, [os.environ.get("PYTHONPATH")])])  # for `staged`

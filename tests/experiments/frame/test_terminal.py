@@ -6,7 +6,7 @@ import io
 
 from rich.console import Console
 
-from bayescal.cli.console import make_console
+from bayescal.cli.app import make_console
 from bayescal.experiments.frame.terminal import Shown, print_table
 
 COLUMNS = (Shown("variant", justify="left"), Shown("log-evidence", 1), Shown("elpd", 2), Shown("error"))

@@ -13,7 +13,7 @@ import studies
 
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.run import run_experiment
-from bayescal.experiments.sessions.measured import Session
+from bayescal.experiments.sessions.inputs import Session
 from bayescal.experiments.shared.slips import FoundSlip
 from bayescal.report.pictures import Picture
 

@@ -16,7 +16,7 @@ from bayescal.data.photogrammetry.poses import extract_poses
 from bayescal.data.photogrammetry.survey import read_survey
 from bayescal.errors import InputError, NumericalError
 from bayescal.experiments.frame.load import load_experiment
-from bayescal.experiments.simulation.machine import read_model
+from bayescal.experiments.simulation.readings import read_model
 from bayescal.experiments.simulation.twin import Twin, build_twin, format_survey, simulate_survey
 from bayescal.files.csv_tables import read_matrix, read_table
 from bayescal.machines.kinematics import solve_forward_kinematics

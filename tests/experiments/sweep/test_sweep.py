@@ -16,7 +16,7 @@ from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.run import compute_experiment, run_experiment
 from bayescal.experiments.frame.store import Store
 from bayescal.experiments.sweep.answers import find_answers
-from bayescal.experiments.sweep.keys import change, look_up
+from bayescal.experiments.sweep.members import change, look_up
 from bayescal.files.toml import write_toml
 
 pytestmark = pytest.mark.runs
@@ -166,7 +166,7 @@ def test_a_damaged_member_and_one_of_other_versions_are_computed_anew(tmp_path, 
     kept[0].write_bytes(kept[0].read_bytes()[:-40])
     run(path, tmp_path / "results" / "second")
     assert count_computed(tmp_path) == 11
-    monkeypatch.setattr("bayescal.experiments.frame.pool.list_versions", lambda: {"numpy": "another"})
+    monkeypatch.setattr("bayescal.experiments.frame.store.list_versions", lambda: {"numpy": "another"})
     run(path, tmp_path / "results" / "third")
     assert count_computed(tmp_path) == 21
 

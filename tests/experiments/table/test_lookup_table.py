@@ -13,11 +13,9 @@ from lookup_tables import change
 
 from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load
-from bayescal.experiments.table.compute import find_table
+from bayescal.experiments.table.compute import find_table, summarise, tabulate
 from bayescal.experiments.table.page import build_page
-from bayescal.experiments.table.plan import plan_measurements
-from bayescal.experiments.table.responses import differentiate_correction, respond
-from bayescal.experiments.table.tables import summarise, tabulate
+from bayescal.experiments.table.responses import differentiate_correction, plan_measurements, respond
 
 pytestmark = pytest.mark.runs
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 
+from bayescal.experiments.audit.page.results import Change
 from bayescal.report.numbers import (
     NOTHING,
     count_decimals,
@@ -15,8 +16,7 @@ from bayescal.report.numbers import (
     format_significant,
     join_words,
 )
-from bayescal.report.symbols import split_name
-from bayescal.report.units import shown_in
+from bayescal.report.symbols import shown_in, split_name
 
 SURE = 0.9995
 SMALLEST_SAID = {"mm": 1e-6, "rad": 5e-9}
@@ -28,6 +28,11 @@ def name_requirement(name: str) -> str:
     """Return a requirement in words: ``rotation_x`` is rotation about x."""
     axis = name.removeprefix("rotation_")
     return f"rotation about {axis}" if axis != name else DIRECTIONS.get(name, name)
+
+
+def name_change(change: Change) -> str:
+    """Return a change with a mark where the actuators do not reach that far or it cannot be."""
+    return f"{change.name}{' †' if change.beyond_range else ''}{' ‡' if not change.possible else ''}"
 
 
 def name_unit(unit: str) -> str:

@@ -10,9 +10,9 @@ import numpy as np
 from bayescal.errors import InputError
 from bayescal.experiments.shared.readings.schema import BesideConfig
 from bayescal.files.csv_tables import read_table
-from bayescal.identifiability.units import units_like
 from bayescal.machines.readings import ReadingModel
 from bayescal.numerics.geometry import Array
+from bayescal.numerics.units import units_like
 
 COLUMNS = ("quantity", "unit", "value")
 OF_TRUTH = "parameter"  # in place of the first, in true parameters as a simulation writes them

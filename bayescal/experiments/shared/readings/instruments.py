@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
-from bayescal.calibrated.kept import keep_machines
+from bayescal.calibrated.exported import keep_machines
 from bayescal.config.classes import choose, name_failures
 from bayescal.config.load import read_toml
 from bayescal.config.registry import list_sources

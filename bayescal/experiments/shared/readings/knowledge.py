@@ -11,15 +11,13 @@ from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.experiments.shared.readings.inputs import Variant
 from bayescal.experiments.shared.readings.schema import NextConfig
 from bayescal.experiments.shared.schema import UnitsConfig
-from bayescal.identifiability.directions import find_directions
-from bayescal.identifiability.information import Information, information_of_rows
+from bayescal.identifiability.directions import find_directions, judge_parameters
+from bayescal.identifiability.information import Information, information_of_rows, marginalise
 from bayescal.identifiability.reading_rows import Slopes, View, differentiate_poses, name_tool, rms, see, typical_given
-from bayescal.identifiability.ridges import describe_move, round_below
-from bayescal.identifiability.structured_noise import marginalise
-from bayescal.identifiability.units import Units
-from bayescal.identifiability.verdicts import judge_parameters
+from bayescal.identifiability.ridges import describe_reading_ridges
 from bayescal.machines.readings import Given
 from bayescal.numerics.geometry import Array
+from bayescal.numerics.units import Units
 from bayescal.pose_selection.next_pose import compute_gains
 
 N_WORKSPACE = 200
@@ -194,18 +192,15 @@ def _judge(
     rows = see(posterior, y)
     information = _inform(posterior, y, rows)
     nothing = np.empty((posterior.n_geometry, 0))
-    units = Units(section.length, section.angle)
-    ridges = []
-    for direction in find_directions(information, nothing, ()):
-        if direction.pivot is None:
-            continue
-        kinds, scale = posterior.units[: posterior.n_geometry], posterior.prior_sd[: posterior.n_geometry]
-        pivot, factor = direction.pivot, units.factor(kinds[direction.pivot])
-        largest = scale[pivot] * min(1.0, abs(direction.vector[pivot]) / np.abs(direction.vector).max())
-        size = factor * round_below(largest / factor) / (direction.vector[pivot] * scale[pivot])
-        move = direction.vector * scale * size
-        text = describe_move(posterior.sampling.names, kinds, direction, move, units, posterior.likelihood.model.member)
-        left = float(np.abs(rows @ (direction.vector * size)).max())
-        sentence = f"{text} changes no reading by more than {left:.2g} of its noise."
-        ridges.append((posterior.sampling.names[pivot], direction.contraction, sentence))
+    names, n = posterior.sampling.names, posterior.n_geometry
+    found = describe_reading_ridges(
+        find_directions(information, nothing, ()),
+        rows,
+        names,
+        posterior.units[:n],
+        posterior.prior_sd[:n],
+        Units(section.length, section.angle),
+        posterior.likelihood.model.member,
+    )
+    ridges = [(names[direction.pivot or 0], direction.contraction, sentence) for direction, _, _, sentence in found]
     return judge_parameters(information, nothing), ridges

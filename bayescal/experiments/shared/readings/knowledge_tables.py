@@ -11,8 +11,8 @@ import pandas as pd
 from bayescal.experiments.shared.readings.inputs import Variant
 from bayescal.experiments.shared.readings.knowledge import Knowledge
 from bayescal.experiments.shared.schema import UnitsConfig
-from bayescal.identifiability.units import Units
 from bayescal.numerics.geometry import Array
+from bayescal.numerics.units import Units
 
 
 def name_data(variant: Variant) -> str:

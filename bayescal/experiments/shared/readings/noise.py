@@ -12,9 +12,9 @@ from bayescal.experiments.shared.per_leg import spread_over_legs
 from bayescal.experiments.shared.readings.reading_tables import PoseReadings
 from bayescal.experiments.shared.readings.schema import NOISE_UNITS, ChannelConfig
 from bayescal.experiments.shared.study_schema import StudyConfig, VariantConfig
-from bayescal.identifiability.units import units_like
 from bayescal.machines.readings import Channel, ReadingModel
 from bayescal.numerics.geometry import Array
+from bayescal.numerics.units import units_like
 
 
 def stated_noise(sensors: Mapping[str, ChannelConfig], readings: PoseReadings, model: ReadingModel) -> Array:

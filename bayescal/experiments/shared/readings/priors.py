@@ -11,8 +11,8 @@ from bayescal.errors import InputError
 from bayescal.experiments.shared.per_leg import spread_over_legs, spread_widths
 from bayescal.experiments.shared.readings.schema import FreeConfig
 from bayescal.experiments.shared.schema import UnitsConfig
-from bayescal.identifiability.units import Units
 from bayescal.machines.parameters import ParameterBlock, ParameterLayout
+from bayescal.numerics.units import Units
 
 type Chosen = tuple[dict[str, Prior], dict[str, float], dict[str, tuple[str, ...]]]
 

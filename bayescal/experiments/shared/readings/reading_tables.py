@@ -18,10 +18,9 @@ import numpy as np
 from bayescal.errors import InputError
 from bayescal.experiments.shared.readings.schema import DataTableConfig
 from bayescal.files.csv_tables import Table, read_table
-from bayescal.identifiability.units import units_like
 from bayescal.machines.readings import Channel
 from bayescal.numerics.geometry import Array
-from bayescal.numerics.units import MICROMETRE
+from bayescal.numerics.units import MICROMETRE, units_like
 
 USES = ("calibration", "verification")
 COVARIANCE_UNITS = {"mm": MICROMETRE, "rad": 1e-6}

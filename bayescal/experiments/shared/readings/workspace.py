@@ -14,9 +14,9 @@ from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.density.calibration.poses import search_poses
 from bayescal.errors import InputError
 from bayescal.experiments.shared.schema import UnitsConfig
-from bayescal.identifiability.units import Units
 from bayescal.machines.readings import Given, ReadingModel
 from bayescal.numerics.geometry import Array
+from bayescal.numerics.units import Units
 
 STARTS = 0.6  # of the half widths, from where poses are looked for
 MOST_TRIES = 100

@@ -29,8 +29,7 @@ from bayescal.experiments.study.page.variants import (
 )
 from bayescal.report.blocks import Figure
 from bayescal.report.numbers import format_plain
-from bayescal.report.symbols import MODEL_ERROR
-from bayescal.report.variant_names import describe_deformation
+from bayescal.report.symbols import MODEL_ERROR, describe_deformation
 
 BARS = (
     "each bar is as high as the largest error, the line across it is the mean, both as numbers. Errors of the "

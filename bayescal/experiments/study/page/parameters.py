@@ -22,8 +22,7 @@ from bayescal.experiments.study.page.variants import (
 )
 from bayescal.report.blocks import Block, Cell, Column, Figure, Fold, Heading, Section, Statement, Table, make_table
 from bayescal.report.numbers import NOTHING, count_decimals, format_estimate, format_fixed, format_significant
-from bayescal.report.symbols import MODEL_ERROR, name_parameter
-from bayescal.report.variant_names import describe_deformation
+from bayescal.report.symbols import MODEL_ERROR, describe_deformation, name_parameter
 
 OPEN = 3  # variants whose tables are all shown; of more each stands behind a line
 CONTRACTION = (

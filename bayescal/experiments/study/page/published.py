@@ -20,8 +20,7 @@ from bayescal.experiments.study.page.variants import (
 )
 from bayescal.report.blocks import Column, Statement, Table, make_table
 from bayescal.report.numbers import NOTHING, format_significant, format_span
-from bayescal.report.symbols import write_symbol
-from bayescal.report.variant_names import describe_deformation
+from bayescal.report.symbols import describe_deformation, write_symbol
 
 LENGTH = "mm"
 ODD = 0.25  # of the other models' values, below which a published row looks misprinted

@@ -19,8 +19,7 @@ from bayescal.experiments.study.page.posterior_files import Replicates, read_pos
 from bayescal.experiments.study.page.publication import Publication, read_publication
 from bayescal.report.numbers import MICROMETRES
 from bayescal.report.reading import NUMBER, Kinds, Row, check_keys, list_rows
-from bayescal.report.symbols import OF_KERNELS, scale_of, split_name
-from bayescal.report.units import Asked, shown_in
+from bayescal.report.symbols import OF_KERNELS, Asked, scale_of, shown_in, split_name
 
 if TYPE_CHECKING:
     from bayescal.numerics.geometry import Array

@@ -9,7 +9,7 @@ from bayescal.experiments.shared.headline import Candidate, group_candidates, la
 from bayescal.experiments.study.page.results import StudyResults
 from bayescal.report.blocks import Column
 from bayescal.report.numbers import join_words
-from bayescal.report.variant_names import describe_deformation
+from bayescal.report.symbols import describe_deformation
 
 VARIANT = Column("Variant", kind="name")
 

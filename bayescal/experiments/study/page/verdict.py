@@ -46,8 +46,7 @@ from bayescal.experiments.study.page.variants import (
 )
 from bayescal.report.blocks import Statement
 from bayescal.report.numbers import format_fixed, format_significant, format_span, join_words
-from bayescal.report.units import format_amount
-from bayescal.report.variant_names import describe_deformation
+from bayescal.report.symbols import describe_deformation, format_amount
 
 BEYOND_BELIEF = 15.0  # nats from which odds rest on the assumptions, no longer on the data
 

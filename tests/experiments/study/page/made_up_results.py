@@ -14,9 +14,8 @@ from bayescal.experiments.frame import results as frame
 from bayescal.experiments.study.page.build import build_page
 from bayescal.experiments.study.page.results import StudyResults
 from bayescal.report.blocks import Page
-from bayescal.report.page import render_page, write_page
+from bayescal.report.page import render_page, show_provenance, write_page
 from bayescal.report.pictures import Picture
-from bayescal.report.provenance import show_provenance
 
 TWO = {"pus/none": (100.0, 2.0), "pus/linear": (120.0, 1.0)}  # log-evidence and how far the parameters moved
 TWELVE = {

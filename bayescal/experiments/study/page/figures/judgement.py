@@ -17,7 +17,7 @@ from bayescal.limits import PARETO_K_LIMIT
 from bayescal.numerics.geometry import Array
 from bayescal.report.numbers import MICROMETRES
 from bayescal.report.style import GREY, INK, LEG_COLOURS, PALE, RED
-from bayescal.report.units import Asked, shown_in
+from bayescal.report.symbols import Asked, shown_in
 
 KOLMOGOROV = 1.358  # 95 % of the largest distance of an ECDF, times the root of the number of draws
 SIMULATIONS = 500

@@ -14,8 +14,7 @@ from matplotlib.patches import Patch
 from bayescal.experiments.study.page.styles import Styles, count_columns, list_keys
 from bayescal.report.numbers import MICROMETRES
 from bayescal.report.style import GREY, INK, PALE
-from bayescal.report.symbols import MODEL_ERROR, is_model_error, scale_of, set_mathematics
-from bayescal.report.units import Asked
+from bayescal.report.symbols import MODEL_ERROR, Asked, is_model_error, scale_of, set_mathematics
 
 PRIOR_90 = 1.645  # prior standard deviations to the 5 and 95 % points of a normal prior
 MANY = 8  # symbols from which the panels stand three in a row

@@ -1,0 +1,322 @@
+"""Files of a calibrated machine for the next tool, by the names of their formats, and a directory of them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree as Xml
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from bayescal.calibrated.exported import format_value, list_function_files, list_mechanism_files, list_posterior_files
+from bayescal.calibrated.machine import CalibratedMachine
+from bayescal.calibrated.settle import find_hindrance
+from bayescal.config.load import look_up
+from bayescal.errors import InputError, name_faults
+from bayescal.files.atomic import make_directory, write_atomically
+from bayescal.files.csv_tables import format_table
+from bayescal.machines.deformations import NoDeformation
+from bayescal.machines.kinematics import Machine, check_home_pose
+from bayescal.machines.models.six_pus import SixPus
+from bayescal.machines.models.six_ups import SixUps
+from bayescal.machines.readings import Legs
+from bayescal.numerics.geometry import Array
+
+UNITS = {"1": "", "mm": "_mm", "rad": "_rad", "N": "_n", "N mm2": "_n_mm2"}
+STRUTS = 6
+HELP = (
+    "LinuxCNC genhexkins; units are mm. Load after `loadrt genhexkins`, for example by [HAL] HALFILE of the INI file.",
+    "A joint's position is the length of its strut: joint N = length N + actuator position - initial position,",
+    "where an actuator position is what bayescal's tables call rho_(N+1)_mm.",
+)
+METRE = 1e-3  # m per mm
+ORIGIN = np.zeros(3)
+AXES = {"x": "1 0 0", "y": "0 1 0", "z": "0 0 1"}
+MECHANISM, PARAMETERS = "mechanism", "parameters"
+
+
+def list_parameter_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
+    """Return parameters with covariance as TOML and JSON; of a machine of functions what `read_exported` takes, too."""
+    own = {} if isinstance(calibrated.model, Legs) else list_function_files(calibrated)
+    return own | list_toml_files(calibrated) | list_json_files(calibrated)
+
+
+def list_csv_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
+    """Return ``legs.csv`` of a machine on legs: the parameters that legs have, a row a leg; all others in each row.
+
+    Of another machine nothing: its parameters and their covariance are in tables with every format.
+    """
+    model = calibrated.model
+    if not isinstance(model, Legs):
+        return {}
+    layout, theta = model.layout, calibrated.theta
+    columns, values = ["leg"], [[leg + 1 for leg in range(model.n_legs)]]
+    for block in layout.blocks:
+        columns.append(f"{block.symbol}{UNITS.get(block.unit, '')}")
+        own = [repr(float(value)) for value in layout.take(theta, block.symbol)]
+        values.append(own if block.per_leg else own * model.n_legs)  # type: ignore[arg-type]  # cells of any kind
+    text = format_table(calibrated.source.describe(), columns, list(zip(*values, strict=True)))
+    return {"legs.csv": text.encode()}
+
+
+def list_json_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
+    """Return ``machine.json``: parameters by symbol in mm and radians, with their covariance."""
+    content = json.dumps(_describe(calibrated), indent=1, ensure_ascii=False)
+    return {"machine.json": (content + "\n").encode()}
+
+
+def list_toml_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
+    """Return ``parameters.toml``: the same as TOML."""
+    content = _describe(calibrated)
+    lines = [f"# {comment}" for comment in calibrated.source.describe()]
+    tables = {key: content.pop(key) for key in ("source", "parameters")}
+    lines += [f"{key} = {format_value(value)}" for key, value in content.items() if value is not None]
+    lines += ["", "[source]", *(f"{key} = {format_value(value)}" for key, value in tables["source"].items())]
+    for symbol, one in tables["parameters"].items():
+        lines += ["", f"[parameters.{format_value(symbol)}]"]
+        lines += [f"{key} = {format_value(value)}" for key, value in one.items() if value is not None]
+    return {"parameters.toml": ("\n".join(lines) + "\n").encode()}
+
+
+def _describe(calibrated: CalibratedMachine) -> dict[str, Any]:
+    model, theta, source = calibrated.model, calibrated.theta, calibrated.source
+    of = {block.symbol: model.layout.index[block.symbol] for block in model.layout.blocks}
+    return {
+        "name": calibrated.name,
+        "source": {
+            "experiment": source.experiment,
+            "variant": source.variant,
+            "data": source.data,
+            "converged": not source.problems,
+            "problems": list(source.problems),
+        },
+        **(_describe_legs(model.machine) if isinstance(model, Legs) else {}),
+        "commanded": list(model.commanded),
+        "tool": [f"{one.name} [{one.unit}]" for one in model.tool_channels],
+        "parameters": {
+            block.symbol: {
+                "unit": block.unit,
+                "mean": theta[of[block.symbol]].tolist(),
+                "sd": None if calibrated.covariance is None else calibrated.sd[of[block.symbol]].tolist(),
+            }
+            for block in model.layout.blocks
+        },
+        "uncertain": list(calibrated.names),
+        "covariance": None if calibrated.covariance is None else calibrated.covariance.tolist(),
+    }
+
+
+def _describe_legs(machine: Machine) -> dict[str, Any]:
+    mechanism = machine.mechanism
+    return {
+        "model": machine.model.name,
+        "deformation": machine.deformation.name,
+        "drive": mechanism.drive,
+        "base_points_mm": mechanism.base_points.tolist(),
+        "platform_points_mm": mechanism.platform_points.tolist(),
+        "directions": mechanism.directions.tolist() if mechanism.drive == "base" else None,
+        "leg_lengths_mm": mechanism.leg_lengths.tolist(),
+        "initial_actuator_positions_mm": mechanism.initial_actuator_positions.tolist(),
+        "actuator_range_mm": mechanism.actuator_range,
+    }
+
+
+def check_perfect_legs(calibrated: CalibratedMachine, what: str, drives: tuple[str, ...]) -> None:
+    """Raise InputError where a format cannot have the kinematics of a machine, saying why.
+
+    Parameters
+    ----------
+    calibrated : CalibratedMachine
+    what : str
+        The format.
+    drives : tuple of str
+        Those that it takes.
+    """
+    with name_faults(f"format {what}"):
+        machine, variant = calibrated.legs, calibrated.source.variant
+    if machine.mechanism.drive not in drives:
+        raise InputError(f"format {what}: found actuators at the base in variant {variant!r}, expected struts")
+    if not isinstance(machine.model, SixPus | SixUps):
+        raise InputError(
+            f"format {what}: found model {machine.model.name!r} in variant {variant!r}, "
+            f"expected one of perfect joints, {SixPus.name} or {SixUps.name}"
+        )
+    if not isinstance(machine.deformation, NoDeformation):
+        raise InputError(f"format {what}: found a platform that bends in variant {variant!r}, expected a rigid one")
+
+
+def list_genhexkins_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
+    """Return ``genhexkins.hal``, parameters of LinuxCNC's kinematics of a general hexapod as lines of a HAL file.
+
+    Its conventions, as its manual has them: ``base.N`` and ``platform.N`` are the ends of strut N, counted from zero,
+    in base and in platform coordinates; a joint's position is the length of its strut, |p + R platform.N - base.N|; A,
+    B and C are roll, pitch and yaw in degrees, R = R_z(C) R_y(B) R_x(A). Machine units are taken to be millimetres.
+
+    Raises
+    ------
+    InputError
+        Where the machine has other than six struts with perfect joints.
+    """
+    check_perfect_legs(calibrated, "genhexkins", ("strut",))
+    mechanism = calibrated.legs.mechanism
+    if mechanism.n_legs != STRUTS:
+        raise InputError(f"format genhexkins: found {mechanism.n_legs} struts, expected {STRUTS}")
+    lines = [f"# {comment}" for comment in (*calibrated.source.describe(), *HELP)]
+    for k in range(STRUTS):
+        length, start = mechanism.leg_lengths[k], mechanism.initial_actuator_positions[k]
+        lines.append(f"# joint {k}: length {float(length)!r} at the initial position {float(start)!r}")
+    for pin, points in (("base", mechanism.base_points), ("platform", mechanism.platform_points)):
+        for k, point in enumerate(points):
+            lines += [f"setp genhexkins.{pin}.{k}.{axis} {float(x)!r}" for axis, x in zip("xyz", point, strict=True)]
+    lines += ["setp genhexkins.spindle-offset 0", "setp genhexkins.screw-lead 0"]
+    return {"genhexkins.hal": ("\n".join(lines) + "\n").encode()}
+
+
+def list_urdf_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
+    """Return ``machine.urdf``: a tree of links and joints, metres and radians, at home when all are zero.
+
+    A leg is a prismatic joint between two universal joints, each of them two revolute ones, with a turn about its own
+    axis: without that six legs would hold the platform still. A tree has no loops: the first leg carries the platform,
+    each of the others ends in a link that belongs where the platform's own mark of the leg is. These loops are named in
+    elements ``loop_joint``, which readers of plain URDF pass over.
+
+    Raises
+    ------
+    InputError
+        Where joints and rigid links are not all of the machine's kinematics.
+    """
+    check_perfect_legs(calibrated, "urdf", ("strut", "base"))
+    mechanism = calibrated.legs.mechanism
+    home = check_home_pose(calibrated.legs)
+    robot = Xml.Element("robot", name=mechanism.name)
+    for comment in (*calibrated.source.describe(), "Lengths in m, angles in rad; all joints are zero at home."):
+        robot.append(Xml.Comment(f" {comment.replace('--', '- -')} "))
+    for name in ("base", "platform"):
+        Xml.SubElement(robot, "link", name=name)
+    upper = home.position + mechanism.platform_points @ home.rotation.T
+    for leg in range(mechanism.n_legs):
+        _add_leg(robot, calibrated, leg, upper[leg], home.rotation)
+    Xml.indent(robot)
+    return {"machine.urdf": Xml.tostring(robot, encoding="utf-8", xml_declaration=True) + b"\n"}
+
+
+def _add_leg(robot: Xml.Element, calibrated: CalibratedMachine, leg: int, upper: Array, turned: Array) -> None:
+    """Add a leg's chain from the base to the platform, or to where it belongs."""
+    mechanism, name = calibrated.legs.mechanism, f"leg_{leg + 1}"
+    lower, strut = mechanism.home_joints[leg], mechanism.drive == "strut"
+    along, link, place = _frame_along(upper - lower), "base", (lower, np.eye(3))
+    if not strut:
+        guide = _frame_along(mechanism.directions[leg])
+        link = _add_joint(robot, link, f"{name}_actuator", "z", (lower, guide), mechanism.actuator_range)
+        place = (ORIGIN, guide.T)
+    link = _add_joint(robot, link, f"{name}_base_universal_1", "x", (place[0], place[1] @ along))
+    link = _add_joint(robot, link, f"{name}_base_universal_2", "y", (ORIGIN, np.eye(3)))
+    span = (np.array([0.0, 0.0, np.linalg.norm(upper - lower)]), np.eye(3))
+    if strut:
+        link = _add_joint(robot, link, f"{name}_actuator", "z", span, mechanism.actuator_range)
+        span = (ORIGIN, np.eye(3))
+    link = _add_joint(robot, link, f"{name}_turn", "z", span)
+    link = _add_joint(robot, link, f"{name}_platform_universal_1", "x", (ORIGIN, np.eye(3)))
+    link = _add_joint(robot, link, f"{name}_platform_universal_2", "y", (ORIGIN, np.eye(3)))
+    back = along.T @ turned  # the platform as the leg's end sees it
+    point = mechanism.platform_points[leg]
+    if leg == 0:
+        _add_fixed(robot, f"{name}_end", link, "platform", (-back @ point, back))
+        return
+    _add_fixed(robot, f"{name}_mark", "platform", f"{name}_platform_mark", (point, back.T))
+    loop = Xml.SubElement(robot, "loop_joint", name=f"{name}_loop", type="fixed")
+    for key, one in (("link1", link), ("link2", f"{name}_platform_mark")):
+        Xml.SubElement(loop, key, link=one, xyz="0 0 0", rpy="0 0 0")
+
+
+def _add_joint(
+    robot: Xml.Element, parent: str, name: str, axis: str, place: tuple[Array, Array], reach: float | None = None
+) -> str:
+    """Add a revolute joint, or with a reach in mm a prismatic one, and its child link; return the child's name."""
+    child = f"{name}_link"
+    Xml.SubElement(robot, "link", name=child)
+    joint = Xml.SubElement(robot, "joint", name=name, type="continuous" if reach is None else "prismatic")
+    _place(joint, parent, child, place)
+    Xml.SubElement(joint, "axis", xyz=AXES[axis])
+    if reach is not None:
+        bound = METRE * reach
+        Xml.SubElement(joint, "limit", lower=repr(-bound), upper=repr(bound), effort="0", velocity="0")
+    return child
+
+
+def _add_fixed(robot: Xml.Element, name: str, parent: str, child: str, place: tuple[Array, Array]) -> None:
+    if child != "platform":
+        Xml.SubElement(robot, "link", name=child)
+    _place(Xml.SubElement(robot, "joint", name=name, type="fixed"), parent, child, place)
+
+
+def _place(joint: Xml.Element, parent: str, child: str, place: tuple[Array, Array]) -> None:
+    """Add where a joint stands in its parent: mm, and a rotation matrix, which URDF has as fixed-axis angles."""
+    position, rotation = place
+    Xml.SubElement(joint, "parent", link=parent)
+    Xml.SubElement(joint, "child", link=child)
+    angles = Rotation.from_matrix(rotation).as_euler("xyz")
+    xyz, rpy = (" ".join(repr(float(x) + 0.0) for x in one) for one in (METRE * position, angles))
+    Xml.SubElement(joint, "origin", xyz=xyz, rpy=rpy)
+
+
+def _frame_along(vector: Array) -> Array:
+    """Return a rotation matrix whose z axis lies along a vector."""
+    axis = vector / np.linalg.norm(vector)
+    helper = np.eye(3)[int(np.argmin(np.abs(axis)))]
+    first = np.cross(helper, axis)
+    first /= np.linalg.norm(first)
+    return np.stack([first, np.cross(axis, first), axis], axis=1)
+
+
+FORMATS: dict[str, Callable[[CalibratedMachine], dict[str, bytes]]] = {
+    MECHANISM: list_mechanism_files,
+    PARAMETERS: list_parameter_files,
+    "toml": list_toml_files,
+    "json": list_json_files,
+    "csv": list_csv_files,
+    "urdf": list_urdf_files,
+    "genhexkins": list_genhexkins_files,
+}
+
+
+def choose_format(calibrated: CalibratedMachine) -> str:
+    """Return the format that every command takes: a mechanism where drawings hold the machine, else its parameters."""
+    legs = isinstance(calibrated.model, Legs) and not find_hindrance(calibrated.legs)
+    return MECHANISM if legs else PARAMETERS
+
+
+def export_machine(calibrated: CalibratedMachine, folder: Path, name: str | None = None) -> list[Path]:
+    """Write a calibrated machine in a format, parameters with covariance and draws beside it; return what was written.
+
+    Parameters
+    ----------
+    calibrated : CalibratedMachine
+    folder : Path
+        Made where it is not there; files of the same names are replaced.
+    name : str, optional
+        One of `FORMATS`: mechanism, parameters, toml, json, csv, urdf, genhexkins; by default that which
+        `load_calibrated` takes again.
+
+    Raises
+    ------
+    InputError
+        For an unknown format or one that cannot have the machine; nothing is written then.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> sorted(path.name for path in bc.export_machine(calibrated, Path("machines/delta"), "csv"))
+    [...'covariance.csv'...]
+    """
+    files = look_up(FORMATS, name or choose_format(calibrated), "--format", Path())(calibrated) | list_posterior_files(
+        calibrated
+    )
+    make_directory(folder)
+    for one, content in files.items():
+        (folder / one).parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(folder / one, content)
+    return [folder / one for one in files]

@@ -1,0 +1,292 @@
+"""The page of a sweep: how good what was swept must be, figures against it, and every member."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Iterator, Mapping
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib import figure as mpl
+from matplotlib.axes import Axes
+from matplotlib.ticker import FuncFormatter, NullFormatter
+
+from bayescal.experiments.frame.results import Results
+from bayescal.experiments.sweep.answers import ALWAYS, FROM, MIXED, NEVER, UP_TO, group_others, is_scale
+from bayescal.experiments.sweep.schema import AxisConfig, FigureConfig, SweepConfig
+from bayescal.report.blocks import (
+    Block,
+    Cell,
+    Column,
+    Figure,
+    Fold,
+    Level,
+    Page,
+    Section,
+    Statement,
+    make_section,
+    make_table,
+)
+from bayescal.report.numbers import NOTHING, format_count, format_plain, format_power, join_words
+from bayescal.report.style import INK, LEG_COLOURS, MARKERS, RED
+
+KIND = "Sweep"
+MOST_PICTURES = 24
+MOST_ROWS = 500
+MOST_SAID = 8
+LEVELS: dict[str, Level] = {ALWAYS: "good", UP_TO: "good", FROM: "good", MIXED: "warning", NEVER: "bad"}
+MOST_LINES = 8
+MOST_TICKS = 9
+
+
+def build_page(config: SweepConfig, results: Results) -> Page:
+    """Return the page of a sweep's tables."""
+    members, answers, summary = results.table("members"), results.table("answers"), results.summary
+    axes, figures = {axis.name: axis for axis in config.axes}, {figure.key: figure for figure in config.figures}
+    pairs = answers.groupby(["figure", "axis"], sort=False)
+    said = [_say(rows.to_dict("records"), axes, figures) for _, rows in pairs]
+    verdict = (*said[:MOST_SAID], *_count(summary), *_miss(config, summary))
+    sections = (
+        *_answer_section(said, answers, axes, figures),
+        make_section("Figures against what was swept", (), (), tuple(_list_pictures(config, members))),
+        *_failed_section(config, members),
+        _member_section(config, members),
+    )
+    origin = f"Members are as {summary['experiment']} makes them, but for the keys that vary."
+    headline = f"{said[0].lead} {said[0].text}" if said else _capital(_state_span(config.figures[0], summary))
+    return Page(KIND, config.name, config.title, origin, headline, verdict, sections, _list_facts(config, summary))
+
+
+# --- in words ----------------------------------------------------------------------------------------------------
+
+
+def _say(rows: list[dict[Hashable, Any]], axes: dict[str, AxisConfig], figures: dict[str, FigureConfig]) -> Statement:
+    """Return where along an axis a figure keeps what is required of it, for each setting of the other axes."""
+    figure, axis = figures[rows[0]["figure"]], axes[rows[0]["axis"]]
+    places: dict[str, list[str]] = {}
+    for row in rows:
+        places.setdefault(_place(row, axis), []).append(row["where"])
+    words = [place + (f" with {join_words(where, 'or')}" if any(where) else "") for place, where in places.items()]
+    text = f"{_limit(figure)} is kept {'; '.join(words)}."
+    return Statement(text, _judge({row["holds"] for row in rows}), _capital(figure.label or figure.key))
+
+
+def _judge(holds: set[str]) -> Level:
+    """Return bad news only where nothing that was swept will do."""
+    return "bad" if holds == {NEVER} else "warning" if MIXED in holds else "good"
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def _limit(figure: FigureConfig) -> str:
+    word, limit = ("at most", figure.at_most) if figure.at_most is not None else ("at least", figure.at_least)
+    return f"{word} {format_plain(limit or 0.0)} {figure.unit}".rstrip()
+
+
+def _place(row: Mapping[Any, Any], axis: AxisConfig) -> str:
+    name = axis.label or axis.name
+    if row["holds"] in (ALWAYS, NEVER):
+        return f"{row['holds']} along {name}"
+    if row["holds"] == MIXED:
+        return f"in places along {name}, not on one side of a bound"
+    unit = f" {axis.unit}" if axis.unit and axis.factors is None else " times" if axis.factors is not None else ""
+    return f"{row['holds']} {name} {format_plain(row['bound'], 3)}{unit}"
+
+
+def _state_span(figure: FigureConfig, summary: dict[str, Any]) -> str:
+    found = summary["figures"][figure.key]
+    if "least" not in found:
+        return f"{format_count(summary['n_members'])} members; {figure.label or figure.key} is a number in none."
+    return (
+        f"Over {format_count(summary['n_members'])} members {figure.label or figure.key} runs from "
+        f"{format_power(found['least'], 3)} to {format_power(found['most'], 3)} {figure.unit}".rstrip()
+        + "."
+    )
+
+
+def _count(summary: dict[str, Any]) -> Iterator[Statement]:
+    n, failed, unsure = summary["n_members"], summary["n_failed"], summary["n_not_converged"]
+    text = f"{format_count(n)} members, {format_count(summary['n_distinct'])} of them different"
+    text += f"; {format_count(failed)} failed" if failed else "; none failed"
+    text += f", {format_count(unsure)} did not converge" if unsure else ""
+    level: Level = "bad" if failed == n else "warning" if failed or unsure else "plain"
+    yield Statement(f"{text}.", level, "Members")
+
+
+def _miss(config: SweepConfig, summary: dict[str, Any]) -> Iterator[Statement]:
+    """Yield figures that no summary has."""
+    for figure in config.figures:
+        if summary["figures"][figure.key]["n_known"] == 0 and summary["n_failed"] < summary["n_members"]:
+            yield Statement(f"No member's summary has a number at {figure.key}.", "warning", "Missing")
+
+
+def _list_facts(config: SweepConfig, summary: dict[str, Any]) -> tuple[tuple[str, str], ...]:
+    axes = tuple((name_axis(axis), _span(axis)) for axis in config.axes)
+    return (("Experiment", summary["experiment"]), *axes)
+
+
+def _span(axis: AxisConfig) -> str:
+    taken = axis.settings
+    if all(isinstance(one, int | float) and not isinstance(one, bool) for one in taken):
+        return f"{len(taken)}, {format_plain(min(taken))} to {format_plain(max(taken))}"
+    return ", ".join(map(str, taken[:6])) + (f" and {len(taken) - 6} more" if len(taken) > 6 else "")
+
+
+# --- sections ----------------------------------------------------------------------------------------------------
+
+
+def _answer_section(
+    said: list[Statement], answers: pd.DataFrame, axes: dict[str, AxisConfig], figures: dict[str, FigureConfig]
+) -> Iterator[Section]:
+    if answers.empty:
+        return
+    columns = [Column(title, kind="text") for title in ("Required", "Along", "With", "Holds")]
+    columns += [Column(title) for title in ("Bound", "Still", "No more")]
+    rows = [
+        [
+            f"{figures[row['figure']].label or row['figure']} {_limit(figures[row['figure']])}",
+            name_axis(axes[row["axis"]]),
+            row["where"] or NOTHING,
+            Cell(row["holds"], LEVELS[row["holds"]]),
+            *(_number(row[name], 3 if name == "bound" else 4) for name in ("bound", "inside", "outside")),
+        ]
+        for row in answers.to_dict("records")
+    ]
+    table = make_table("Where requirements hold; bounds are interpolated between neighbours.", columns, rows)
+    yield make_section("How good it must be", (), (table,))
+
+
+def _list_pictures(config: SweepConfig, members: pd.DataFrame) -> Iterator[Figure]:
+    """Yield a picture of each figure against each axis of numbers, the first ones where there are many."""
+    pairs = [
+        (k, figure, n, axis)
+        for k, figure in enumerate(config.figures, 1)
+        for n, axis in enumerate(config.axes, 1)
+        if is_scale(axis, members[axis.name]) and members[figure.key].dtype.kind == "f"
+    ]
+    for k, figure, n, axis in pairs[:MOST_PICTURES]:
+        name, caption = f"figure_{k}_axis_{n}", f"{name_figure(figure)} against {name_axis(axis)}."
+        if members[figure.key].notna().any():
+            yield Figure(name, caption, partial(draw_against, config, members, figure, axis))
+        else:
+            yield Figure(name, caption, None, "no member's summary has a number there")
+
+
+def _failed_section(config: SweepConfig, members: pd.DataFrame) -> Iterator[Section]:
+    bad = members[members["reason"] != ""]
+    if bad.empty:
+        return
+    columns = [*(Column(name_axis(axis), kind="text") for axis in config.axes), *_texts("State", "Reason")]
+    rows = [
+        [*(_cell(row[axis.name]) for axis in config.axes), row["state"], row["reason"]]
+        for row in bad.head(MOST_ROWS).to_dict("records")
+    ]
+    yield make_section(
+        "Members to be wary of", (), (make_table(_head("They failed, or did not converge", bad), columns, rows),)
+    )
+
+
+def _member_section(config: SweepConfig, members: pd.DataFrame) -> Section:
+    names = [*(axis.name for axis in config.axes), *(figure.key for figure in config.figures)]
+    columns = [Column(title) for title in (*map(name_axis, config.axes), *map(name_figure, config.figures))]
+    rows = [[*(_cell(row[name]) for name in names), row["state"]] for row in members.head(MOST_ROWS).to_dict("records")]
+    table = make_table(_head("Every member", members), [*columns, *_texts("State")], rows, style="wide")
+    blocks: tuple[Block, ...] = (Fold(f"{format_count(len(members))} members", (table,)),)
+    return Section("Members", blocks)
+
+
+def _texts(*titles: str) -> list[Column]:
+    return [Column(title, kind="text") for title in titles]
+
+
+def _head(caption: str, rows: pd.DataFrame) -> str:
+    return f"{caption}." if len(rows) <= MOST_ROWS else f"{caption}; the first {MOST_ROWS}, all in members.csv."
+
+
+def _cell(value: Any) -> str:
+    return _number(value, 4) if isinstance(value, float) else str(value) or NOTHING
+
+
+def _number(value: float, digits: int) -> str:
+    return NOTHING if value != value else format_plain(value, digits)
+
+
+def name_axis(axis: AxisConfig) -> str:
+    """Return an axis with its unit, factors said to be such."""
+    unit = axis.unit if axis.factors is None else "times"
+    return f"{axis.label or axis.name}{f' ({unit})' if unit else ''}"
+
+
+def name_figure(figure: FigureConfig) -> str:
+    """Return a figure with its unit."""
+    return f"{figure.label or figure.key}{f' ({figure.unit})' if figure.unit else ''}"
+
+
+def draw_against(config: SweepConfig, members: pd.DataFrame, figure: FigureConfig, axis: AxisConfig) -> mpl.Figure:
+    """Return a figure of all members against an axis, with what is required of it."""
+    drawn = mpl.Figure(figsize=(9.0, 4.2))
+    axes = drawn.subplots()
+    known = members[np.isfinite(members[figure.key])]
+    lines = list(group_others(config, known, axis))
+    if len(lines) <= MOST_LINES:
+        _draw_lines(axes, lines, axis.name, figure.key)
+    else:
+        _draw_spread(axes, known, axis.name, figure.key)
+    _draw_limit(axes, figure)
+    _scale(axes, known, figure, axis)
+    axes.set_xlabel(name_axis(axis))
+    axes.set_ylabel(name_figure(figure))
+    axes.grid()
+    if axes.get_legend_handles_labels()[0]:
+        drawn.legend(*axes.get_legend_handles_labels(), loc="outside upper left", ncols=4)
+    return drawn
+
+
+def _draw_lines(axes: Axes, lines: list[tuple[str, pd.DataFrame]], x: str, y: str) -> None:
+    """Draw a line for each setting; of repeats the median, and from their least to their most."""
+    for k, (label, rows) in enumerate(lines):
+        colour, marker = LEG_COLOURS[k % len(LEG_COLOURS)], MARKERS[k % len(MARKERS)]
+        repeats = rows.groupby(x)[y]
+        middle = repeats.median()
+        axes.plot(middle.index, middle, label=label or None, linewidth=1.2, markersize=4.5, color=colour, marker=marker)
+        if repeats.size().max() > 1:
+            axes.fill_between(middle.index, repeats.min(), repeats.max(), color=colour, alpha=0.2, linewidth=0.0)
+
+
+def _draw_spread(axes: Axes, known: pd.DataFrame, x: str, y: str) -> None:
+    """Draw the median over all other settings, and from their least to their most."""
+    groups = known.groupby(x)[y]
+    middle, least, most = groups.median(), groups.min(), groups.max()
+    axes.fill_between(middle.index, least, most, color=LEG_COLOURS[1], alpha=0.3, linewidth=0.0, label="least to most")
+    axes.plot(middle.index, middle, "-o", color=LEG_COLOURS[4], linewidth=1.4, markersize=4.5, label="median")
+
+
+def _draw_limit(axes: Axes, figure: FigureConfig) -> None:
+    limit = figure.at_most if figure.at_most is not None else figure.at_least
+    if limit is not None:
+        word = "at most" if figure.at_most is not None else "at least"
+        axes.axhline(limit, color=RED, linewidth=1.0, linestyle="--", label=f"{word} {format_plain(limit)}")
+
+
+def _say_minor(value: float, _: object) -> str:
+    """Return a number between two powers of ten where it is twice or five times the lower one."""
+    return format_plain(value) if f"{value:.0e}"[0] in "25" else ""
+
+
+def _scale(axes: Axes, known: pd.DataFrame, figure: FigureConfig, axis: AxisConfig) -> None:
+    """Set logarithmic scales where they are asked for and all numbers have logarithms; ticks where values are few."""
+    if figure.scale == "log" and len(known) and known[figure.key].min() > 0.0:
+        axes.set_yscale("log")
+        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: format_plain(value)))
+        axes.yaxis.set_minor_formatter(FuncFormatter(_say_minor))
+    if axis.scale == "log" and len(known) and known[axis.name].min() > 0.0:
+        axes.set_xscale("log")
+        axes.xaxis.set_minor_formatter(NullFormatter())
+        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: format_plain(value)))
+    taken = np.unique(known[axis.name])
+    if len(taken) <= MOST_TICKS:
+        axes.set_xticks(taken, [format_plain(value, 4) for value in taken])
+    axes.tick_params(colors=INK)
