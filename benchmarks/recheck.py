@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from bayescal.calibrated.machine import CalibratedMachine, Source, build_leg_errors
+from bayescal.calibrated.machine import CalibratedMachine, LegErrors, Source
 from bayescal.calibrated.recheck.plan import Demand, expect_pose, list_candidates, place_poses, plan_recheck
 from bayescal.calibrated.recheck.statistics import choose_suspects, judge_recheck
 from bayescal.data.measured_poses import MeasuredPoses
@@ -39,7 +39,9 @@ def calibrate(measured: MeasuredVariant, poses: MeasuredPoses) -> CalibratedMach
     covariance = change @ np.linalg.inv(data + prior) @ change.T
     machine = measured.machine
     theta, free = posterior.theta(y[None])[0], posterior.sampling.free
-    errors = build_leg_errors(machine, theta, measured.actuator_noise, np.zeros(machine.mechanism.n_legs))
+    n_legs = machine.mechanism.n_legs
+    noise = measured.actuator_noise**2 * np.eye(n_legs)
+    errors = LegErrors(noise, np.zeros(n_legs), machine, theta)
     source = Source("twin", VARIANT, "simulated")
     return CalibratedMachine(Legs(machine), theta, free, covariance, None, errors, source)
 

@@ -5,11 +5,23 @@ from __future__ import annotations
 import numpy as np
 import telescope_machines as machines
 
-from bayescal.calibrated.machine import CalibratedMachine, Source, build_calibrated, build_leg_errors
+from bayescal.calibrated.machine import CalibratedMachine, LegErrors, Source, build_calibrated
 from bayescal.machines.kinematics import Machine
 from bayescal.machines.readings import Legs
 
 SOURCE = Source("made_up", "any/none", "Made up for the tests, never measured")
+
+
+def build_leg_errors(
+    machine: Machine,
+    theta: np.ndarray,
+    actuator_noise: float,
+    model_variance: np.ndarray,
+    matrix_covariance: np.ndarray | None = None,
+) -> LegErrors:
+    """Return the errors of a machine on legs by σ_ρ in mm and the posterior means of τ_i² in mm², shape (N,)."""
+    noise = actuator_noise**2 * np.eye(machine.mechanism.n_legs)
+    return LegErrors(noise, model_variance, machine, theta, matrix_covariance)
 
 
 def draw_machines(machine: Machine, n_draws: int, rng: np.random.Generator, scale: float = 1e-3) -> np.ndarray:

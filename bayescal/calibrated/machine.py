@@ -248,14 +248,6 @@ class LegErrors(Errors):
         return parts
 
 
-def build_leg_errors(
-    machine: Machine, theta: Array, actuator_noise: float, model_variance: Array, matrix_covariance: Array | None = None
-) -> LegErrors:
-    """Return the errors of a machine on legs by σ_ρ in mm and the posterior means of τ_i² in mm², shape (N,)."""
-    noise = actuator_noise**2 * np.eye(machine.mechanism.n_legs)
-    return LegErrors(noise, model_variance, machine, theta, matrix_covariance)
-
-
 @dataclass(frozen=True, eq=False)
 class CalibratedMachine:
     """A machine by its posterior.

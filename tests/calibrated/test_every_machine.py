@@ -29,7 +29,6 @@ from bayescal.calibrated.machine import (
     CalibratedMachine,
     Errors,
     build_calibrated,
-    build_leg_errors,
 )
 from bayescal.calibrated.predict import bound_workspace, command_poses, draw_poses, is_pose, predict_poses
 from bayescal.errors import InputError
@@ -96,7 +95,7 @@ def _build_legs(name: str, rng: np.random.Generator) -> CalibratedMachine:
     mechanism, theta = machine.mechanism, machine.layout.nominal
     n_legs = mechanism.n_legs
     draws = theta + 1e-3 * machines.spread_of(machine.layout) * rng.standard_normal((N_DRAWS, len(theta)))
-    errors = build_leg_errors(machine, theta, 1e-3, np.full(n_legs, 4e-6))
+    errors = made_up.build_leg_errors(machine, theta, 1e-3, np.full(n_legs, 4e-6))
     made = build_calibrated(Legs(machine), draws.mean(axis=0), draws, errors, made_up.SOURCE)
     share = (0.1 if name == "hexaglide" else 0.3) * rng.uniform(-1, 1, (40, mechanism.n_legs))
     return replace(made, measured=mechanism.initial_actuator_positions + share * mechanism.actuator_range)

@@ -15,7 +15,7 @@ import telescope_machines as machines
 
 from bayescal.calibrated.exported import check_covariance, format_mechanism, read_exported
 from bayescal.calibrated.formats import export_machine
-from bayescal.calibrated.machine import Source, build_calibrated, build_leg_errors, express_parameters, settle_machine
+from bayescal.calibrated.machine import Source, build_calibrated, express_parameters, settle_machine
 from bayescal.calibrated.predict import command_poses, predict_poses
 from bayescal.errors import InputError
 from bayescal.machines.deformations import NoDeformation
@@ -95,7 +95,7 @@ def test_exported_and_read_again(model, n_legs, deformation, rng, tmp_path):
 def test_measured_matrix_keeps_its_uncertainty(rng, tmp_path):
     machine = machines.build_machine("matrix")
     covariance = np.tile(np.diag(rng.uniform(0.5, 1.0, 6) * 1e-6), (6, 1, 1))
-    errors = build_leg_errors(machine, machine.layout.nominal, 1e-3, np.full(6, 1e-6), covariance)
+    errors = calibrated.build_leg_errors(machine, machine.layout.nominal, 1e-3, np.full(6, 1e-6), covariance)
     made_up = calibrated.build_made_up(machine, rng, errors=errors)
     export_machine(made_up, tmp_path)
     actuators = calibrated.measurable_actuators(machine, 5, rng)
@@ -156,7 +156,7 @@ def test_near_leads_the_search_for_home(tmp_path):
 def test_without_draws_there_is_a_machine_but_no_covariance(rng, tmp_path):
     machine = machines.build_machine("none")
     theta = calibrated.draw_machines(machine, 1, rng)[0]
-    errors = build_leg_errors(machine, theta, 1e-3, np.zeros(6))
+    errors = calibrated.build_leg_errors(machine, theta, 1e-3, np.zeros(6))
     found = build_calibrated(Legs(machine), theta, None, errors, calibrated.SOURCE)
     written = {path.name for path in export_machine(found, tmp_path)}
     assert written == {"calibrated.toml", "mechanism.toml", "parameters.csv"}
@@ -176,7 +176,12 @@ def test_a_model_of_ones_own_predicts_but_has_no_drawings(rng, tmp_path):
     built_in = machines.build_machine("none")
     own = Machine(built_in.mechanism, Own(), built_in.deformation)
     draws = calibrated.draw_machines(built_in, 50, rng)
-    rest = (draws.mean(axis=0), draws, build_leg_errors(built_in, draws[0], 1e-3, np.full(6, 1e-6)), calibrated.SOURCE)
+    rest = (
+        draws.mean(axis=0),
+        draws,
+        calibrated.build_leg_errors(built_in, draws[0], 1e-3, np.full(6, 1e-6)),
+        calibrated.SOURCE,
+    )
     one, other = build_calibrated(Legs(built_in), *rest), build_calibrated(Legs(own), *rest)
     assert [np.array_equal(m.theta, m.model.layout.nominal) for m in (one, other)] == [True, False]
     actuators = calibrated.measurable_actuators(built_in, 4, rng)

@@ -19,7 +19,7 @@ import telescope_machines as machines
 from scipy.spatial.transform import Rotation
 
 from bayescal.calibrated.formats import export_machine
-from bayescal.calibrated.machine import Source, build_calibrated, build_leg_errors
+from bayescal.calibrated.machine import Source, build_calibrated
 from bayescal.calibrated.predict import predict_poses
 from bayescal.errors import InputError
 from bayescal.machines.deformations import NoDeformation
@@ -206,7 +206,7 @@ def test_json_and_csv_hold_the_same_numbers(hexapod, tmp_path):
 def test_formats_that_cannot_have_a_machine(name, model, deformation, n_legs, expected, rng, tmp_path):
     machine = machines.build_machine(deformation, machines.build_random_mechanism(n_legs, seed=n_legs), model)
     theta = machine.layout.nominal
-    errors = build_leg_errors(machine, theta, 0.0, np.zeros(n_legs))
+    errors = calibrated.build_leg_errors(machine, theta, 0.0, np.zeros(n_legs))
     found = build_calibrated(Legs(machine), theta, None, errors, calibrated.SOURCE)
     with pytest.raises(InputError) as refusal:
         export_machine(found, tmp_path / "out", name)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import telescope_machines as machines
 
-from bayescal.calibrated.machine import Errors, build_calibrated, build_leg_errors
+from bayescal.calibrated.machine import Errors, build_calibrated
 from bayescal.calibrated.predict import command_poses, draw_poses, predict_poses
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.errors import InputError
@@ -123,7 +123,7 @@ def test_along_a_bent_ridge_draws_tell_mean_and_covariance(rng):
         Legs(machine),
         draws.mean(axis=0),
         draws,
-        build_leg_errors(machine, draws[0], 0.0, np.zeros(6)),
+        calibrated.build_leg_errors(machine, draws[0], 0.0, np.zeros(6)),
         calibrated.SOURCE,
     )
     actuators = machines.INITIAL_POSITION + np.full((1, 6), machines.ACTUATOR_RANGE)

@@ -12,7 +12,7 @@ import telescope_machines as machines
 from scipy.stats import norm
 
 from bayescal.calibrated.formats import export_machine
-from bayescal.calibrated.machine import CalibratedMachine, build_leg_errors
+from bayescal.calibrated.machine import CalibratedMachine
 from bayescal.calibrated.recheck.plan import (
     Demand,
     build_covariance,
@@ -145,7 +145,7 @@ def test_redundant_legs_close_at_the_candidates():
     """Actuators of eight legs cannot be combined at will: the platform is moved, and the legs follow."""
     mechanism = guided_machines.build_guided("star", 3, n_legs=8)
     machine = build_machine(SixPus, mechanism, NoDeformation())
-    source, errors = made_up.SOURCE, build_leg_errors(machine, machine.layout.nominal, 1e-3, np.zeros(8))
+    source, errors = made_up.SOURCE, made_up.build_leg_errors(machine, machine.layout.nominal, 1e-3, np.zeros(8))
     free = np.arange(machine.layout.size)
     covariance = 1e-6 * np.eye(len(free))
     calibrated = CalibratedMachine(Legs(machine), machine.layout.nominal, free, covariance, None, errors, source)
