@@ -16,13 +16,7 @@ import pandas as pd
 
 from bayescal.errors import InputError
 from bayescal.experiments.frame.results import SUMMARY_FILE, Results
-from bayescal.experiments.shared.headline import (
-    Candidate,
-    choose_best,
-    group_candidates,
-    label_title,
-    list_candidates,
-)
+from bayescal.experiments.shared.headline import Candidate, choose_best, group_candidates, label_title, list_candidates
 from bayescal.experiments.shared.study_schema import stem_of
 from bayescal.experiments.shared.trees import name_file
 from bayescal.numerics.geometry import matrix_from_rotation_vector, rotation_vector_of_turn
