@@ -8,17 +8,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from bayescal.config.classes import Choice, choose, name_failures
 from bayescal.data.actuators import read_moves
 from bayescal.errors import InputError
-from bayescal.experiments.selection.published import read_published
 from bayescal.experiments.selection.schema import (
     ActuatorDomainConfig,
     ContinuousChoiceConfig,
     OwnChoiceConfig,
-    RandomChoiceConfig,
     SelectionChoice,
     SelectionConfig,
     TableConfig,
@@ -78,8 +75,6 @@ class SelectionInputs:
         Actuator positions of poses that have been measured already, mm.
     designs : dict of name to ndarray, shape (n, N)
         Actuator positions of sets of poses that somebody else has chosen, mm.
-    published : DataFrame or None
-        Values of criteria that the source printed.
     """
 
     config: SelectionConfig
@@ -88,7 +83,6 @@ class SelectionInputs:
     domain: PoseDomain
     measured: Array | None
     designs: dict[str, Array]
-    published: pd.DataFrame | None = None
 
     def candidates(self, repeat: int) -> Candidates:
         """Return the candidates of a repeat; without ``redraw`` all have those of the first.
@@ -107,7 +101,7 @@ class SelectionInputs:
 
     def criterion(self, name: str) -> Criterion:
         """Return a criterion by what tables call it."""
-        chosen = choose_criterion(self.config, name, self.folder)
+        chosen = choose("CRITERIA", self.config.criteria[name], Criterion, CRITERIA_FIELD, self.folder)  # type: ignore[type-abstract]
         with name_failures(chosen.found, CRITERIA_FIELD, self.folder):
             return chosen.found.from_config(chosen.options, self)
 
@@ -166,12 +160,7 @@ def read_selection(config: SelectionConfig, folder: Path) -> SelectionInputs:
                 f"designs: {name}: pose {int(np.argmin(placed.found)) + 1}: found none at these displacements, "
                 "expected poses the machine can take"
             )
-    return SelectionInputs(config, folder, design, domain, measured, designs, read_published(config, folder))
-
-
-def choose_criterion(config: SelectionConfig, label: str, folder: Path) -> Choice[Criterion]:
-    """Return a criterion's class by what tables call it."""
-    return choose("CRITERIA", config.criteria[label], Criterion, CRITERIA_FIELD, folder)  # type: ignore[type-abstract]
+    return SelectionInputs(config, folder, design, domain, measured, designs)
 
 
 def choose_method(name: str, field: str, folder: Path, options: dict[str, Any] | None) -> Choice[SelectionMethod]:
@@ -194,11 +183,6 @@ def build_method(choice: SelectionChoice, folder: Path) -> SelectionMethod:
 def _make_method(chosen: Choice[SelectionMethod], field: str, folder: Path) -> SelectionMethod:
     with name_failures(chosen.found, field, folder):
         return chosen.found.from_config(chosen.options)
-
-
-def is_histogram(choice: SelectionChoice) -> bool:
-    """Return whether a choice judges many random sets, to see how they spread."""
-    return isinstance(choice, RandomChoiceConfig) and choice.n_sets > 1
 
 
 def read_design(config: SelectionConfig, folder: Path) -> Design:
