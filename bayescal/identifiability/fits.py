@@ -127,7 +127,7 @@ class _State:
 
 
 @dataclass(eq=False)
-class _Bend:
+class _Curvature:
     """Second derivatives of the poses, which Gauss and Newton leave out, along the last step of those that overshot.
 
     They count where a parameter's first derivative vanishes, as that of u_x does where the actuator leans as its leg:
@@ -223,21 +223,24 @@ class Fitter:
         start = np.zeros((n_machines, n)) if start is None else start.copy()
         weight = np.ones((n_machines, n)) if prior_weight is None else prior_weight
         state = self._evaluate(measured, start)
-        share, bend = np.ones(n_machines), _Bend(np.zeros((n_machines, n, n)), np.zeros(n_machines, dtype=bool))
+        share, curvature = (
+            np.ones(n_machines),
+            _Curvature(np.zeros((n_machines, n, n)), np.zeros(n_machines, dtype=bool)),
+        )
         converged, n_iterations = np.zeros(n_machines, dtype=bool), np.zeros(n_machines, dtype=int)
         active = np.flatnonzero(np.isfinite(state.deviance))
         while len(active) and n_iterations.max() < MAX_ITERATIONS:
             n_iterations[active] += 1
             here = state.take(active)
-            whole, length = _find_step(here, weight[active], bend.matrix[active])
+            whole, length = _find_step(here, weight[active], curvature.matrix[active])
             step = share[active, None] * whole
             moves = here.moves + step
             trial = self._evaluate(measured.take(active), moves, here)
             better = trial.total(weight[active]) <= here.total(weight[active])
             near = (length < TOLERANCE) & (share[active] > SHORTER**3)
             state.update(active, trial, better)
-            bend.known[active] |= ~better | (n_iterations[active] >= LONG)
-            bend.learn(active, step, here, trial)
+            curvature.known[active] |= ~better | (n_iterations[active] >= LONG)
+            curvature.learn(active, step, here, trial)
             share[active] *= np.where(better, np.minimum(LONGER, 1.0 / share[active]), SHORTER)
             converged[active] = near
             active = active[~near & (share[active] > SHORTEST)]
@@ -339,11 +342,11 @@ class Fitter:
         return residual.reshape(n_machines, -1), slope
 
 
-def _find_step(state: _State, weight: Array, bend: Array) -> tuple[Array, Array]:
+def _find_step(state: _State, weight: Array, curvature: Array) -> tuple[Array, Array]:
     """Return steps (b, n) and their squared lengths in posterior standard deviations (b,)."""
     moving = weight > 0.0
     gradient = np.where(moving, state.gradient + weight * state.moves, 0.0)
-    matrix = (state.information + bend) * moving[:, :, None] * moving[:, None, :]
+    matrix = (state.information + curvature) * moving[:, :, None] * moving[:, None, :]
     diagonal = np.arange(weight.shape[1])
     matrix[:, diagonal, diagonal] += np.where(moving, weight, 1.0)
     step = -np.linalg.solve(matrix, gradient[..., None])[..., 0]

@@ -367,21 +367,17 @@ def summarise_errors(errors: pd.DataFrame) -> pd.DataFrame:
 
     Of one repeat alone the standard error is that of its machines.
     """
-    rows = []
-    for key, group in errors.groupby(KEY, sort=False):
-        row = dict(zip(KEY, key, strict=True)) | {"repeats": len(group)}
-        for part in SCALES:
-            row[f"predicted_{part}"] = group[f"predicted_{part}"].mean()
-            values = group[f"simulated_{part}"]
-            row[f"simulated_{part}"] = values.mean()
-            row[f"simulated_{part}_sd"] = values.std() if len(group) > 1 else np.nan
-            alone = group[f"simulated_{part}_se"].iloc[0]
-            row[f"simulated_{part}_se"] = values.std() / np.sqrt(len(group)) if len(group) > 1 else alone
-        means = group["mean_position_um"]
-        row |= {"mean_position_um": means.mean(), "mean_position_um_sd": means.std()}
-        row |= {"parameters_rms": group["parameters_rms"].mean(), "n_failed": int(group["n_failed"].sum())}
-        rows.append(row)
-    return pd.DataFrame(rows)
+    groups = errors.groupby(KEY, sort=False)
+    n, mean, sd = groups.size(), groups.mean(numeric_only=True), groups.std(numeric_only=True)
+    table = pd.DataFrame({"repeats": n})
+    for part in SCALES:
+        table[f"predicted_{part}"] = mean[f"predicted_{part}"]
+        simulated = f"simulated_{part}"
+        table[simulated], table[f"{simulated}_sd"] = mean[simulated], sd[simulated]
+        table[f"{simulated}_se"] = (sd[simulated] / np.sqrt(n)).where(n > 1, mean[f"{simulated}_se"])
+    table["mean_position_um"], table["mean_position_um_sd"] = mean["mean_position_um"], sd["mean_position_um"]
+    table["parameters_rms"], table["n_failed"] = mean["parameters_rms"], groups["n_failed"].sum()
+    return table.reset_index()
 
 
 def format_plans(inputs: SelectionInputs, outcomes: list[JudgedPoses]) -> dict[str, str]:

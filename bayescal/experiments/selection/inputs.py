@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from bayescal.config.classes import Choice, choose, name_failures
+from bayescal.config.classes import choose, name_failures
 from bayescal.data.actuators import read_moves
 from bayescal.errors import InputError
 from bayescal.experiments.selection.schema import (
@@ -55,7 +55,7 @@ from bayescal.pose_selection.observability import JacobianForm
 
 CANDIDATES = 1  # streams of random numbers
 SHARED = ("criteria", "n_poses", "repeats", "label", "method")
-CRITERIA_FIELD, METHOD_FIELD = "selections.criteria", "selections.method"
+CRITERIA_FIELD = "selections.criteria"
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +107,18 @@ class SelectionInputs:
 
     def method(self, choice: SelectionChoice) -> SelectionMethod:
         """Return the method of a choice with its options."""
-        return build_method(choice, self.folder)
+        if isinstance(choice, OwnChoiceConfig):
+            return self._make_method(choice.method, "selections.method", choice.options)
+        options = choice.model_dump(exclude=set(SHARED))
+        if isinstance(choice, ContinuousChoiceConfig):
+            start = self._make_method(choice.start, "selections.start", None)
+            options["start"] = RandomSets(1) if type(start) is RandomSets else start
+        return METHODS[choice.method](**options)
+
+    def _make_method(self, name: str, field: str, options: dict[str, Any] | None) -> SelectionMethod:
+        chosen = choose("METHODS", name, SelectionMethod, field, self.folder, options)  # type: ignore[type-abstract]
+        with name_failures(chosen.found, field, self.folder):
+            return chosen.found.from_config(chosen.options)
 
     @property
     def knowledge(self) -> Knowledge:
@@ -161,28 +172,6 @@ def read_selection(config: SelectionConfig, folder: Path) -> SelectionInputs:
                 "expected poses the machine can take"
             )
     return SelectionInputs(config, folder, design, domain, measured, designs)
-
-
-def choose_method(name: str, field: str, folder: Path, options: dict[str, Any] | None) -> Choice[SelectionMethod]:
-    """Return a method's class by what the config calls it."""
-    return choose("METHODS", name, SelectionMethod, field, folder, options)  # type: ignore[type-abstract]
-
-
-def build_method(choice: SelectionChoice, folder: Path) -> SelectionMethod:
-    """Return the method of a choice with its options; a file of somebody else's stands in a folder."""
-    if isinstance(choice, OwnChoiceConfig):
-        return _make_method(choose_method(choice.method, METHOD_FIELD, folder, choice.options), METHOD_FIELD, folder)
-    options = choice.model_dump(exclude=set(SHARED))
-    if isinstance(choice, ContinuousChoiceConfig):
-        field = "selections.start"
-        start = choose_method(choice.start, field, folder, None)
-        options["start"] = RandomSets(1) if start.found is RandomSets else _make_method(start, field, folder)
-    return METHODS[choice.method](**options)
-
-
-def _make_method(chosen: Choice[SelectionMethod], field: str, folder: Path) -> SelectionMethod:
-    with name_failures(chosen.found, field, folder):
-        return chosen.found.from_config(chosen.options)
 
 
 def read_design(config: SelectionConfig, folder: Path) -> Design:
