@@ -14,7 +14,7 @@ import numpy as np
 from bayescal.experiments.audit.audit import Audit
 from bayescal.experiments.audit.inputs import AuditInputs
 from bayescal.identifiability.design import Knowledge
-from bayescal.machines.directions import AXES
+from bayescal.machines.parameters import AXES
 from bayescal.numerics.geometry import Array
 
 FAR = 2.0

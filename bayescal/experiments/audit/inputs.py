@@ -11,7 +11,7 @@ import numpy as np
 
 from bayescal.config.classes import label_class
 from bayescal.data.actuators import read_moves
-from bayescal.density.model_error import build_kernel
+from bayescal.density.priors import build_kernel
 from bayescal.errors import InputError
 from bayescal.experiments.audit.from_study import Measured, draw_measured, read_measured, refuse_independent
 from bayescal.experiments.audit.i_optimal import plan_i_optimal

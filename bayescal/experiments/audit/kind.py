@@ -95,8 +95,7 @@ class Audit(MachineExperiment[AuditConfig, AuditDesign | ReadingAudit]):
 
     def show(self, results: Results, page: Page, console: Console) -> None:
         """Print the verdict, what is known of each symbol, and the requirements."""
-        del page
-        show_audit(results, console)
+        show_audit(results, page, console)
 
     def list_failures(self, results: Results) -> list[str]:
         """Return why a posterior did not converge."""

@@ -9,8 +9,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from bayescal.density.calibration.joint_fit import JointFit
-from bayescal.density.calibration.likelihood import CalibrationPosterior
+from bayescal.density.calibration.likelihood import CalibrationPosterior, JointFit
 from bayescal.errors import InputError, NumericalError
 from bayescal.experiments.audit.planned import Planned
 from bayescal.experiments.audit.planned_poses import PlannedPoses

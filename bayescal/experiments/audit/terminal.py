@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import re
-from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from rich.console import Console, RenderableType
-from rich.table import Table
+from rich.table import Table as Grid
 
+from bayescal.experiments.audit.page.readings import tabulate_variants
 from bayescal.experiments.audit.page.results import AuditResults
-from bayescal.experiments.audit.page.tables import name_verdict
-from bayescal.experiments.audit.page.verdict import list_failures, state_headline, state_verdict
+from bayescal.experiments.audit.page.tables import tabulate_symbols
 from bayescal.experiments.audit.page.wording import (
-    format_contraction,
     format_probability,
-    format_range,
     format_sd,
     format_share,
     name_requirement,
@@ -24,7 +21,7 @@ from bayescal.experiments.audit.page.wording import (
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.frame.terminal import Shown, print_table
 from bayescal.limits import COVERAGE
-from bayescal.report.blocks import choose_first, count_folded
+from bayescal.report.blocks import Page, Table, choose_first, count_folded
 from bayescal.report.numbers import NOTHING, format_plain, format_significant
 from bayescal.report.symbols import write_symbol
 
@@ -34,87 +31,45 @@ MARKS = {"good": "+", "plain": " ", "warning": "!", "bad": "x"}
 MOST_WIDTH, FILE_WIDTH = 120, 100
 
 
-def show_audit(results: Results, console: Console) -> None:
-    """Print the verdict of an audit, what is known of each symbol, and the requirements."""
-    audit = AuditResults.of(results)
+def show_audit(results: Results, page: Page, console: Console) -> None:
+    """Print the verdict of an audit's page, what is known of each symbol, and the requirements."""
+    audit, written = AuditResults.of(results), {symbol: write_symbol(symbol) for symbol in page.symbols}
     width = min(MOST_WIDTH if console.is_terminal else FILE_WIDTH, console.width)
-    for one in _list_lines(audit):
+    lines: list[RenderableType] = [page.title]
+    lines += [f"DO NOT RELY ON THIS: {failure.text}" for failure in page.failures]
+    lines.append(page.headline)
+    seen, folded = choose_first(page.verdict)
+    for statement in seen:
+        text = re.sub(r"(?<![\w.])[A-Za-z]\w*", lambda found: written.get(found[0], found[0]), statement.text)
+        grid = Grid.grid(padding=(0, 1))
+        grid.add_row(MARKS[statement.level], f"{statement.lead}: {text}")
+        lines.append(grid)
+    for one in [*lines, count_folded(folded)] if folded else lines:
         console.print(one, width=width, markup=False, highlight=False)
-    tables = [*_tabulate_variants(audit), _tabulate_symbols(audit)]
+    variants, symbols = tabulate_variants(audit), tabulate_symbols(audit)
+    tables = [_take(variants, {0: 0, 2: 0, 3: 2, 4: 0, 5: 1, 7: 0})] if len(variants.rows) > 1 else []
+    tables.append(_take(symbols, {0: 0, 1: 0, 2: 1, 3: 0, 5: 2, 6: 0}))
     for columns, rows in [*tables, *_tabulate_sets(audit), *_tabulate_requirements(audit)]:
         print_table(console, columns, rows, width)
 
 
-def _list_lines(audit: AuditResults) -> list[RenderableType]:
-    """Return the verdict, its headline first."""
-    lines: list[RenderableType] = [audit.summary["title"]]
-    lines += [f"DO NOT RELY ON THIS: {failure.text}" for failure in list_failures(audit)]
-    lines.append(state_headline(audit))
-    seen, folded = choose_first(state_verdict(audit))
-    for statement in seen:
-        grid = Table.grid(padding=(0, 1))
-        grid.add_row(MARKS[statement.level], f"{statement.lead}: {_write_symbols(statement.text, audit.symbols)}")
-        lines.append(grid)
-    return [*lines, count_folded(folded)] if folded else lines
-
-
-def _write_symbols(text: str, symbols: list[str]) -> str:
-    """Return text with Greek letters as such."""
-    written = {symbol: write_symbol(symbol) for symbol in symbols}
-    return re.sub(r"(?<![\w.])[A-Za-z]\w*", lambda found: written.get(found[0], found[0]), text)
-
-
-def _tabulate_variants(audit: AuditResults) -> list[Printed]:
-    """Return how sets of sensors compare; nothing of a single one."""
-    variants = audit.summary.get("variants", {})
-    if len(variants) < 2:
-        return []
-    columns = (
-        Shown("variant", justify="left"),
-        Shown("free"),
-        Shown("equations", 2),
-        Shown("identifiable"),
-        Shown("error left", 1),
-        Shown("requirements"),
-    )
-    rows = []
-    for name, row in variants.items():
-        left, chance = (float("nan") if row[key] is None else row[key] for key in ("left", "probability"))
-        numbers = [str(row[key]) for key in ("n_parameters", "n_equations", "n_identifiable")]
-        rows.append((name, *numbers, format_share(left), format_probability(chance)))
-    return [(columns, rows)]
-
-
-def _tabulate_symbols(audit: AuditResults) -> Printed:
-    columns = (
-        Shown("symbol", justify="left"),
-        Shown("unit", justify="left"),
-        Shown("tolerance", 1),
-        Shown("remains"),
-        Shown("contraction", 2),
-        Shown("verdict", justify="left"),
-    )
-    rows = []
-    for symbol, group in audit.parameters.groupby("symbol", sort=False):
-        counts = Counter(name_verdict(row) for _, row in group.iterrows()).most_common()
-        verdicts = [f"{n} {verdict}" if len(counts) > 1 else verdict for verdict, n in counts]
-        rows.append(
-            (
-                write_symbol(str(symbol)),
-                name_unit(str(group["unit"].iloc[0])),
-                format_range(list(group["prior_sd"]), format_sd),
-                format_range(list(group["posterior_sd"]), format_sd),
-                format_range(list(group["contraction"]), format_contraction),
-                ", ".join(verdicts),
-            )
-        )
-    return columns, rows
+def _take(table: Table, ranks: Mapping[int, int]) -> Printed:
+    """Return some columns of a page's table with their ranks; see `Shown`."""
+    chosen = {k: table.columns[k] for k in ranks}
+    shown = [
+        Shown(one.title.lower(), ranks[k], "right" if one.kind == "number" else "left") for k, one in chosen.items()
+    ]
+    rows = [
+        [write_symbol(row[k].text) if one.kind == "symbol" else row[k].text for k, one in chosen.items()]
+        for row in table.rows
+    ]
+    return shown, rows
 
 
 def _tabulate_sets(audit: AuditResults) -> list[Printed]:
     """Return how true the claims of everything free and of the reduced set are; nothing without a reduced set."""
-    reduced = audit.summary["reduced_set"]
-    if reduced is None or len(reduced["free"]) == len(audit.parameters):
+    reduced, n = audit.summary["reduced_set"], len(audit.parameters)
+    if reduced is None or len(reduced["free"]) == n:
         return []
     columns = (
         Shown("free", justify="left"),
@@ -124,24 +79,18 @@ def _tabulate_sets(audit: AuditResults) -> list[Printed]:
         Shown("simulated", 2),
     )
     rows = []
-    for name, n, z, coverage, key in (
-        ("everything", len(audit.parameters), 1.0, COVERAGE, "simulated_calibrations"),
-        (
-            "reduced set",
-            len(reduced["free"]),
-            reduced["rms_z"],
-            reduced["coverage_90"],
-            "simulated_calibrations_reduced",
-        ),
+    for name, free, z, coverage, key in (
+        ("everything", n, 1.0, COVERAGE, ""),
+        ("reduced set", len(reduced["free"]), reduced["rms_z"], reduced["coverage_90"], "_reduced"),
     ):
-        simulated = audit.summary.get(key)
+        simulated = audit.summary.get(f"simulated_calibrations{key}")
         found = NOTHING if simulated is None else format_share(simulated["coverage_90"])
-        rows.append((name, str(n), format_significant(z, 2), format_share(coverage), found))
+        rows.append((name, str(free), format_significant(z, 2), format_share(coverage), found))
     return [(columns, rows)]
 
 
 def _tabulate_requirements(audit: AuditResults) -> list[Printed]:
-    """Return how each requirement stands; nothing where none is stated."""
+    """Return how each requirement is met; nothing where none is stated."""
     columns = (
         Shown("requirement", justify="left"),
         Shown("limit"),
@@ -150,17 +99,15 @@ def _tabulate_requirements(audit: AuditResults) -> list[Printed]:
         Shown("probability"),
         Shown("before", 2),
     )
-    rows = []
-    for r in audit.requirements:
-        unit = name_unit(r.unit)
-        rows.append(
-            (
-                name_requirement(r.name),
-                f"{format_plain(r.limit)} {unit}",
-                f"{format_sd(r.predicted_sd)} {unit}",
-                format_share(r.predicted_sd / r.limit),
-                format_probability(r.probability),
-                format_probability(r.prior_probability),
-            )
+    rows = [
+        (
+            name_requirement(r.name),
+            f"{format_plain(r.limit)} {name_unit(r.unit)}",
+            f"{format_sd(r.predicted_sd)} {name_unit(r.unit)}",
+            format_share(r.predicted_sd / r.limit),
+            format_probability(r.probability),
+            format_probability(r.prior_probability),
         )
+        for r in audit.requirements
+    ]
     return [(columns, rows)] if rows else []

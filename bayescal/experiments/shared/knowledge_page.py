@@ -24,7 +24,7 @@ SENSORS = {"all": "all", "own": "the machine's own"}
 
 def name_titles(tables: Mapping[str, pd.DataFrame]) -> dict[str, str]:
     """Return what the variants are called by their names."""
-    return {str(row["variant"]): str(row["title"]) for row in list_rows(tables["variants"])}
+    return {str(row["variant"]): str(row["title"]) for row in list_rows(tables.get("variants", pd.DataFrame()))}
 
 
 def show_accuracy(tables: Mapping[str, pd.DataFrame], asked: Asked = None) -> Section | None:
@@ -63,13 +63,9 @@ def show_ridges(tables: Mapping[str, pd.DataFrame], variant: str) -> list[Sectio
     return [make_section("Undetermined combinations", text)] if text else []
 
 
-def reduce_error(gain: float) -> float:
-    """Return by what part the error falls where its mean square falls by a part ``gain``."""
-    return 1.0 - math.sqrt(max(0.0, 1.0 - gain))
-
-
 def _say_gain(gain: float) -> str:
-    return format_percent(reduce_error(gain), 1)
+    """Return by what part the error falls where its mean square falls by a part ``gain``."""
+    return format_percent(1.0 - math.sqrt(max(0.0, 1.0 - gain)), 1)
 
 
 def state_next(tables: Mapping[str, pd.DataFrame], variant: str, asked: Asked = None) -> list[Statement]:

@@ -2,28 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
-from bayescal.experiments.audit.page import freedom, illustrations
-from bayescal.experiments.audit.page.method import describe_method, tabulate_audit
-from bayescal.experiments.audit.page.poses import count_poses
-from bayescal.experiments.audit.page.profile_table import tabulate_profiles
+from bayescal.experiments.audit.page import figures, tables
+from bayescal.experiments.audit.page.readings import show_counts, show_selected, show_sets, show_variants
 from bayescal.experiments.audit.page.results import AuditResults
-from bayescal.experiments.audit.page.ridges import build_ridges
-from bayescal.experiments.audit.page.sensor_sets import show_counts, show_sets
-from bayescal.experiments.audit.page.tables import (
-    tabulate_changes,
-    tabulate_parameters,
-    tabulate_posterior,
-    tabulate_requirements,
-    tabulate_ridge_help,
-    tabulate_symbols,
-)
-from bayescal.experiments.audit.page.variants import show_selected, show_variants
-from bayescal.experiments.audit.page.verdict import list_failures, state_headline, state_verdict
+from bayescal.experiments.audit.page.verdict import count_poses, list_failures, state_headline, state_verdict
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.shared.knowledge_page import name_titles, show_accuracy, show_next
-from bayescal.report.blocks import Absent, Block, Definitions, Fold, Page, Section, Statement, Table
+from bayescal.report.blocks import Absent, Block, Definitions, Fold, Page, Section, Statement
 from bayescal.report.numbers import format_plain, join_words
 from bayescal.report.symbols import describe_deformation
 
@@ -78,36 +63,35 @@ def _find_origin(audit: AuditResults) -> str:
 
 
 def _list_facts(audit: AuditResults) -> tuple[tuple[str, str], ...]:
-    facts = [("Machine", _describe_machine(audit)), ("Plan", _describe_plan(audit))]
-    titles = name_titles(audit.tables) if "variants" in audit.tables else {}
+    summary, plan = audit.summary, audit.summary["plan"]
+    machine, measured = str(summary["machine"]), f"{count_poses(audit)}, {plan.get('poses', '')}; readings of "
+    if audit.is_of_legs:
+        model = summary.get("model_title", summary["model"])
+        machine += f", {model} {describe_deformation(summary['deformation'])}"
+        measured = _describe_poses(audit)
+    else:
+        measured += join_words(plan["sensors"])
+    facts = [("Machine", machine), ("Plan", measured)]
+    titles = name_titles(audit.tables)
     return (*facts, ("Details of", titles[audit.best])) if len(titles) > 1 else tuple(facts)
 
 
-def _describe_machine(audit: AuditResults) -> str:
-    summary = audit.summary
-    if not audit.is_of_legs:
-        return str(summary["machine"])
-    model = summary.get("model_title", summary["model"])
-    return f"{summary['machine']}, {model} {describe_deformation(summary['deformation'])}"
-
-
-def _describe_plan(audit: AuditResults) -> str:
+def _describe_poses(audit: AuditResults) -> str:
+    """Return the poses of a platform that instruments see, and what errs."""
     plan = audit.summary["plan"]
-    if not audit.is_of_legs:
-        return f"{count_poses(audit)}, {plan['poses']}; readings of {join_words(plan['sensors'])}"
     moved, most, noise, model_error = (
         format_plain(plan[key], 3)
         for key in ("largest_displacement_mm", "actuator_range_mm", "actuator_noise_um", "model_error_um")
     )
     sensors = join_words([str(name).replace("_", " ") for name in plan["sensors"]])
     seen = f", seen by {sensors}" if sensors else ""
-    beside = f", model error {model_error} µm" if plan["model_error_um"] else ""
+    errors = f", model error {model_error} µm" if plan["model_error_um"] else ""
     function = plan.get("structured_error")
     if function is not None:
         size = format_plain(function["scale_um"], 3)
-        beside += f", and errors that are {function['kernel']} functions of the pose, {size} µm at the range's end"
+        errors += f", and errors that are {function['kernel']} functions of the pose, {size} µm at the range's end"
     return (
-        f"{count_poses(audit)}{seen}; displacements up to {moved} mm of {most} mm; noise: actuators {noise} µm{beside}"
+        f"{count_poses(audit)}{seen}; displacements up to {moved} mm of {most} mm; noise: actuators {noise} µm{errors}"
     )
 
 
@@ -115,99 +99,97 @@ def _describe_plan(audit: AuditResults) -> str:
 
 
 def _build_sections(audit: AuditResults) -> tuple[Section, ...]:
-    ridges, tables, asked = build_ridges(audit), audit.tables, audit.summary["units"]
-    sweeps, accuracy = illustrations.show_sweeps(audit), show_accuracy(tables, asked)
+    ridges, asked = tables.build_ridges(audit), audit.summary["units"]
+    accuracy = show_accuracy(audit.tables, asked)
+    requirements = (*_if_any(tables.tabulate_requirements(audit)), figures.show_requirements(audit))
+    changes = (*_if_any(tables.tabulate_changes(audit)), figures.show_changes(audit))
+    helped = _fold("For each weak combination the best change", tables.tabulate_ridge_help(audit))
+    profiles = (figures.show_profiles(audit), *_if_any(tables.tabulate_profiles(audit)))
+    simulated = tuple(tables.tabulate_simulated(audit))
+    left_out = Absent("Left out: the design asks for no simulated calibrations.")
+    of_legs = (
+        Section("Profile likelihoods", profiles, "profiles", "Profiles"),
+        Section("Ridges as draws show them", _show_draws(audit), "draws", "Ridge plots"),
+    )
     return (
-        *show_variants(tables, audit.best),
+        *show_variants(audit),
         *((accuracy,) if accuracy is not None else ()),
         Section("Parameters: what will be known", _show_parameters(audit), "parameters", "Parameters"),
         Section("Undetermined combinations", (RIDGES if ridges else NO_RIDGES, *ridges), "ridges", "Ridges"),
         Section("What to free", _show_selection(audit), "selection"),
-        Section("Requirements", _show_requirements(audit), "requirements"),
-        *show_sets(tables, audit.summary),
-        *show_next(tables, audit.best, asked),
-        *show_selected(tables, audit.best, asked),
-        *show_counts(tables, audit.best, asked),
-        Section("What would help", _show_changes(audit), "changes"),
-        Section("Noise, number of poses, displacements", (sweeps,), "sweeps", "Sweeps"),
-        *_show_checks_of_legs(audit),
-        Section("Simulated calibrations", _show_simulated(audit), "simulated"),
-        Section("How it was computed", (Definitions(describe_method(audit)), tabulate_audit(audit)), "method"),
-    )
-
-
-def _show_checks_of_legs(audit: AuditResults) -> tuple[Section, ...]:
-    if not audit.is_of_legs:
-        return ()
-    return (
-        Section("Profile likelihoods", _show_profiles(audit), "profiles", "Profiles"),
-        Section("Ridges as draws show them", _show_draws(audit), "draws", "Ridge plots"),
+        Section("Requirements", requirements, "requirements"),
+        *show_sets(audit),
+        *show_next(audit.tables, audit.best, asked),
+        *show_selected(audit),
+        *show_counts(audit),
+        Section("What would help", (*changes, *helped), "changes"),
+        Section("Noise, number of poses, displacements", (figures.show_sweeps(audit),), "sweeps", "Sweeps"),
+        *(of_legs if audit.is_of_legs else ()),
+        Section("Simulated calibrations", simulated or (left_out,), "simulated"),
+        Section("How it was computed", (_describe_method(audit), tables.tabulate_audit(audit)), "method"),
     )
 
 
 def _show_parameters(audit: AuditResults) -> tuple[Block, ...]:
-    each = Fold("Every parameter with the reason of its verdict", (_set_small(tabulate_parameters(audit)),))
     return (
-        *illustrations.show_machine(audit),
-        _set_small(tabulate_symbols(audit)),
-        illustrations.show_contraction(audit),
-        each,
-        illustrations.show_spectrum(audit),
+        *figures.show_machine(audit),
+        tables.tabulate_symbols(audit),
+        figures.show_contraction(audit),
+        Fold("Every parameter with the reason of its verdict", (tables.tabulate_parameters(audit),)),
+        figures.show_spectrum(audit),
     )
 
 
-def _set_small(table: Table) -> Table:
-    return replace(table, style="wide parameters")
-
-
 def _show_selection(audit: AuditResults) -> tuple[Block, ...]:
-    steps = freedom.tabulate_selection(audit)
-    found: Block = Absent("No reduced set was looked for.")
-    if steps is not None:
-        found = Fold("How the reduced set is found", (steps,))
-    return (Statement(FREEDOM), *_if_any(freedom.tabulate_sets(audit)), found)
-
-
-def _show_requirements(audit: AuditResults) -> tuple[Block, ...]:
-    table = tabulate_requirements(audit)
-    return (*_if_any(table), illustrations.show_requirements(audit))
-
-
-def _show_changes(audit: AuditResults) -> tuple[Block, ...]:
-    table, best = tabulate_changes(audit), tabulate_ridge_help(audit)
-    blocks: list[Block] = [illustrations.show_changes(audit)]
-    if table is not None:
-        blocks.insert(0, replace(table, style="wide"))
-    if best is not None:
-        blocks.append(Fold("For each weak combination the best change", (best,)))
-    return tuple(blocks)
-
-
-def _show_profiles(audit: AuditResults) -> tuple[Block, ...]:
-    return (illustrations.show_profiles(audit), *_if_any(tabulate_profiles(audit)))
+    steps = _fold("How the reduced set is found", tables.tabulate_selection(audit))
+    absent = (Absent("No reduced set was looked for."),)
+    return (Statement(FREEDOM), *_if_any(tables.tabulate_sets(audit)), *(steps or absent))
 
 
 def _show_draws(audit: AuditResults) -> tuple[Block, ...]:
-    blocks: list[Block] = [illustrations.show_ridges(audit), *_list_formulas(audit)]
-    others, drawn = illustrations.show_other_ridges(audit), tabulate_posterior(audit)
-    if others is not None:
-        blocks.append(Fold("The other ridges", (others,)))
-    if drawn is not None:
-        blocks += [drawn, Statement(f"Draws: {_find_origin(audit)}.")]
+    """Return the ridges in pictures, with what explains the curve of the first of each kind."""
+    first, *others = figures.show_ridges(audit)
+    blocks: list[Block] = [first]
+    for group in audit.groups:
+        ridge = next((ridge for ridge in group if ridge.plot), None)
+        if ridge is not None and (text := ridge.explanation or ridge.plot["formula"]):
+            blocks.append(Statement(f"{ridge.plot['y']} against {ridge.plot['x']}: {text}"))
+    blocks += _fold("The other ridges", *others)
+    if drawn := _if_any(tables.tabulate_posterior(audit)):
+        blocks += [*drawn, Statement(f"Draws: {_find_origin(audit)}.")]
     return tuple(blocks)
 
 
-def _list_formulas(audit: AuditResults) -> list[Statement]:
-    """Return what explains the curve of the first ridge of each kind."""
-    first = (next((ridge for ridge in group.ridges if ridge.plot), None) for group in audit.groups)
-    found = [(ridge.plot, ridge.explanation or ridge.plot["formula"]) for ridge in first if ridge is not None]
-    return [Statement(f"{plot['y']} against {plot['x']}: {text}") for plot, text in found if text]
+def _if_any(block: Block | None) -> tuple[Block, ...]:
+    return () if block is None else (block,)
 
 
-def _show_simulated(audit: AuditResults) -> tuple[Block, ...]:
-    left_out = Absent("Left out: the design asks for no simulated calibrations.")
-    return tuple(freedom.tabulate_simulated(audit)) or (left_out,)
+def _fold(title: str, block: Block | None = None) -> tuple[Block, ...]:
+    return () if block is None else (Fold(title, (block,)),)
 
 
-def _if_any(table: Table | None) -> tuple[Table, ...]:
-    return () if table is None else (table,)
+def _describe_method(audit: AuditResults) -> Definitions:
+    """Return questions with the answers that the computation gives to them."""
+    return Definitions(
+        (
+            (
+                "Can it be determined at all?",
+                "The rank of the noise-free identification Jacobian J over a workspace far wider than the machine's, "
+                "its columns in units of the tolerances, is counted at the gap of its singular values beside the level "
+                "to which rounding moves them (computed again at machines that differ in the last digits).",
+            ),
+            (
+                "Do these measurements determine it?",
+                f"With the noise of sensors and actuators the {'calibration' if audit.is_measured else 'planned'} "
+                "poses carry the information Λ = Jᵀ Σ⁻¹ J; in units of the tolerances the posterior covariance is "
+                "(1 + Λ)⁻¹ to first order, the contraction of a direction v is 1 − vᵀ (1 + Λ)⁻¹ v, and "
+                "−½ log(1 − contraction) nats are learnt of it.",
+            ),
+            (
+                "Does it matter, and does it hold beyond first order?",
+                "Ridges are followed with the machine itself, not with its derivatives; requirements are judged by "
+                "draws of the remaining uncertainty over the workspace; and where they were asked for, profile "
+                "likelihoods, draws of the posterior and simulated calibrations check the linear picture.",
+            ),
+        )
+    )

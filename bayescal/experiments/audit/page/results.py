@@ -13,11 +13,13 @@ import numpy as np
 import pandas as pd
 
 from bayescal.errors import InputError
-from bayescal.experiments.audit.page.checks import REQUIREMENT_NUMBERS, check_summary
 from bayescal.experiments.frame.results import SUMMARY_FILE, Results
 from bayescal.experiments.shared.joints import COLUMNS as JOINT_COLUMNS
 from bayescal.limits import DEAD, INFORMED
+from bayescal.report.reading import NUMBER, check_keys
 from bayescal.report.symbols import split_name
+
+# --- what the files must hold ----------------------------------------------------------------------------------------
 
 TABLES = "tables"  # where they stand in the results directory
 TABLE_COLUMNS = {
@@ -32,13 +34,182 @@ TABLE_COLUMNS = {
 }
 TEXT_COLUMNS = ("pose", "joint", "sweep", "symbol", "requirement", "unit", "parameter", "other", "other_unit", "source")
 REQUIRED = ("spectrum",)
-TOLD_LIMITS = (math.sqrt(DEAD / (1.0 - DEAD)), math.sqrt(INFORMED / (1.0 - INFORMED)))
+KNOWN_LIMITS = (math.sqrt(DEAD / (1.0 - DEAD)), math.sqrt(INFORMED / (1.0 - INFORMED)))
 """Tolerance over what the noise alone would leave of a combination: below, hardly anything is learnt; above, enough."""
+
+DEVIATIONS = ("prior_sd", "predicted_sd", "geometry_sd", "reduced_sd")
+REQUIREMENT_NUMBERS = ("limit", *DEVIATIONS, "prior_probability", "probability", "reduced_probability")
+ANY_NUMBER = (*NUMBER, type(None))
+"""A number that is not known where the machine's own sensors do not determine it."""
+SIMULATED = {
+    "simulated_calibrations": "everything free within its tolerance",
+    "simulated_calibrations_reduced": "the reduced set free, the rest off by its tolerances and taken for nominal",
+}
+"""What was free in the simulated calibrations of each key."""
+
+
+@dataclass(frozen=True)
+class _Each:
+    """What every entry of a list or an object has to be."""
+
+    entry: Any
+
+
+def _numbers(*names: str) -> dict[str, Any]:
+    return dict.fromkeys(names, NUMBER)
+
+
+def _texts(*names: str) -> dict[str, Any]:
+    return dict.fromkeys(names, str)
+
+
+# the kind of a value, words to choose from, or the keys of an object, optional ones with a question mark
+SUMMARY: dict[str, Any] = {
+    **_texts("name", "title", "machine"),
+    **dict.fromkeys(("n_parameters", "structural_rank", "n_structural", "n_practical", "n_informed"), int),
+    **dict.fromkeys(("recommended_free", "could_also_be_freed", "directions"), list),
+    "structural_rank_is_clear": bool,
+    "total_nats": NUMBER,
+    "units": _texts("length", "angle"),
+    "plan": {"n_poses": int, "sensors": list, "n_held_back?": int},
+    "far_readings?": {"legs": list, **_numbers("reading_mm", "direction_sd")},
+    "parameters": _Each(
+        {
+            **_texts("unit", "why"),
+            **_numbers("nominal", "prior_sd", "posterior_sd", "contraction", "nats"),
+            "verdict": ("identifiable", "weak", "not"),
+            "in_reduced_set": bool,
+        }
+    ),
+    "requirements": _Each(
+        {"unit": str, **_numbers(*REQUIREMENT_NUMBERS)} | dict.fromkeys(DEVIATIONS, ANY_NUMBER),
+    ),
+    "selection": _Each({"symbol": str, **_numbers("nats", "contraction"), "taken": bool}),
+    "what_if": _Each(
+        {
+            "name": str,
+            "n_poses": int,
+            **dict.fromkeys(("possible", "beyond_actuator_range"), bool),
+            **dict.fromkeys(("ridges", "requirements"), dict),
+        }
+    ),
+    "reduced_set?": {"free": list, **_numbers("coverage_90", "rms_z")},
+    "posterior?": {
+        "origin": str,
+        "n_draws": int,
+        "converged": bool,
+        "parameters": _Each(_numbers("mean", "sd")),
+    },
+}
+LEGS = {
+    **_texts("model", "deformation"),
+    "plan": _numbers("actuator_noise_um", "model_error_um", "largest_displacement_mm", "actuator_range_mm"),
+}
+DIRECTION = {
+    "kind": ("structural", "practical", "informed"),
+    **_numbers("contraction", "nats"),
+    "shares": dict,
+    "sentence": str,
+}
+RIDGE = {
+    "pivot": str,
+    "effect_on_pose": ("harmless", "noticeable", "harmful", "unknown"),
+    **_numbers("changes_workspace_position", "changes_workspace_rotation"),
+    "plot?": _texts("x", "y", "x_unit", "y_unit", "formula"),
+}
+CALIBRATIONS = {
+    **dict.fromkeys(("n", "n_converged"), int),
+    **_numbers("coverage_90", "rms_z"),
+    "symbols": _Each(
+        {"unit": str, **_numbers("claimed_sd", "predicted_sd", "simulated_sd", "ratio", "ratio_se", "coverage_90")}
+    ),
+    "requirements": _Each(
+        {
+            **dict.fromkeys(("kept", "n", "expected_low", "expected_high"), int),
+            "claimed_probability": NUMBER,
+            "agrees": bool,
+        }
+    ),
+}
+
+
+def check_summary(summary: dict[str, Any], path: Path) -> None:
+    """Raise InputError where an audit's summary lacks something or holds something else."""
+    _check(summary, SUMMARY | dict.fromkeys((f"{name}?" for name in SIMULATED), CALIBRATIONS), path, "")
+    if "model" in summary:
+        _check(summary, LEGS, path, "")
+    known = summary["parameters"]
+    if not known:
+        raise InputError(f"{path}: parameters: found none, expected some")
+    for k, content in enumerate(summary["directions"], start=1):
+        _check(content, DIRECTION, path, where := f"directions {k}")
+        if content["kind"] != "informed":
+            _check(content, RIDGE, path, where)
+            _check(content["pivot"], tuple(known), path, f"{where}.pivot")
+    for name, content in summary["requirements"].items():
+        if content["limit"] <= 0.0:
+            raise InputError(f"{path}: requirements.{name}.limit: found {content['limit']}, expected a positive number")
+    for k, change in enumerate(summary["what_if"], start=1):
+        if change["possible"]:
+            required = {k: ANY_NUMBER if k in change["requirements"] else NUMBER for k in summary["requirements"]}
+            wanted = {"total_nats": NUMBER, "n_identifiable": int, "ridges": _Each(NUMBER), "requirements": required}
+            _check(change, wanted, path, f"what_if {k}")
+    for where, names in (
+        ("recommended_free", summary["recommended_free"] + summary["could_also_be_freed"]),
+        ("reduced_set.free", (summary.get("reduced_set") or {"free": ()})["free"]),
+        ("posterior.parameters", (summary.get("posterior") or {"parameters": ()})["parameters"]),
+    ):
+        for name in names:
+            if name not in known:
+                raise InputError(f"{path}: {where}: found {name!r}, expected parameters")
+
+
+def _check(content: Any, wanted: Any, path: Path, where: str) -> None:
+    """Raise InputError where content read from JSON is not what is wanted of it."""
+    if isinstance(wanted, _Each):
+        numbered = isinstance(content, list)
+        entries = enumerate(content, start=1) if numbered else _open(content, path, where).items()
+        for key, entry in entries:
+            _check(entry, wanted.entry, path, f"{where} {key}" if numbered else f"{where}.{key}")
+    elif isinstance(wanted, Mapping):
+        fields = _open(content, path, where)
+        for key, one in wanted.items():
+            name = key.removesuffix("?")
+            if name == key or fields.get(name) is not None:
+                _check(fields.get(name), one, path, f"{where}.{name}".removeprefix("."))
+    elif isinstance(wanted, tuple) and isinstance(wanted[0], str):
+        if content not in wanted:
+            shown = ", ".join(wanted[:6]) + (", ..." if len(wanted) > 6 else "")
+            raise InputError(f"{path}: {where}: found {content!r}, expected one of {shown}")
+    else:
+        check_keys({where: content}, {where: wanted}, path, "")
+
+
+def _open(content: Any, path: Path, where: str) -> dict[str, Any]:
+    if not isinstance(content, dict):
+        found = "nothing" if content is None else type(content).__name__
+        raise InputError(f"{path}: {where}: found {found}, expected an object")
+    return content
+
+
+def _check_table(table: pd.DataFrame, path: Path) -> None:
+    columns = TABLE_COLUMNS[path.stem]
+    if table.empty:
+        raise InputError(f"{path}: found no rows, expected an audit's table")
+    missing = [column for column in columns if column not in table.columns]
+    if missing:
+        raise InputError(f"{path}: found no column {missing[0]!r}, expected {', '.join(columns)}")
+    for column in (c for c in columns if c not in TEXT_COLUMNS):
+        if not (pd.api.types.is_numeric_dtype(table[column]) or pd.api.types.is_bool_dtype(table[column])):
+            raise InputError(f"{path}: column {column!r}: found text, expected numbers")
+
+
+# --- what the page reads ---------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Ridge:
-    """A direction of which the measurements tell nothing or too little.
+    """A direction that the measurements determine not at all or too little.
 
     Attributes
     ----------
@@ -49,9 +220,7 @@ class Ridge:
     contraction : float
     pivot : str
         The parameter it is named after.
-    sentence : str
-    effect : str
-        One of `EFFECTS`.
+    sentence, effect : str
     share : float
         Of a limit, that 1.96 sd of what remains unknown takes; NaN without requirements.
     limit : str
@@ -78,21 +247,12 @@ class Ridge:
     rotation: float
     posterior_contraction: float
     plot: dict[str, str]
-    explanation: str = ""
-
-
-@dataclass(frozen=True)
-class RidgeGroup:
-    """Ridges of one kind that are named after the same symbol, one per leg."""
-
-    kind: str
-    symbol: str
-    ridges: tuple[Ridge, ...]
+    explanation: str
 
 
 @dataclass(frozen=True)
 class Requirement:
-    """How a requirement stands, the design's units; see the audit's results."""
+    """How a requirement is met, the design's units; see the audit's results."""
 
     name: str
     unit: str
@@ -108,21 +268,7 @@ class Requirement:
 
 @dataclass(frozen=True)
 class Change:
-    """What another plan would tell.
-
-    Attributes
-    ----------
-    name : str
-    n_poses : int
-    possible, beyond_range : bool
-    nats : float
-        NaN where the plan is impossible.
-    n_identifiable : int
-    ridges : dict of str to float
-        Contraction of each practical ridge by its pivot, NaN where the plan is impossible.
-    requirements : dict of str to float
-        Predicted standard deviations.
-    """
+    """What another plan determines: nats, contraction of practical ridges by pivot, sd of requirements; NaN if none."""
 
     name: str
     n_poses: int
@@ -148,26 +294,6 @@ class AuditResults:
     summary: dict[str, Any]
     tables: dict[str, pd.DataFrame]
 
-    @property
-    def best(self) -> str:
-        """The variant that the details are of."""
-        return str(self.summary.get("best", ""))
-
-    @property
-    def is_of_legs(self) -> bool:
-        """Whether instruments see the platform of a mechanism on legs."""
-        return "model" in self.summary
-
-    @property
-    def member(self) -> str:
-        """What one of many is called."""
-        return str(self.summary.get("member", "leg"))
-
-    @property
-    def together(self) -> float:
-        """Probability that all requirements are kept; NaN where it is not known."""
-        return _number(self.summary.get("variants", {}).get(self.best, {}).get("probability"))
-
     @classmethod
     def of(cls, results: Results) -> AuditResults:
         """Return the view of an audit's results, checked.
@@ -187,6 +313,43 @@ class AuditResults:
         others = {name: table for name, table in results.tables.items() if name not in TABLE_COLUMNS}
         return cls(results.summary, {**others, **there})
 
+    @property
+    def best(self) -> str:
+        """The variant that the details are of."""
+        return str(self.summary.get("best", ""))
+
+    @property
+    def is_of_legs(self) -> bool:
+        """Whether instruments see the platform of a mechanism on legs."""
+        return "model" in self.summary
+
+    @property
+    def is_measured(self) -> bool:
+        """Whether the poses are those of a study's data, no plan."""
+        return not self.summary["plan"]["sensors"]
+
+    @property
+    def member(self) -> str:
+        """What one of many is called."""
+        return str(self.summary.get("member", "leg"))
+
+    @property
+    def n_poses(self) -> int:
+        """How many poses are planned or measured."""
+        return int(self.summary["plan"]["n_poses"])
+
+    @property
+    def together(self) -> float:
+        """Probability that all requirements are met; NaN where it is not known."""
+        return _number(self.summary.get("variants", {}).get(self.best, {}).get("probability"))
+
+    def of_best(self, name: str) -> pd.DataFrame:
+        """Return the rows and columns of a table that the best variant has; none where there is no such table."""
+        if name not in self.tables:
+            return pd.DataFrame()
+        table = self.tables[name]
+        return table[table["variant"] == self.best].dropna(axis=1, how="all")
+
     @cached_property
     def parameters(self) -> pd.DataFrame:
         """One row per parameter by name, with ``symbol`` and ``leg``, zero for the machine's own."""
@@ -196,6 +359,11 @@ class AuditResults:
             rows.append({"name": name, "symbol": symbol, "leg": leg, **values})
         return pd.DataFrame(rows).set_index("name")
 
+    @property
+    def n_identifiable(self) -> int:
+        """How many parameters are determined."""
+        return int((self.parameters["verdict"] == "identifiable").sum())
+
     @cached_property
     def symbols(self) -> list[str]:
         """Symbols in the order of the layout."""
@@ -204,16 +372,33 @@ class AuditResults:
     @cached_property
     def ridges(self) -> list[Ridge]:
         """The structural and practical directions in the audit's order."""
-        numbered = enumerate(self.summary["directions"], start=1)
-        return [_make_ridge(k, content) for k, content in numbered if content["kind"] != "informed"]
+        return [
+            Ridge(
+                number,
+                one["kind"],
+                float(one["contraction"]),
+                one["pivot"],
+                one["sentence"],
+                one["effect_on_pose"],
+                _number(one.get("share_of_limit")),
+                one.get("limit") or "",
+                float(one["changes_workspace_position"]),
+                float(one["changes_workspace_rotation"]),
+                _number(one.get("posterior_contraction")),
+                one.get("plot") or {},
+                text if isinstance(text := one.get("explanation"), str) else "",
+            )
+            for number, one in enumerate(self.summary["directions"], start=1)
+            if one["kind"] != "informed"
+        ]
 
     @cached_property
-    def groups(self) -> list[RidgeGroup]:
-        """Ridges of the same kind on all legs together, in the order of the first of each."""
+    def groups(self) -> list[list[Ridge]]:
+        """Ridges of one kind that are named after the same symbol, one per leg, in the order of the first of each."""
         found: dict[tuple[str, str], list[Ridge]] = {}
         for ridge in self.ridges:
             found.setdefault((ridge.kind, split_name(ridge.pivot)[0]), []).append(ridge)
-        return [RidgeGroup(kind, symbol, tuple(ridges)) for (kind, symbol), ridges in found.items()]
+        return list(found.values())
 
     @cached_property
     def requirements(self) -> list[Requirement]:
@@ -227,76 +412,25 @@ class AuditResults:
     @cached_property
     def changes(self) -> list[Change]:
         """In the audit's order."""
-        return [_make_change(content) for content in self.summary["what_if"]]
-
-    @property
-    def n_poses(self) -> int:
-        """How many poses are planned or measured."""
-        return int(self.summary["plan"]["n_poses"])
-
-    @property
-    def is_measured(self) -> bool:
-        """Whether the poses are those of a study's data, no plan."""
-        return not self.summary["plan"]["sensors"]
-
-    @property
-    def n_identifiable(self) -> int:
-        """How many parameters are determined."""
-        return int((self.parameters["verdict"] == "identifiable").sum())
+        return [
+            Change(
+                one["name"],
+                one["n_poses"],
+                one["possible"],
+                one["beyond_actuator_range"],
+                _number(one.get("total_nats")),
+                int(one.get("n_identifiable") or 0),
+                *({name: _number(value) for name, value in one[key].items()} for key in ("ridges", "requirements")),
+            )
+            for one in self.summary["what_if"]
+        ]
 
     def count_hidden(self) -> tuple[int, int]:
         """Return how many independent combinations are learnt in part, and how many hardly or never."""
         planned = self.tables["spectrum"]["planned"].to_numpy(dtype=float)
-        low, high = TOLD_LIMITS
+        low, high = KNOWN_LIMITS
         return int(np.sum((planned >= low) & (planned < high))), int(np.sum(planned < low))
-
-
-def _make_ridge(number: int, content: Mapping[str, Any]) -> Ridge:
-    return Ridge(
-        number,
-        content["kind"],
-        float(content["contraction"]),
-        content["pivot"],
-        content["sentence"],
-        content["effect_on_pose"],
-        _number(content.get("share_of_limit")),
-        content.get("limit") or "",
-        float(content["changes_workspace_position"]),
-        float(content["changes_workspace_rotation"]),
-        _number(content.get("posterior_contraction")),
-        content.get("plot") or {},
-        _text(content.get("explanation")),
-    )
-
-
-def _make_change(content: Mapping[str, Any]) -> Change:
-    return Change(
-        content["name"],
-        content["n_poses"],
-        content["possible"],
-        content["beyond_actuator_range"],
-        _number(content.get("total_nats")),
-        int(content.get("n_identifiable") or 0),
-        {name: _number(value) for name, value in content["ridges"].items()},
-        {name: _number(value) for name, value in content["requirements"].items()},
-    )
 
 
 def _number(value: Any) -> float:
     return math.nan if value is None else float(value)
-
-
-def _text(value: Any) -> str:
-    return value if isinstance(value, str) else ""
-
-
-def _check_table(table: pd.DataFrame, path: Path) -> None:
-    columns = TABLE_COLUMNS[path.stem]
-    if table.empty:
-        raise InputError(f"{path}: found no rows, expected an audit's table")
-    missing = [column for column in columns if column not in table.columns]
-    if missing:
-        raise InputError(f"{path}: found no column {missing[0]!r}, expected {', '.join(columns)}")
-    for column in (c for c in columns if c not in TEXT_COLUMNS):
-        if not (pd.api.types.is_numeric_dtype(table[column]) or pd.api.types.is_bool_dtype(table[column])):
-            raise InputError(f"{path}: column {column!r}: found text, expected numbers")

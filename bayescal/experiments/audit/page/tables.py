@@ -1,37 +1,90 @@
-"""Tables of an audit: parameters, requirements, what would help, and draws of the posterior."""
+"""Tables and cards of an audit: parameters, ridges, what to free, requirements, what would help, and what checks it."""
 
 from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
 
 import pandas as pd
 
-from bayescal.experiments.audit.page.borne_out import KEPT, is_kept, read_drawn_probabilities
-from bayescal.experiments.audit.page.results import AuditResults, Change
+from bayescal.experiments.audit.page.figures import span_profile
+from bayescal.experiments.audit.page.results import SIMULATED, AuditResults, Change, Ridge
 from bayescal.experiments.audit.page.verdict import (
     choose_for_ridge,
+    is_met,
+    is_off,
     measure_worst,
+    read_drawn_probabilities,
+    write_two,
 )
 from bayescal.experiments.audit.page.wording import (
+    count,
+    format_change,
     format_contraction,
+    format_fixed_span,
     format_nominal,
     format_probability,
     format_range,
     format_sd,
     format_share,
+    list_names,
+    name_change,
     name_requirement,
     name_unit,
+    say_most,
 )
-from bayescal.limits import DEAD, INFORMED
-from bayescal.report.blocks import Cell, Column, Level, Statement, Table, make_table
-from bayescal.report.numbers import NOTHING, format_fixed, format_plain
+from bayescal.experiments.shared.headline import LIKELY
+from bayescal.experiments.shared.knowledge_page import VERDICT_LEVELS
+from bayescal.limits import COVERAGE, DEAD, INFORMED
+from bayescal.report.blocks import Card, Cell, Column, Level, Statement, Table, make_pairs, make_table
+from bayescal.report.numbers import NOTHING, format_fixed, format_plain, format_significant, join_words
 from bayescal.report.symbols import split_name
 
 TOGETHER, NEVER = "only with others", "not identifiable"
 VERDICTS = ("identifiable", "weak", TOGETHER, NEVER)
-LEVELS: dict[str, Level] = {"identifiable": "good", "weak": "warning", "not": "bad"}
-EFFECT_LEVELS: dict[str, Level] = {"harmless": "good", "noticeable": "warning", "harmful": "bad", "unknown": "plain"}
+EFFECTS: dict[str, tuple[Level, str]] = {
+    "harmful": ("bad", "harmful to the pose"),
+    "noticeable": ("warning", "noticeable in the pose"),
+    "unknown": ("plain", "effect not judged"),
+    "harmless": ("good", "harmless to the pose"),
+}
+"""Effects of ridges, the worst first: how good the news is, and in words."""
+COVERED = 0.85  # from which on 90 % intervals are as good as their name
+FOLLOWERS = 3  # named along a profile
+
+type Field = tuple[Column, Callable[[Any], str | Cell]]
+"""A column, and how to write its cell of an item."""
+
+
+def _tabulate(
+    caption: str, fields: Sequence[Field], items: Iterable[Any], notes: Sequence[str] = (), style: str = ""
+) -> Table:
+    """Return a table with a row per item; captions and notes are sentences."""
+    rows = [[write(one) for _, write in fields] for one in items]
+    return make_table(caption, [column for column, _ in fields], rows, [Statement(text) for text in notes], style)
+
+
+def _mark(text: str, good: bool, otherwise: Level = "plain") -> Cell:
+    return Cell(text, "good" if good else otherwise, badge=True)
+
+
+def _span(key: str, write: Callable[[float], str] = format_sd) -> Callable[[pd.DataFrame], str]:
+    """Return how the values of a column are written as a range."""
+    return lambda group: format_range(list(group[key]), write)
+
+
+SYMBOL: tuple[Field, Field] = (
+    (Column("Symbol", kind="symbol"), lambda group: str(group["symbol"].iloc[0])),
+    (Column("Unit", kind="text"), lambda group: name_unit(str(group["unit"].iloc[0]))),
+)
+write_tolerance = _span("prior_sd")
+TOLERANCE: Field = (Column("Tolerance", "sd"), write_tolerance)
+
+
+def _by_symbol(frame: pd.DataFrame) -> list[pd.DataFrame]:
+    return [group for _, group in frame.groupby("symbol", sort=False)]
 
 
 # --- parameters ------------------------------------------------------------------------------------------------------
@@ -39,245 +92,350 @@ EFFECT_LEVELS: dict[str, Level] = {"harmless": "good", "noticeable": "warning", 
 
 def tabulate_symbols(results: AuditResults) -> Table:
     """Return one row per symbol, the legs as ranges."""
-    columns = [
-        Column("Symbol", kind="symbol"),
-        Column("Unit", kind="text"),
-        Column("Tolerance", "sd"),
-        Column("Remains", "sd"),
-        Column("Of tolerance"),
-        Column("Contraction"),
-        Column("Verdict", kind="text"),
-        Column(f"Why, on the {results.member} that is known least", kind="text"),
-    ]
-    rows: list[list[str | Cell]] = []
-    for symbol, group in results.parameters.groupby("symbol", sort=False):
+
+    def explain(group: pd.DataFrame) -> str:
         worst = group.sort_values("contraction").iloc[0]
-        leg = f"{results.member.capitalize()} {worst['leg']}: " if worst["leg"] else ""
-        rows.append(
-            [
-                str(symbol),
-                name_unit(str(group["unit"].iloc[0])),
-                format_range(list(group["prior_sd"]), format_sd),
-                format_range(list(group["posterior_sd"]), format_sd),
-                format_range(_remaining(group), format_share).replace(" % to", " to"),
-                format_range(list(group["contraction"]), format_contraction),
-                _summarise_verdicts(group),
-                f"{leg}{worst['why']}",
-            ]
-        )
-    notes = [
-        Statement(
-            "Verdict: identifiable where the tolerance is at least halved (contraction 0.75 or more); not where most "
-            "of what is left unknown lies along combinations of which nothing is learnt; weak else."
+        return f"{results.member.capitalize()} {worst['leg']}: {worst['why']}" if worst["leg"] else str(worst["why"])
+
+    fields: list[Field] = [
+        *(*SYMBOL, TOLERANCE),
+        (Column("Remains", "sd"), _span("posterior_sd")),
+        (
+            Column("Of tolerance"),
+            lambda group: format_range(_remaining(group).to_list(), format_share).replace(" % to", " to"),
         ),
-        Statement("All parameters are free, also those that the poses do not determine: their priors bound them."),
+        (Column("Contraction"), _span("contraction", format_contraction)),
+        (Column("Verdict", kind="text"), _summarise_verdicts),
+        (Column(f"Why, on the {results.member} that is known least", kind="text"), explain),
     ]
-    return make_table(f"Parameters by symbol; ranges are over the {results.member}s.", columns, rows, notes)
+    notes = (
+        "Verdict: identifiable where the tolerance is at least halved (contraction 0.75 or more); not where most "
+        "of what is left unknown lies along combinations of which nothing is learnt; weak else.",
+        "All parameters are free, also those that the poses do not determine: their priors bound them.",
+    )
+    caption = f"Parameters by symbol; ranges are over the {results.member}s."
+    return _tabulate(caption, fields, _by_symbol(results.parameters), notes, "wide parameters")
 
 
-def _remaining(group: pd.DataFrame) -> list[float]:
-    return list(group["posterior_sd"] / group["prior_sd"])
+def _remaining(parameters: Any) -> Any:
+    return parameters["posterior_sd"] / parameters["prior_sd"]
 
 
 def _summarise_verdicts(group: pd.DataFrame) -> Cell:
-    badges = [_mark(row) for _, row in group.iterrows()]
-    counts = Counter(badge.text for badge in badges)
+    marks = [_mark_verdict(row) for _, row in group.iterrows()]
+    counts = Counter(mark.text for mark in marks)
     if len(counts) == 1:
-        return badges[0]
-    return Cell(", ".join(f"{counts[name]} {name}" for name in VERDICTS if name in counts), "warning", badge=True)
+        return marks[0]
+    return _mark(", ".join(f"{counts[name]} {name}" for name in VERDICTS if name in counts), False, "warning")
 
 
-def _mark(parameter: pd.Series) -> Cell:
-    return Cell(name_verdict(parameter), LEVELS[parameter["verdict"]], badge=True)
-
-
-def name_verdict(parameter: pd.Series) -> str:
-    """Return a parameter's verdict in words; one that loses something of its tolerance is known beside others."""
-    if parameter["verdict"] != "not":
-        return str(parameter["verdict"])
-    return TOGETHER if parameter["contraction"] >= DEAD else NEVER
-
-
-def list_legs(names: pd.Index) -> str:
-    """Return the legs of some parameters of one symbol: ``1, 2``."""
-    return ", ".join(str(split_name(str(name))[1]) for name in names)
+def _mark_verdict(parameter: pd.Series) -> Cell:
+    """Return a parameter's verdict; one that loses something of its tolerance is known beside others."""
+    verdict = str(parameter["verdict"])
+    text = verdict if verdict != "not" else TOGETHER if parameter["contraction"] >= DEAD else NEVER
+    return Cell(text, VERDICT_LEVELS[verdict], badge=True)
 
 
 def tabulate_parameters(results: AuditResults) -> Table:
     """Return one row per parameter."""
-    columns = [
-        Column("Symbol", kind="symbol"),
-        Column(results.member.capitalize()),
-        Column("Nominal"),
-        Column("Tolerance", "sd"),
-        Column("Remains", "sd"),
-        Column("Of tolerance"),
-        Column("Contraction"),
-        Column("Learnt", "nat"),
-        Column("Verdict", kind="text"),
-        Column("Why", kind="text"),
+
+    def write_nominal(row: pd.Series) -> str:
+        return f"{format_nominal(row['nominal'], row['prior_sd'])} {name_unit(row['unit'])}".strip()
+
+    fields: list[Field] = [
+        (Column("Symbol", kind="symbol"), lambda row: row["symbol"]),
+        (Column(results.member.capitalize()), lambda row: str(row["leg"] or NOTHING)),
+        (Column("Nominal"), write_nominal),
+        (Column("Tolerance", "sd"), lambda row: format_sd(row["prior_sd"])),
+        (Column("Remains", "sd"), lambda row: format_sd(row["posterior_sd"])),
+        (Column("Of tolerance"), lambda row: format_share(_remaining(row))),
+        (Column("Contraction"), lambda row: format_contraction(row["contraction"])),
+        (Column("Learnt", "nat"), lambda row: write_two(row["nats"])),
+        (Column("Verdict", kind="text"), _mark_verdict),
+        (Column("Why", kind="text"), lambda row: row["why"]),
     ]
-    rows: list[list[str | Cell]] = []
-    for _, row in results.parameters.iterrows():
-        unit = name_unit(row["unit"])
-        rows.append(
-            [
-                row["symbol"],
-                str(row["leg"]) if row["leg"] else NOTHING,
-                f"{format_nominal(row['nominal'], row['prior_sd'])} {unit}".strip(),
-                format_sd(row["prior_sd"]),
-                format_sd(row["posterior_sd"]),
-                format_share(row["posterior_sd"] / row["prior_sd"]),
-                format_contraction(row["contraction"]),
-                format_fixed(row["nats"], 2),
-                _mark(row),
-                row["why"],
-            ]
+    rows = [row for _, row in results.parameters.iterrows()]
+    return _tabulate("All parameters.", fields, rows, style="wide parameters")
+
+
+# --- ridges ----------------------------------------------------------------------------------------------------------
+
+
+def build_ridges(results: AuditResults) -> tuple[Card, ...]:
+    """Return all groups of ridges, never seen ones first: one sentence for each kind, the other legs behind it."""
+    return tuple(_build_card(results, group) for group in results.groups)
+
+
+def _build_card(results: AuditResults, ridges: list[Ridge]) -> Card:
+    first, structural = ridges[0], ridges[0].kind == "structural"
+    legs = sorted(leg for leg in (split_name(r.pivot)[1] for r in ridges) if leg)
+    where = f"{results.member}{'s' if len(legs) > 1 else ''} {', '.join(map(str, legs))}" if legs else "machine"
+    level, words = EFFECTS[min((ridge.effect for ridge in ridges), key=list(EFFECTS).index)]
+    kind = Cell("never seen", "bad") if structural else Cell("weak", "warning")
+    facts = _describe_ridges(results, ridges)
+    if not structural and (best := choose_for_ridge(results, first.pivot)) is not None:
+        facts.append(
+            f"Best of the changes looked at: “{best[0].name}”, contraction {format_contraction(best[1])} on the "
+            f"{results.member} shown."
         )
-    return make_table("All parameters.", columns, rows)
+    others = tuple(ridge.sentence for ridge in ridges[1:])
+    more = f"{len(others)} more of this kind"
+    symbol = split_name(first.pivot)[0]
+    return Card(symbol, where, (kind, Cell(words, level)), first.sentence, tuple(facts), more, others)
+
+
+def _describe_ridges(results: AuditResults, ridges: list[Ridge]) -> list[str]:
+    """Return contractions of ridges and what they do to a pose, in sentences."""
+    facts, parts = [], []
+    if ridges[0].kind == "practical":
+        parts.append(f"Contraction {format_range([r.contraction for r in ridges], format_contraction)}")
+    drawn = [r.posterior_contraction for r in ridges if not math.isnan(r.posterior_contraction)]
+    if drawn:
+        parts.append(f"contraction of the draws {format_range(drawn, format_contraction)}")
+    if parts:
+        facts.append(f"{', '.join(parts)}.")
+    position, rotation = (max(getattr(r, key) for r in ridges) for key in ("position", "rotation"))
+    if position > 0.0 or rotation > 0.0:
+        moved = format_change(position, rotation, results.summary["units"])
+        of_all = f" (the largest of all {results.member}s)" if len(ridges) > 1 else ""
+        facts.append(f"The step above moves a pose anywhere in the workspace by at most {moved}{of_all}.")
+    judged = [ridge for ridge in ridges if not math.isnan(ridge.share)]
+    if judged:
+        worst = max(judged, key=lambda ridge: ridge.share)
+        most, limit = say_most(format_share(worst.share)), name_requirement(worst.limit)
+        facts.append(f"What remains unknown moves the predicted pose by {most} of the limit of {limit}.")
+    return facts
+
+
+# --- what to free ----------------------------------------------------------------------------------------------------
+
+
+def tabulate_sets(results: AuditResults) -> Table | None:
+    """Return what everything free and the reduced set claim and truly err by; None without a reduced set."""
+    if results.parameters["reduced_claimed_sd"].isna().all():
+        return None
+
+    def write_reduced(key: str, absent: str) -> Callable[[pd.DataFrame], str]:
+        def write(group: pd.DataFrame) -> str:
+            known = group[key].dropna()
+            return format_range(list(known), format_sd) if len(known) else absent or write_tolerance(group)
+
+        return write
+
+    def cover_reduced(group: pd.DataFrame) -> str | Cell:
+        coverage = group["reduced_coverage_90"].dropna()
+        return _judge_coverage(float(coverage.mean())) if len(coverage) else NOTHING
+
+    every, reduced = "Everything free", "Reduced set"
+    fields: list[Field] = [
+        *(*SYMBOL, TOLERANCE),
+        (Column("claims", "sd", every), _span("posterior_sd")),
+        (Column("errs by", "rms", every), _span("posterior_sd")),
+        (Column("covers", "of 90 %", every), lambda _: format_share(COVERAGE)),
+        (Column("claims", "sd", reduced), write_reduced("reduced_claimed_sd", "nominal")),
+        (Column("errs by", "rms", reduced), write_reduced("reduced_true_error", "")),
+        (Column("covers", "of 90 %", reduced), cover_reduced),
+    ]
+    note = (
+        "True errors where every parameter is off by its tolerance, to first order; of what the reduced set takes for "
+        "nominal the error is the tolerance. Simulated calibrations, where asked for, show the same beyond first order."
+    )
+    return _tabulate("What both sets claim, and what is true.", fields, _by_symbol(results.parameters), [note])
+
+
+def _judge_coverage(coverage: float) -> Cell:
+    return Cell(format_share(coverage), "plain" if coverage >= COVERED else "warning")
+
+
+def tabulate_selection(results: AuditResults) -> Table | None:
+    """Return the steps of the selection with the reason of each; None without any."""
+    steps = results.summary["selection"]
+    if not steps:
+        return None
+
+    def give_reason(step: dict[str, Any]) -> str:
+        least = format_contraction(step["contraction"])
+        if step["taken"]:
+            return f"all chosen parameters stay determined, the least at {least}"
+        return f"with it a chosen parameter would be known to a contraction of {least} only"
+
+    fields: list[Field] = [
+        (Column("Symbol", kind="symbol"), lambda step: step["symbol"]),
+        (Column("Learnt", "nat per parameter"), lambda step: write_two(step["nats"])),
+        (
+            Column("Least contraction", "of all chosen, with it"),
+            lambda step: format_contraction(step["contraction"]),
+        ),
+        (
+            Column("Decision", kind="text"),
+            lambda step: _mark("taken" if step["taken"] else "left out", step["taken"]),
+        ),
+        (Column("Reason", kind="text"), give_reason),
+    ]
+    notes = [
+        "The symbol that the measurements determine best, given what is already chosen, is taken next; it is "
+        f"taken where all chosen parameters stay at or above a contraction of {format_plain(INFORMED)}."
+    ]
+    if extra := results.summary["could_also_be_freed"]:
+        notes.append(f"On single ones it could hold more: {list_names(extra, results.member)}.")
+    caption = "How the reduced set is found: symbols in the order in which they are looked at."
+    return _tabulate(caption, fields, steps, notes)
 
 
 # --- requirements ----------------------------------------------------------------------------------------------------
 
 
 def tabulate_requirements(results: AuditResults) -> Table | None:
-    """Return how each requirement stands before and after the calibration; None without any."""
+    """Return how each requirement is met before and after the calibration; None without any."""
     if not results.requirements:
         return None
-    columns = [
-        Column("Requirement", kind="text"),
-        Column("Limit"),
-        Column("Unit", kind="text"),
-        Column("before", "", "Predicted sd"),
-        Column("after", "", "Predicted sd"),
-        Column("by geometry", "", "Predicted sd"),
-        Column("of limit", "", "Predicted sd"),
-        Column("reduced set", "", "Predicted sd"),
-        Column("before", "", "Probability to meet it"),
-        Column("after", "", "Probability to meet it"),
-        Column("reduced set", "", "Probability to meet it"),
-        Column("Met", kind="text"),
+    sd, chance, drawn = "Predicted sd", "Probability to meet it", read_drawn_probabilities(results)
+
+    def mark(r: Any) -> Cell:
+        return _mark("yes", True) if is_met(results, r) else _mark("not reliably", False, "bad")
+
+    fields: list[Field] = [
+        (Column("Requirement", kind="text"), lambda r: name_requirement(r.name)),
+        (Column("Limit"), lambda r: format_plain(r.limit)),
+        (Column("Unit", kind="text"), lambda r: name_unit(r.unit)),
+        (Column("before", "", sd), lambda r: format_sd(r.prior_sd)),
+        (Column("after", "", sd), lambda r: format_sd(r.predicted_sd)),
+        (Column("by geometry", "", sd), lambda r: format_sd(r.geometry_sd)),
+        (Column("of limit", "", sd), lambda r: format_share(r.predicted_sd / r.limit)),
+        (Column("reduced set", "", sd), lambda r: format_sd(r.reduced_sd)),
+        (Column("before", "", chance), lambda r: format_probability(r.prior_probability)),
+        (Column("after", "", chance), lambda r: format_probability(r.probability)),
+        (Column("reduced set", "", chance), lambda r: format_probability(r.reduced_probability)),
+        (Column("after, by draws", "", chance), lambda r: format_probability(drawn.get(r.name, math.nan))),
+        (Column("Met", kind="text"), mark),
     ]
-    drawn = read_drawn_probabilities(results)
-    if drawn:
-        columns.insert(-1, Column("after, by draws", "", "Probability to meet it"))
-    rows: list[list[str | Cell]] = []
-    for r in results.requirements:
-        kept = is_kept(results, r)
-        rows.append(
-            [
-                name_requirement(r.name),
-                format_plain(r.limit),
-                name_unit(r.unit),
-                format_sd(r.prior_sd),
-                format_sd(r.predicted_sd),
-                format_sd(r.geometry_sd),
-                format_share(r.predicted_sd / r.limit),
-                format_sd(r.reduced_sd),
-                format_probability(r.prior_probability),
-                format_probability(r.probability),
-                format_probability(r.reduced_probability),
-                *([format_probability(drawn.get(r.name, math.nan))] if drawn else []),
-                Cell("yes" if kept else "not reliably", "good" if kept else "bad", badge=True),
-            ]
-        )
+    if not drawn:
+        del fields[-2]
     note = (
         "Standard deviation: the largest anywhere in the workspace; probability: that no pose of the workspace exceeds "
-        f"the limit; met: with a probability of {format_plain(KEPT)} or more. Reduced set: it alone is "
+        f"the limit; met: with a probability of {format_plain(LIKELY)} or more. Reduced set: it alone is "
         "calibrated, the others are taken for nominal although they are off by their tolerances."
     )
-    return make_table("Requirements on the pose before and after the calibration.", columns, rows, [Statement(note)])
+    caption = "Requirements on the pose before and after the calibration."
+    return _tabulate(caption, fields, results.requirements, [note])
 
 
 # --- what would help -------------------------------------------------------------------------------------------------
 
 
-def name_change(change: Change) -> str:
-    """Return a change with a mark where the actuators do not reach that far or it cannot be."""
-    return f"{change.name}{' †' if change.beyond_range else ''}{' ‡' if not change.possible else ''}"
-
-
 def tabulate_changes(results: AuditResults) -> Table | None:
-    """Return what each change of the plan would tell; None without any."""
+    """Return what each change of the plan would determine, the plan itself first; None without any."""
     if not results.changes:
         return None
-    columns = [
-        Column("Change of the plan", kind="text"),
-        Column("Poses"),
-        Column("Learnt", "nat"),
-        Column("Determined", "parameters"),
-        *(Column(name_requirement(r.name), name_unit(r.unit), "Predicted sd") for r in results.requirements),
+    planned = Change(
+        "as it is" if results.is_measured else "as planned",
+        results.n_poses,
+        True,
+        False,
+        results.summary["total_nats"],
+        results.n_identifiable,
+        {},
+        {r.name: r.predicted_sd for r in results.requirements},
+    )
+
+    def write_sd(name: str) -> Callable[[Change], str]:
+        def write(change: Change) -> str:
+            value = change.requirements.get(name, math.nan)
+            return NOTHING if math.isnan(value) and change is not planned else format_sd(value)
+
+        return write
+
+    fields: list[Field] = [
+        (Column("Change of the plan", kind="text"), name_change),
+        (Column("Poses"), lambda change: str(change.n_poses)),
+        (Column("Learnt", "nat"), lambda change: format_fixed(change.nats, 1)),
+        (
+            Column("Determined", "parameters"),
+            lambda change: str(change.n_identifiable) if change.possible else NOTHING,
+        ),
+        *(
+            (Column(name_requirement(r.name), name_unit(r.unit), "Predicted sd"), write_sd(r.name))
+            for r in results.requirements
+        ),
+        (Column("Tightest", "of its limit"), lambda change: format_share(measure_worst(results, change))),
     ]
-    if results.requirements:
-        columns.append(Column("Tightest", "of its limit"))
-    rows = [_tabulate_plan(results), *(_tabulate_change(results, change) for change in results.changes)]
     notes = []
     if any(change.beyond_range for change in results.changes):
-        notes.append(Statement("† needs larger displacements than the actuators have."))
+        notes.append("† needs larger displacements than the actuators have.")
     if any(not change.possible for change in results.changes):
-        notes.append(Statement("‡ cannot be: the machine does not reach these poses."))
-    return make_table("Other plans, with the same requirements.", columns, rows, notes)
-
-
-def _tabulate_plan(results: AuditResults) -> list[str | Cell]:
-    row: list[str | Cell] = [
-        "as it is" if results.is_measured else "as planned",
-        str(results.n_poses),
-        format_fixed(results.summary["total_nats"], 1),
-        str(results.n_identifiable),
-        *(format_sd(r.predicted_sd) for r in results.requirements),
-    ]
-    if results.requirements:
-        row.append(format_share(max(r.predicted_sd / r.limit for r in results.requirements)))
-    return row
-
-
-def _tabulate_change(results: AuditResults, change: Change) -> list[str | Cell]:
-    values = [change.requirements.get(r.name, math.nan) for r in results.requirements]
-    row: list[str | Cell] = [
-        name_change(change),
-        str(change.n_poses),
-        format_fixed(change.nats, 1),
-        str(change.n_identifiable) if change.possible else NOTHING,
-        *(NOTHING if math.isnan(value) else format_sd(value) for value in values),
-    ]
-    if results.requirements:
-        row.append(format_share(measure_worst(results, change)))
-    return row
+        notes.append("‡ cannot be: the machine does not reach these poses.")
+    shown = fields if results.requirements else fields[:-1]
+    return _tabulate("Other plans, with the same requirements.", shown, [planned, *results.changes], notes, "wide")
 
 
 def tabulate_ridge_help(results: AuditResults) -> Table | None:
     """Return for each practical ridge the change that tells most of it; None without ridges or changes."""
-    rows: list[list[str | Cell]] = []
-    for ridge in (r for r in results.ridges if r.kind == "practical"):
-        best = choose_for_ridge(results, ridge.pivot)
-        if best is not None:
-            done = best[1] >= INFORMED
-            symbol, leg = split_name(ridge.pivot)
-            rows.append(
-                [
-                    symbol,
-                    str(leg) if leg else NOTHING,
-                    format_contraction(ridge.contraction),
-                    best[0].name,
-                    Cell(format_contraction(best[1])),
-                    Cell("determined" if done else "still not", "good" if done else "plain", badge=True),
-                ]
-            )
-    if not rows:
+    practical = [ridge for ridge in results.ridges if ridge.kind == "practical"]
+    found = [(ridge, best) for ridge in practical if (best := choose_for_ridge(results, ridge.pivot)) is not None]
+    if not found:
         return None
-    columns = [
-        Column("Ridge of", kind="symbol"),
-        Column(results.member.capitalize()),
-        Column("Contraction", "as planned"),
-        Column("Best change within the actuators' range", kind="text"),
-        Column("Contraction", "then"),
-        Column("", kind="text"),
+    fields: list[Field] = [
+        (Column("Ridge of", kind="symbol"), lambda one: split_name(one[0].pivot)[0]),
+        (Column(results.member.capitalize()), lambda one: str(split_name(one[0].pivot)[1] or NOTHING)),
+        (Column("Contraction", "as planned"), lambda one: format_contraction(one[0].contraction)),
+        (Column("Best change within the actuators' range", kind="text"), lambda one: one[1][0].name),
+        (Column("Contraction", "then"), lambda one: format_contraction(one[1][1])),
+        (
+            Column("", kind="text"),
+            lambda one: _mark("determined", True) if one[1][1] >= INFORMED else _mark("still not", False),
+        ),
     ]
-    return make_table("For each weak combination the change that determines it best.", columns, rows)
+    return _tabulate("For each weak combination the change that determines it best.", fields, found)
 
 
 # --- checks ----------------------------------------------------------------------------------------------------------
+
+
+def tabulate_profiles(results: AuditResults) -> Table | None:
+    """Return the 95 % intervals of the profiles and what moves along them; None without any."""
+    profiles = results.tables.get("profiles")
+    if profiles is None:
+        return None
+
+    def write_interval(key: str) -> Callable[[pd.DataFrame], str]:
+        def write(one: pd.DataFrame) -> str:
+            centre = float(one.sort_values("deviance_total")["value"].iloc[0])
+            low, high = span_profile(one, key)
+            return format_fixed_span(low - centre, high - centre)
+
+        return write
+
+    def split(one: pd.DataFrame) -> tuple[str, int]:
+        return split_name(str(one["parameter"].iloc[0]))
+
+    group = "95 % interval, from expected"
+    fields: list[Field] = [
+        (Column("Symbol", kind="symbol"), lambda one: split(one)[0]),
+        (Column("Leg"), lambda one: str(split(one)[1] or NOTHING)),
+        SYMBOL[1],
+        (Column("measurements alone", "", group), write_interval("deviance_data")),
+        (Column("with the tolerances", "", group), write_interval("deviance_total")),
+        (Column("Moves along", kind="text"), lambda one: _name_followers(results, one["parameter"].iloc[0])),
+    ]
+    note = "“open”: the deviance stays below 3.84 as far as it was computed."
+    items = [one for _, one in profiles.groupby("parameter", sort=False)]
+    return _tabulate("Profile likelihoods.", fields, items, [note])
+
+
+def _name_followers(results: AuditResults, name: str) -> str:
+    """Return the parameters that move most along a profile, in units of their tolerances."""
+    known = results.parameters
+    paths = results.tables.get("profile_paths", pd.DataFrame(columns=["parameter", "other"]))
+    rows = paths[(paths["parameter"] == name) & paths["other"].isin(list(known.index))]
+    if rows.empty:
+        return NOTHING
+    reach = rows.groupby("other")["other_value"].agg(lambda v: float(v.max() - v.min()))
+    share = (reach / known["prior_sd"].reindex(reach.index)).sort_values(ascending=False)
+    words = [
+        f"{other} by {format_sd(float(reach[other]))} {name_unit(str(known.loc[other, 'unit']))}".strip()
+        for other in share[share > 0.1].head(FOLLOWERS).index
+    ]
+    return join_words(words) if words else "nothing by a tenth of its tolerance"
 
 
 def tabulate_posterior(results: AuditResults) -> Table | None:
@@ -287,21 +445,75 @@ def tabulate_posterior(results: AuditResults) -> Table | None:
         return None
     drawn = pd.DataFrame.from_dict(posterior["parameters"], orient="index")
     frame = results.parameters.join(drawn[["sd"]].rename(columns={"sd": "drawn_sd"}), how="inner")
-    columns = [
-        Column("Symbol", kind="symbol"),
-        Column("Unit", kind="text"),
-        Column("Tolerance", "sd"),
-        Column("from information", "sd", "What remains"),
-        Column("from draws", "sd", "What remains"),
-        Column("Ratio", "draws to information"),
+    frame["ratio"] = frame["drawn_sd"] / frame["posterior_sd"]
+    fields: list[Field] = [
+        *(*SYMBOL, TOLERANCE),
+        (Column("from information", "sd", "What remains"), _span("posterior_sd")),
+        (Column("from draws", "sd", "What remains"), _span("drawn_sd")),
+        (Column("Ratio", "draws to information"), _span("ratio", write_two)),
     ]
-    rows = []
-    for symbol, group in frame.groupby("symbol", sort=False):
-        ratio = list(group["drawn_sd"] / group["posterior_sd"])
-        sds = [format_range(list(group[key]), format_sd) for key in ("prior_sd", "posterior_sd", "drawn_sd")]
-        rows.append([str(symbol), name_unit(str(group["unit"].iloc[0])), *sds, format_range(ratio, _two)])
-    return make_table("What remains unknown, from draws and from the information; ranges over legs.", columns, rows)
+    caption = "What remains unknown, from draws and from the information; ranges over legs."
+    return _tabulate(caption, fields, _by_symbol(frame))
 
 
-def _two(value: float) -> str:
-    return format_fixed(value, 2)
+def tabulate_simulated(results: AuditResults) -> list[Table]:
+    """Return predicted beside simulated standard deviations, a table for each set of free parameters."""
+    there = {what: results.summary.get(key) for key, what in SIMULATED.items()}
+    return [_tabulate_simulated(what, found) for what, found in there.items() if found is not None and found["symbols"]]
+
+
+def _tabulate_simulated(what: str, simulated: dict[str, Any]) -> Table:
+    def write_ratio(one: dict[str, Any]) -> Cell:
+        text = f"{format_fixed(one['ratio'], 3)} ± {format_fixed(one['ratio_se'], 3)}"
+        return Cell(text, "warning" if is_off(one["ratio"], one["ratio_se"]) else "plain")
+
+    fields: list[Field] = [
+        (Column("Symbol", kind="symbol"), lambda one: one["symbol"]),
+        (Column("Unit", kind="text"), lambda one: name_unit(one["unit"])),
+        (Column("Claimed", "sd"), lambda one: format_sd(one["claimed_sd"])),
+        (Column("Predicted", "rms error"), lambda one: format_sd(one["predicted_sd"])),
+        (Column("Simulated", "rms error"), lambda one: format_sd(one["simulated_sd"])),
+        (Column("Simulated by predicted", "± standard error"), write_ratio),
+        (Column("Covers", "of 90 %"), lambda one: _judge_coverage(one["coverage_90"])),
+    ]
+    made = f"{simulated['n_converged']} of {count(simulated['n'], 'calibration')} converged"
+    caption = f"Errors of simulated calibrations and their prediction, rms over legs; {what}; {made}."
+    notes = [
+        f"All together: 90 % intervals hold {format_share(simulated['coverage_90'])} of the true values, the errors "
+        f"are {format_significant(simulated['rms_z'], 3)} times what is claimed (rms)."
+    ]
+    kept = [
+        f"{name_requirement(name)} {one['kept']} of {one['n']} "
+        f"(expected {one['expected_low']} to {one['expected_high']})"
+        for name, one in simulated["requirements"].items()
+    ]
+    if kept:
+        notes.append(f"Requirements met: {join_words(kept)}.")
+    items = [{**one, "symbol": symbol} for symbol, one in simulated["symbols"].items()]
+    return _tabulate(caption, fields, items, notes)
+
+
+def tabulate_audit(results: AuditResults) -> Table:
+    """Return what was audited: units, rank, what is learnt, directions, workspace."""
+    summary, units = results.summary, results.summary["units"]
+    gap = summary.get("structural_gap")
+    rank = f"{summary['structural_rank']} of {summary['n_parameters']}"
+    clear = "clear" if summary["structural_rank_is_clear"] else "NOT clear"
+    where, workspace = "none stated", summary["plan"].get("workspace")
+    if isinstance(workspace, dict):
+        position, rotation = (
+            " × ".join(f"±{format_plain(float(value))}" for value in workspace.get(key, []))
+            for key in ("position_mm", "rotation_deg")
+        )
+        n_poses = count(int(workspace.get("poses", 0)), "pose")
+        where = f"{position} mm, {rotation} deg, {workspace.get('shape', '')}, {n_poses}"
+    directions = ", ".join(f"{summary[f'n_{kind}']} {kind}" for kind in ("structural", "practical", "informed"))
+    rows = [
+        ["Audit", summary["name"]],
+        ["Units of tolerances, results and requirements", f"{name_unit(units['length'])}, {name_unit(units['angle'])}"],
+        ["Structural rank", f"{rank}, {clear}{f', gap {format_sd(gap)}' if gap is not None else ''}"],
+        ["Learnt in all", f"{format_fixed(summary['total_nats'], 1)} nat"],
+        ["Directions", directions],
+        ["Workspace", where],
+    ]
+    return make_pairs("The audit.", rows)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 
+from bayescal.experiments.audit.page.results import Change
 from bayescal.report.numbers import (
     NOTHING,
     count_decimals,
@@ -27,6 +28,11 @@ def name_requirement(name: str) -> str:
     """Return a requirement in words: ``rotation_x`` is rotation about x."""
     axis = name.removeprefix("rotation_")
     return f"rotation about {axis}" if axis != name else DIRECTIONS.get(name, name)
+
+
+def name_change(change: Change) -> str:
+    """Return a change with a mark where the actuators do not reach that far or it cannot be."""
+    return f"{change.name}{' †' if change.beyond_range else ''}{' ‡' if not change.possible else ''}"
 
 
 def name_unit(unit: str) -> str:

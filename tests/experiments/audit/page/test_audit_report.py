@@ -16,14 +16,15 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from bayescal.errors import InputError
 from bayescal.experiments.audit.page.build import build_page
-from bayescal.experiments.audit.page.figures.profiles import span_profile
-from bayescal.experiments.audit.page.freedom import tabulate_sets, tabulate_simulated
+from bayescal.experiments.audit.page.figures import span_profile
 from bayescal.experiments.audit.page.results import AuditResults
-from bayescal.experiments.audit.page.ridges import build_ridges
 from bayescal.experiments.audit.page.tables import (
+    build_ridges,
     tabulate_changes,
     tabulate_requirements,
     tabulate_ridge_help,
+    tabulate_sets,
+    tabulate_simulated,
     tabulate_symbols,
 )
 from bayescal.experiments.audit.page.verdict import (
@@ -292,8 +293,8 @@ def test_a_requirement_at_risk_is_bad_news_and_names_its_cause(tmp_path, no_pict
 
 
 def test_help_is_ranked_by_nats_and_by_the_requirement_at_risk():
-    assert [one.change.name for one in rank_help(make())] == ["better camera", "twice the poses"]
-    assert rank_help(make(), beyond_range=True)[0].change.name == "longer strokes"
+    assert [one.name for one, _ in rank_help(make())] == ["better camera", "twice the poses"]
+    assert rank_help(make(), beyond_range=True)[0][0].name == "longer strokes"
     text = say(make())["What would help most"][1]
     assert text.startswith("“better camera”: 20 nat become 45, and 4 parameters are determined in place of 2.")
     assert "Next comes “twice the poses” (30 nat, 4 determined)." in text
@@ -305,7 +306,7 @@ def test_help_is_ranked_by_nats_and_by_the_requirement_at_risk():
         summary["what_if"][0]["requirements"]["x"] = 0.03
         summary["what_if"][1]["requirements"]["x"] = 0.05
 
-    assert [one.change.name for one in rank_help(make(change))] == ["twice the poses", "better camera"]
+    assert [one.name for one, _ in rank_help(make(change))] == ["twice the poses", "better camera"]
     text = say(make(change))["What would help most"][1]
     assert "The tightest requirement's standard deviation becomes 30 % of its limit." in text
     assert "ask for none" not in text

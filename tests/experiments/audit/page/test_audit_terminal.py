@@ -7,11 +7,13 @@ import re
 from made_up_audit import make_audit_results
 from rich.console import Console
 
+from bayescal.experiments.audit.page.build import build_page
 from bayescal.experiments.audit.terminal import show_audit
 
 
 def test_the_terminal_shows_verdict_symbols_and_requirements(capsys):
-    show_audit(make_audit_results(), Console(width=120))
+    results = make_audit_results()
+    show_audit(results, build_page(results), Console(width=120))
     text = capsys.readouterr().out
     assert max(map(len, text.splitlines())) <= 100
     flat = " ".join(text.split())
