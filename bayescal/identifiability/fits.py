@@ -15,9 +15,8 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from bayescal.errors import InputError
 from bayescal.identifiability.design import Knowledge, Plan
-from bayescal.identifiability.sensitivity import compute_sensitivity, root_of
+from bayescal.identifiability.sensitivity import compute_sensitivity
 from bayescal.machines.frames import N_FRAME_PARAMETERS, measured_pose_slopes, move_frames
 from bayescal.machines.models.base import Linearisation, newton_step
 from bayescal.numerics.geometry import (
@@ -176,17 +175,12 @@ class Fitter:
         self.expected = compute_sensitivity(knowledge, plan.actuators)
         self.seen = plan.information(self.expected.poses)
         self.redundant = plan.actuators.shape[-1] > DEGREES_OF_FREEDOM
-        noise = self.expected.closure_noise(plan)
-        self._whiten = None
+        self._whiten, pose_noise = None, None
         if self.redundant:
-            if plan.actuator_noise == 0.0 and plan.model_error == 0.0:
-                raise InputError("found no actuator noise and no model error, expected some where legs are redundant")
-            self._whiten = np.linalg.inv(np.linalg.cholesky(noise))
+            self._whiten = self.expected.whiten(plan)
             pose = self._whiten @ self.expected.by_pose
             pose_noise = np.linalg.inv(np.swapaxes(pose, -1, -2) @ pose)
-        else:
-            pose_noise = self.expected.pose_noise(plan)
-        self._root = root_of(np.linalg.solve(np.eye(DEGREES_OF_FREEDOM) + self.seen @ pose_noise, self.seen))
+        self._root = self.expected.root(plan, pose_noise)
         n_machine = knowledge.machine.layout.size
         self._of_machine = knowledge.free[knowledge.free < n_machine]
         self._of_frames = knowledge.free[knowledge.free >= n_machine] - n_machine
