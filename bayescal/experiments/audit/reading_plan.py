@@ -17,6 +17,7 @@ from bayescal.experiments.audit.schema import AuditConfig, PosesConfig, VariantC
 from bayescal.experiments.shared.readings.inputs import Variant
 from bayescal.experiments.shared.readings.knowledge import look_around
 from bayescal.experiments.shared.readings.knowledge_tables import name_data, name_place
+from bayescal.identifiability.calibration import Calibrations
 from bayescal.identifiability.directions import Direction
 from bayescal.identifiability.information import Information, information_of_rows
 from bayescal.identifiability.reading_rows import View, see
@@ -38,17 +39,6 @@ class Maker(Protocol):
 
     def plan(self, section: PosesConfig) -> PlannedPoses:
         """Return planned poses."""
-
-
-@dataclass(frozen=True, eq=False)
-class Simulated:
-    """Simulated calibrations; see `bayescal.identifiability.calibration.Calibrations`."""
-
-    names: tuple[str, ...]
-    errors: Array
-    claimed: Array
-    converged: np.ndarray
-    n_redrawn: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,7 +236,7 @@ class ReadingPlan(Planned):
 
     # --- checks ----------------------------------------------------------------------------------------------------
 
-    def simulate(self, n: int, rng: np.random.Generator, fitted: Sequence[int]) -> tuple[Simulated, np.ndarray]:
+    def simulate(self, n: int, rng: np.random.Generator, fitted: Sequence[int]) -> tuple[Calibrations, np.ndarray]:
         """Return n simulated calibrations of some parameters, and how many keep each requirement.
 
         Machines of the priors are read at the planned poses with noise and fitted, machine and poses together. What
@@ -271,7 +261,7 @@ class ReadingPlan(Planned):
                     claimed[k], converged[k] = np.sqrt(np.diagonal(covariance)), True
         errors = -y
         errors[:, chosen] += found
-        simulated = Simulated(
+        simulated = Calibrations(
             tuple(self.names[k] for k in chosen), errors[converged][:, chosen], claimed[converged], converged, redrawn
         )
         return simulated, self._count_kept(errors[converged], rng)
