@@ -64,7 +64,7 @@ def tabulate_variants(audit: AuditResults) -> Table:
     rows: list[list[str | Cell]] = []
     for row in list_rows(audit.tables.get("variants", pd.DataFrame())):
         found = (row.get(name) for name in ("share_of_limit", "probability"))
-        share, probability = (math.nan if value is None else float(value) for value in found)
+        share, probability = (math.nan if value in (None, "") else float(value) for value in found)
         left = format_percent(row["left"], 1) if math.isfinite(row["left"]) else NOTHING
         chosen = Cell("shown below", "good", badge=True) if row["variant"] == audit.best else Cell("")
         words = (str(row[name]) for name in ("title", "data", "n_parameters", "n_equations", "n_identifiable"))
