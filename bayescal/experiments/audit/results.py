@@ -211,7 +211,7 @@ def _plain(value: float) -> float | None:
 
 def _summarise_outcome(audit: Audit, outcome: ChangeEffect) -> dict[str, Any]:
     weak, names = [one.direction for one in audit.ridges if one.direction.kind == "practical"], audit.inputs.names
-    along = outcome.contraction_along(np.reshape([one.vector for one in weak], (-1, len(names))).T)
+    along = outcome.contraction_along(np.reshape([one.vector for one in weak], (-1, len(names))).T.copy())
     information = outcome.information
     return {
         "name": outcome.name,
