@@ -23,7 +23,7 @@ from bayescal.density.calibration.terms import Errors
 from bayescal.density.priors import NormalPrior
 from bayescal.errors import InputError, NumericalError, name_faults
 from bayescal.experiments.audit.audit import check_changes
-from bayescal.experiments.audit.planned import Planned, read_requirements
+from bayescal.experiments.audit.planned import FreeParameters, Planned, read_requirements
 from bayescal.experiments.audit.schema import AuditConfig, PosesConfig, VariantConfig, WhatIfConfig
 from bayescal.experiments.audit.sensor_sets import SensorChoice, list_choices
 from bayescal.experiments.shared.readings.inputs import Variant
@@ -200,26 +200,12 @@ class ChannelPlan(Planned):
     def _expected(self) -> Array:
         return np.zeros(self.posterior.n_parameters)
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the free parameters."""
-        return tuple(self.posterior.sampling.names)
-
-    @property
-    def parameter_units(self) -> tuple[str, ...]:
-        """Their inner units."""
-        return tuple(self.posterior.units)
-
-    @property
-    def sd(self) -> Array:
-        """Standard deviations of their priors, shape (n,)."""
-        return self.posterior.prior_sd
-
-    @property
-    def nominal(self) -> Array:
-        """Their values as expected, shape (n,)."""
-        sampling = self.posterior.sampling
-        return np.asarray(sampling.start[sampling.free])
+    @cached_property
+    def parameters(self) -> FreeParameters:
+        """The free parameters, nominal as expected."""
+        found = self.posterior.sampling
+        nominal = np.asarray(found.start[found.free])
+        return FreeParameters(tuple(found.names), tuple(self.posterior.units), self.posterior.prior_sd, nominal)
 
     @property
     def n_poses(self) -> int:
@@ -288,7 +274,7 @@ class ChannelPlan(Planned):
             directions,
             see(self.posterior, self._expected),
             self.names,
-            self.parameter_units,
+            self.parameters.units,
             self.sd,
             self.units,
             self.variant.model.member,

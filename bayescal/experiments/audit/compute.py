@@ -266,7 +266,7 @@ def _summarise_calibrations(audit: Audit, case: Case, simulated: Simulated) -> d
 def _summarise_symbol(audit: Audit, places: np.ndarray, part: np.ndarray, found: Comparison) -> dict[str, Any]:
     """Return what simulated calibrations say of a symbol's parameters: places among all, part among those fitted."""
     inputs, units = audit.inputs, audit.inputs.units
-    unit = inputs.parameter_units[places[0]]
+    unit = inputs.parameters.units[places[0]]
     scale = inputs.sd[places] / units.factor(unit)
     claimed, predicted, simulated = (
         float(np.sqrt(np.mean((value[part] * scale) ** 2))) for value in (found.claimed, found.predicted, found.found)

@@ -47,6 +47,7 @@ from bayescal.limits import INFORMED
 from bayescal.machines.frames import N_FRAME_PARAMETERS
 from bayescal.machines.kinematics import solve_forward_kinematics
 from bayescal.numerics.geometry import Array, compute_pose_error
+from bayescal.report.symbols import split_name
 
 EXPECTED = "Expected: the planned poses of the expected machine, without error"
 NEAR = 2.0  # a factor on the remaining variance within which a gap may stand in for the threshold
@@ -168,11 +169,6 @@ class LeftOut:
         """Return None: nothing is known."""
         del vector
 
-    def summary(self) -> dict[str, Any]:
-        """Return the reason for ``summary.json``."""
-        return {"left_out": self.reason}
-
-
 def audit_posterior(inputs: LegPlan, audit: Audit, run: Run) -> PosteriorLevel | LeftOut:
     """Return what draws of the posterior say, or why there are none."""
     if inputs.measured is not None:
@@ -251,13 +247,10 @@ def compare_spaces(information: Information, draws: Array) -> SpaceAngle | None:
         return None
     weak = vectors[:, ::-1][:, :cut]
     middle = len(draws) // 2
-    first, second = (_largest(part, cut) for part in (draws[:middle], draws[middle:]))
-    return SpaceAngle(
-        _angle(weak, _largest(draws, cut)),
-        _angle(first, second),
-        cut,
-        float(variances[::-1][cut - 1] / variances[::-1][cut]),
-    )
+    # the axes of largest variance of all draws and of both halves, shape (n, cut) each
+    every, *halves = (np.linalg.eigh(_covariance(one))[1][:, -cut:] for one in (draws, draws[:middle], draws[middle:]))
+    degrees, chance = (float(np.degrees(subspace_angles(*pair)[0])) for pair in ((weak, every), halves))
+    return SpaceAngle(degrees, chance, cut, float(variances[::-1][cut - 1] / variances[::-1][cut]))
 
 
 def _find_cut(variances: Array) -> int | None:
@@ -274,15 +267,6 @@ def _find_cut(variances: Array) -> int | None:
 
 def _covariance(draws: Array) -> Array:
     return np.atleast_2d(np.cov(draws, rowvar=False))
-
-
-def _largest(draws: Array, k: int) -> Array:
-    """Return the k axes of largest variance of draws (S, n), shape (n, k)."""
-    return np.asarray(np.linalg.eigh(_covariance(draws))[1][:, -k:])
-
-
-def _angle(first: Array, second: Array) -> float:
-    return float(np.degrees(subspace_angles(first, second)[0]))
 
 
 # --- requirements ------------------------------------------------------------------------------------------------
@@ -442,7 +426,9 @@ class _Plotter:
         knowledge, direction = self.knowledge, self.ridges[k]
         x = direction.pivot
         assert x is not None
-        y = self._find_partner(direction)
+        # the parameter that follows most, or, where none does, that the posterior ties to it most
+        others = np.abs(direction.vector if np.count_nonzero(direction.vector) > 1 else self.information.covariance[x])
+        y = int(np.argmax(np.where(np.arange(len(others)) == x, -1.0, others)))
         pair = np.array([x, y])
         names = [knowledge.names[i] for i in pair]
         units = [knowledge.units[i] for i in pair]
@@ -468,55 +454,33 @@ class _Plotter:
         x_unit, y_unit = (self.inputs.units.name(unit) for unit in units)
         return RidgePlot(names[0], names[1], x_unit, y_unit, formula, explanation, angle, points, curves)
 
-    def _find_partner(self, direction: Direction) -> int:
-        """Return the parameter that follows most, or, where none does, that the posterior ties to it most."""
-        others = np.abs(direction.vector).copy()
-        if np.count_nonzero(others) == 1:
-            others = np.abs(self.information.covariance[direction.pivot])
-        others[direction.pivot] = -1.0
-        return int(np.argmax(others))
-
     def _explain(self, direction: Direction, x: int, y: int) -> tuple[Law, Leg, float, Array] | None:
         """Return the law that a ridge follows, the leg, the angle between both, and the law's curve, (K, 2)."""
         knowledge = self.knowledge
-        (a, leg_a), (b, leg_b) = (split_name(knowledge.names[i]) for i in (x, y))
-        if leg_a is None or leg_a != leg_b or not direction.vector[y]:
-            return None
+        (a, number), (b, other) = (split_name(knowledge.names[i]) for i in (x, y))
         law = next((law for law in list_laws(knowledge.machine) if law.ties((a, b))), None)
-        if law is None:
+        if law is None or not number or number != other or not direction.vector[y]:
             return None
-        own = direction.vector * knowledge.sd / direction.vector[x]
-        moves = {symbol: float(own[i]) for symbol, i in self._free_of(leg_a).items()}
+        own, leg = direction.vector * knowledge.sd / direction.vector[x], self.legs[number - 1]
+        split = {i: split_name(name) for i, name in enumerate(knowledge.names)}
+        free = {symbol: i for i, (symbol, place) in split.items() if place == number}
+        moves = {symbol: float(own[i]) for symbol, i in free.items()}
         tolerances = (float(knowledge.sd[x]), float(knowledge.sd[y]))
-        leg = self.legs[leg_a]
-        line = LevelLine(law, leg, self._values(leg_a, self.mean), moves, (a, b), tolerances)
-        tangent = line.tangent({symbol: float(knowledge.sd[i]) for symbol, i in self._free_of(leg_a).items()})
+        line = LevelLine(law, leg, self._values(number, self.mean), moves, (a, b), tolerances)
+        tangent = line.tangent({symbol: float(knowledge.sd[i]) for symbol, i in free.items()})
         angle = 90.0 if tangent is None else angle_between(tangent, direction.vector[[x, y]])
         if not angle <= AGREES:
             return None
-        return law, leg, angle, line.trace(self._find_level(law, leg_a))
-
-    def _find_level(self, law: Law, leg: int) -> float:
-        """Return the mean of an invariant over the draws, which is not that of the mean where a ridge bends."""
+        # the mean of the invariant over the draws is not that of the mean where a ridge bends
         draws = self.samples.get("posterior", self.mean[None])
-        return float(np.mean([law.invariant(self.legs[leg], self._values(leg, values)) for values in draws]))
-
-    def _free_of(self, leg: int) -> dict[str, int]:
-        """Return the free parameters of a leg by symbol."""
-        split = [split_name(name) for name in self.knowledge.names]
-        return {symbol: i for i, (symbol, own) in enumerate(split) if own == leg}
+        level = float(np.mean([law.invariant(leg, self._values(number, values)) for values in draws]))
+        return law, leg, angle, line.trace(level)
 
     def _values(self, leg: int, values: Array) -> dict[str, float]:
-        """Return all parameters of a leg by symbol, from those that are free (n,)."""
+        """Return all parameters of a leg, counted from one, by symbol, from those that are free (n,)."""
         knowledge = self.knowledge
         theta = knowledge.centre.copy()
         theta[knowledge.free] = values
         blocks = knowledge.machine.layout.blocks
         index = knowledge.layout.index
-        return {block.symbol: float(theta[index[block.symbol][leg]]) for block in blocks if block.per_leg}
-
-
-def split_name(name: str) -> tuple[str, int | None]:
-    """Return a parameter's symbol and its leg, counted from zero; None where it belongs to no leg."""
-    symbol, _, leg = name.partition("[")
-    return symbol, int(leg[:-1]) - 1 if leg else None
+        return {block.symbol: float(theta[index[block.symbol][leg - 1]]) for block in blocks if block.per_leg}

@@ -24,7 +24,7 @@ from bayescal.data.actuators import read_moves
 from bayescal.density.legs import LegPosterior, find_function_of_pose
 from bayescal.density.model_error import build_kernel
 from bayescal.errors import InputError
-from bayescal.experiments.audit.planned import Planned, read_requirements
+from bayescal.experiments.audit.planned import FreeParameters, Planned, read_requirements
 from bayescal.experiments.audit.schema import (
     NOT_STRUCTURED,
     AuditConfig,
@@ -98,6 +98,7 @@ FAR = 2.0
 """How many half ranges of its readings a lever is long, from which on it is worth saying."""
 SHARE = 0.05
 """Of a ridge, from which on a parameter takes part in it."""
+PLACES = tuple(f"a_{axis}" for axis in AXES)
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,24 +156,10 @@ class LegPlan(Planned):
     measured: Measured | None = None
 
     @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the free parameters."""
-        return self.knowledge.names
-
-    @property
-    def parameter_units(self) -> tuple[str, ...]:
-        """Their inner units."""
-        return self.knowledge.units
-
-    @property
-    def sd(self) -> Array:
-        """Standard deviations of their priors, shape (n,)."""
-        return self.knowledge.sd
-
-    @property
-    def nominal(self) -> Array:
-        """Their nominal values, shape (n,)."""
-        return np.asarray(self.knowledge.layout.nominal[self.knowledge.free])
+    def parameters(self) -> FreeParameters:
+        """The free parameters."""
+        known = self.knowledge
+        return FreeParameters(known.names, known.units, known.sd, np.asarray(known.layout.nominal[known.free]))
 
     @property
     def frames(self) -> frozenset[str]:
@@ -269,10 +256,12 @@ class LegPlan(Planned):
         if chart is None or knowledge.machine.mechanism.drive != "base":
             return {}
         middle, half = actuators.mean(axis=0), 0.5 * np.ptp(actuators, axis=0)
-        tied: set[int] = set()
-        for ridge in ridges:
-            tied |= _find_tied(knowledge, ridge.direction.vector, chart.symbols)
-        legs = sorted(leg for leg in tied if abs(middle[leg]) > FAR * half[leg])
+        names, legs = np.array(knowledge.names), []
+        strong = [set(names[one.direction.vector**2 >= SHARE].tolist()) for one in ridges]
+        for leg in np.flatnonzero(np.abs(middle) > FAR * half).tolist():
+            turns, moves = ({f"{one}[{leg + 1}]" for one in some} for some in (chart.symbols, PLACES))
+            if any(turns & one and moves & one for one in strong):
+                legs.append(leg)
         if not legs:
             return {}
         far = max(legs, key=lambda leg: abs(middle[leg]))
@@ -345,17 +334,6 @@ class LegPlan(Planned):
     def average(self, n: int, rng: np.random.Generator) -> Array:
         """Return the posterior covariance averaged over n machines of the priors, in units of the tolerances."""
         return expected_covariance(self.knowledge, self.plan, n, rng)
-
-
-def _find_tied(knowledge: Knowledge, vector: Array, symbols: tuple[str, str]) -> set[int]:
-    """Return the legs, from zero, of which both a component of the place and one of the direction are in a ridge."""
-    strong = {knowledge.names[k] for k in np.flatnonzero(vector**2 >= SHARE)}
-    return {
-        leg
-        for leg in range(knowledge.machine.mechanism.n_legs)
-        if any(f"{symbol}[{leg + 1}]" in strong for symbol in symbols)
-        and any(f"a_{axis}[{leg + 1}]" in strong for axis in AXES)
-    }
 
 
 def select_i_optimal(inputs: LegPlan, n: int | None = None, n_candidates: int = N_CANDIDATES) -> Selection:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -18,6 +18,15 @@ from bayescal.identifiability.ridges import Ridge
 from bayescal.identifiability.structure import Structure
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import Units
+
+
+class FreeParameters(NamedTuple):
+    """Names, inner units, standard deviations of the priors and nominal values of n parameters, (n,) each."""
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    sd: Array
+    nominal: Array
 
 
 class Planned(ABC):
@@ -39,23 +48,18 @@ class Planned(ABC):
 
     @property
     @abstractmethod
+    def parameters(self) -> FreeParameters:
+        """The free parameters."""
+
+    @property
     def names(self) -> tuple[str, ...]:
-        """Names of the free parameters."""
+        """Their names."""
+        return self.parameters.names
 
     @property
-    @abstractmethod
-    def parameter_units(self) -> tuple[str, ...]:
-        """Their inner units."""
-
-    @property
-    @abstractmethod
     def sd(self) -> Array:
         """Standard deviations of their priors, shape (n,)."""
-
-    @property
-    @abstractmethod
-    def nominal(self) -> Array:
-        """Their nominal values, shape (n,)."""
+        return self.parameters.sd
 
     @property
     def symbols(self) -> tuple[str, ...]:

@@ -61,16 +61,16 @@ def summarise(audit: Audit) -> dict[str, Any]:
 def summarise_parameters(audit: Audit) -> dict[str, Any]:
     """Return what is known of each parameter before and after the calibration."""
     inputs, analysis = audit.inputs, audit.analysis
-    covariance, nominal = analysis.information.covariance, inputs.nominal
+    covariance, nominal = analysis.information.covariance, inputs.parameters.nominal
     reduced = analysis.reduced
     places = {} if reduced is None else {int(k): place for place, k in enumerate(reduced.free)}
     nats = nats_from_contraction(analysis.information.contraction)
     result = {}
     for k, name in enumerate(inputs.names):
-        factor = inputs.units.factor(inputs.parameter_units[k])
+        factor = inputs.units.factor(inputs.parameters.units[k])
         prior, contraction = inputs.sd[k] / factor, float(analysis.information.contraction[k])
         result[name] = {
-            "unit": inputs.units.name(inputs.parameter_units[k]),
+            "unit": inputs.units.name(inputs.parameters.units[k]),
             "nominal": float(nominal[k] / factor),
             "prior_sd": float(prior),
             "posterior_sd": float(prior * np.sqrt(covariance[k, k])),
@@ -130,7 +130,7 @@ def explain(audit: Audit, k: int) -> str:
 def _summarise_direction(audit: Audit, direction: Direction, ridge: Ridge | None) -> dict[str, Any]:
     inputs, units = audit.inputs, audit.inputs.units
     used = [int(i) for i in np.argsort(-np.abs(direction.vector)) if direction.vector[i]]
-    factors = {i: units.factor(inputs.parameter_units[i]) for i in used}
+    factors = {i: units.factor(inputs.parameters.units[i]) for i in used}
     names = {i: inputs.names[i] for i in used}
     result: dict[str, Any] = {
         "kind": direction.kind,
