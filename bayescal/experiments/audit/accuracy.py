@@ -19,8 +19,15 @@ from bayescal.experiments.audit.channels import ChannelPlan
 from bayescal.experiments.audit.schema import AuditConfig
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.shared.readings.inputs import Variant
-from bayescal.experiments.shared.readings.knowledge import Knowledge, assess, look, look_around, weigh
-from bayescal.experiments.shared.readings.knowledge_tables import list_next, tabulate_accuracy
+from bayescal.experiments.shared.readings.knowledge import (
+    Knowledge,
+    assess,
+    list_next,
+    look,
+    look_around,
+    tabulate_accuracy,
+    weigh,
+)
 from bayescal.identifiability.reading_rows import rms
 from bayescal.numerics.geometry import Array
 from bayescal.pose_selection.next_pose import add_poses, compute_gains, learn_in_turn

@@ -28,8 +28,7 @@ from bayescal.experiments.audit.schema import AuditConfig, PosesConfig, VariantC
 from bayescal.experiments.audit.sensor_sets import SensorChoice, list_choices
 from bayescal.experiments.shared.readings.inputs import Variant
 from bayescal.experiments.shared.readings.instruments import read_instruments, read_model
-from bayescal.experiments.shared.readings.knowledge import look_around
-from bayescal.experiments.shared.readings.knowledge_tables import name_data, name_place
+from bayescal.experiments.shared.readings.knowledge import look_around, name_data, name_place
 from bayescal.experiments.shared.readings.noise import noise_of_channels
 from bayescal.experiments.shared.readings.priors import choose_priors
 from bayescal.experiments.shared.readings.schema import ChannelConfig, FreeConfig

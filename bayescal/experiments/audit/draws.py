@@ -169,6 +169,7 @@ class LeftOut:
         """Return None: nothing is known."""
         del vector
 
+
 def audit_posterior(inputs: LegPlan, audit: Audit, run: Run) -> PosteriorLevel | LeftOut:
     """Return what draws of the posterior say, or why there are none."""
     if inputs.measured is not None:

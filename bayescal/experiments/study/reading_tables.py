@@ -13,8 +13,8 @@ from scipy.stats import chi2
 from bayescal.experiments.shared.function_errors import tabulate_functions
 from bayescal.experiments.shared.reading_fit import ReadingFit
 from bayescal.experiments.shared.readings.inputs import ReadingInputs, Variant
-from bayescal.experiments.shared.readings.knowledge import Knowledge
-from bayescal.experiments.shared.readings.knowledge_tables import (
+from bayescal.experiments.shared.readings.knowledge import (
+    Knowledge,
     list_next,
     list_ridges,
     name_data,

@@ -12,7 +12,7 @@ import pandas as pd
 from bayescal.config.classes import label_class
 from bayescal.density.prediction import Prediction, compute_elpd, compute_joint_elpd
 from bayescal.experiments.shared.estimate import Fit
-from bayescal.experiments.shared.readings.knowledge_tables import plain
+from bayescal.experiments.shared.readings.knowledge import plain
 from bayescal.experiments.shared.stacking import tabulate_comparison
 from bayescal.experiments.shared.variant_tables import FREE, ZERO, describe_fit
 from bayescal.experiments.study.fit import Task, read_prediction
