@@ -93,7 +93,7 @@ def write_poses(folder: Path, n_legs: int, n_poses: int) -> None:
     """Simulate actuators and poses of a machine that is off by its tolerances."""
     from scipy.spatial.transform import Rotation
 
-    from bayescal.machines.deformations.none import NoDeformation
+    from bayescal.machines.deformations import NoDeformation
     from bayescal.machines.kinematics import Machine, solve_forward_kinematics
     from bayescal.machines.models.six_ups import SixUps
     from bayescal.machines.read import load_mechanism

@@ -28,10 +28,10 @@ import numpy as np
 from scipy.special import logsumexp
 
 from bayescal.data.measured_poses import MeasuredPoses
-from bayescal.density.batches import BATCH
+from bayescal.density.legs import BATCH
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.errors import KernelLength, KernelScale
-from bayescal.density.model_error import build_kernel
+from bayescal.density.priors import build_kernel
 from bayescal.density.errors import ModelError
 from bayescal.density.legs import LegPosterior, build_leg_posterior
 from bayescal.density.priors import LogNormalPrior, NormalPrior

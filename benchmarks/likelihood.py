@@ -26,7 +26,7 @@ import numpy as np
 
 from bayescal.numerics.geometry import Array
 from bayescal.machines.kinematics import Machine, solve_forward_kinematics
-from bayescal.density.batches import BATCH
+from bayescal.density.legs import BATCH
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.machines.models import MODELS
 

@@ -32,16 +32,16 @@ import numpy as np
 
 from bayescal.data.photogrammetry.poses import extract_poses
 from bayescal.experiments.simulation.twin import Twin, build_twin, simulate_survey
-from bayescal.density.batches import BATCH
+from bayescal.density.legs import BATCH
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.errors import KernelScale
-from bayescal.density.model_error import SCALE, LinearKernel, SmoothKernel
+from bayescal.density.priors import SCALE, LinearKernel, SmoothKernel
 from bayescal.density.errors import ModelError
 from bayescal.density.legs import LegPosterior, build_leg_posterior
 from bayescal.density.prediction import replicate
 from bayescal.density.schema import BlundersConfig, NormalConfig
 from bayescal.density.structured import StructuredLikelihood
-from bayescal.density.structured_prediction import predict_structured
+from bayescal.density.prediction import predict_structured
 from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.measurement import TargetMeasurement

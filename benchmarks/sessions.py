@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from bayescal.density.sessions.model import DAYS_IN_MONTH, Drift, Part, SessionModel, walk_loadings
+from bayescal.density.sessions import DAYS_IN_MONTH, Drift, Part, SessionModel, walk_loadings
 from bayescal.experiments.check.inputs import Subject
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.sessions.compute import SessionFit, fit_sessions

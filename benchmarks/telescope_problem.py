@@ -28,7 +28,7 @@ from bayescal.density.legs import LegPosterior, build_leg_posterior  # noqa: E40
 from bayescal.density.pose_likelihood import PoseLikelihood  # noqa: E402
 from bayescal.density.priors import NormalPrior  # noqa: E402
 from bayescal.files.csv_tables import read_matrix  # noqa: E402
-from bayescal.machines.deformations.matrix import MatrixDeformation  # noqa: E402
+from bayescal.machines.deformations import MatrixDeformation  # noqa: E402
 from bayescal.machines.kinematics import Machine, solve_forward_kinematics  # noqa: E402
 from bayescal.machines.models.six_pus import SixPus  # noqa: E402
 from bayescal.machines.read import load_mechanism  # noqa: E402

@@ -20,7 +20,7 @@ from bayescal.experiments.study.fit import build_costly
 from bayescal.inference.correction import correct_evidence
 from bayescal.inference.exploration import explore
 from bayescal.inference.importance import resample
-from bayescal.machines.deformations.matrix import MatrixDeformation
+from bayescal.machines.deformations import MatrixDeformation
 from bayescal.machines.kinematics import Machine, solve_forward_kinematics
 from bayescal.numerics.geometry import matrix_from_rotation_vector
 

@@ -9,8 +9,8 @@ import studies
 
 from bayescal.machines.read import read_reading_model
 from bayescal.machines.readings import FunctionModel
-from bayescal.machines.readings.schema import SlidingPlatformConfig
 from bayescal.machines.readings.sliding_platform import SlidingPlatform, matrix_of_angle
+from bayescal.machines.schema import SlidingPlatformConfig
 
 STAR = studies.EXPERIMENTS / "sliding_star"
 SETS = {4: ("s",), 8: ("s", "phi"), 12: ("s", "phi", "psi")}

@@ -20,8 +20,7 @@ from bayescal.calibrated.machine import CalibratedMachine
 from bayescal.density.calibration.measurements import Comparison
 from bayescal.errors import InputError
 from bayescal.machines.readings import Channel
-from bayescal.machines.readings.base import NOTHING, Given
-from bayescal.machines.readings.locate import Function, solve
+from bayescal.machines.readings.base import NOTHING, Function, Given, solve
 from bayescal.numerics.geometry import Array, matrix_from_rotation_vector
 
 SPREAD_DRAWS = 300

@@ -16,8 +16,7 @@ import numpy as np
 from bayescal.calibrated.machine import CalibratedMachine
 from bayescal.calibrated.predict import Command, PosePrediction, is_pose
 from bayescal.data.actuators import check_range
-from bayescal.data.instruments.rotations import OTHER_COLUMNS, VECTOR, read_rotation_vectors
-from bayescal.data.instruments.tables import name_covariances
+from bayescal.data.instruments.read_poses import OTHER_COLUMNS, VECTOR, name_covariances, read_rotation_vectors
 from bayescal.errors import InputError, name_faults
 from bayescal.files.csv_tables import Table, format_table, read_table
 from bayescal.machines.readings import Channel, Coordinate, Legs

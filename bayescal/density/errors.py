@@ -15,9 +15,8 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from bayescal.density.calibration.terms import Errors, ErrorTerm
-from bayescal.density.model_error import LENGTH, SCALE, KernelScalePrior
 from bayescal.density.outliers import NORMAL, Outliers
-from bayescal.density.priors import HalfNormalPrior, LogNormalPrior, Prior
+from bayescal.density.priors import LENGTH, SCALE, HalfNormalPrior, KernelScalePrior, LogNormalPrior, Prior
 from bayescal.numerics.geometry import Array
 
 TAU = "tau"
@@ -74,7 +73,7 @@ NO_MODEL_ERROR = ModelError(None)
 
 @dataclass(frozen=True)
 class KernelScale:
-    """The scale s of an error that is a function of the pose (`bayescal.density.model_error`), of each leg or of all.
+    """The scale s of an error that is a function of the pose (`bayescal.density.priors`), of each leg or of all.
 
     How large it is in directions that the geometry imitates cannot be learnt from those that it does not: the scale is
     a tolerance, stated by whoever knows the machine, within a factor exp(spread). Whether there is such an error at all

@@ -14,7 +14,7 @@ the log-determinant of AᵀA stands for the latter, and r_n holds the closure of
 k ~ N(0, S) are errors that all poses have in common: T_n k is what an uncertain deformation matrix K leaves of the
 deflections, whose variance alone, pose by pose, is v. Where K was measured in the same photographs as the poses, its
 error depends on theirs, cov(k, e_n) = Γ_n: a platform that seems to stand too high has joints that seem to hang too
-low. A model error that is a function of the pose (`bayescal.density.model_error`) is L_n g_n, with g = F c over the
+low. A model error that is a function of the pose (`bayescal.density.priors`) is L_n g_n, with g = F c over the
 poses, F Fᵀ the kernel's matrix and c_ri ~ N(0, s_i²). All this makes a covariance of low rank beside that of s; of Q
 common errors only a matrix of Q or 2 Q rows is factorised (Woodbury). On the telescope common errors are worth 3.9 nats
 of the evidence of its best variants.

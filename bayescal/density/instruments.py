@@ -18,10 +18,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from bayescal.data.instruments.base import Instrument
+from bayescal.data.instruments.readings import Instrument
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.density.elimination import whiten_covariance
-from bayescal.density.likelihood import Likelihood
+from bayescal.density.legs import Likelihood
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.errors import InputError
 from bayescal.machines.frames import frame_blocks, measured_pose_slopes, move_frames

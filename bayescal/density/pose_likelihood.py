@@ -24,8 +24,7 @@ from typing import Self
 import numpy as np
 
 from bayescal.data.measured_poses import MeasuredPoses
-from bayescal.density.batches import POSES, batches
-from bayescal.density.likelihood import Likelihood
+from bayescal.density.legs import POSES, Likelihood, batches
 from bayescal.density.low_rank import FEWEST_LEGS, factor_by_columns, find_low_rank
 from bayescal.errors import InputError
 from bayescal.machines.kinematics import Machine, solve_forward_kinematics

@@ -7,8 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from bayescal.config.sections import PerLeg, Positive, PositivePerLeg, Section
-from bayescal.density.model_error import INDEPENDENT, LENGTHY, KernelName
-from bayescal.density.priors import LogNormalPrior
+from bayescal.density.priors import INDEPENDENT, LENGTHY, KernelName, LogNormalPrior
 
 
 class NormalConfig(Section):

@@ -2,7 +2,7 @@
 
 In the directions of the legs the errors of P poses are
 
-    r_n = noise_n + δ_n + g(z_n),    g_i ~ GP(0, s_i² k)    (`bayescal.density.model_error`).
+    r_n = noise_n + δ_n + g(z_n),    g_i ~ GP(0, s_i² k)    (`bayescal.density.priors`).
 
 Poses that are measured alike have one covariance C of noise and τ. Then the eigenvectors U of the kernel's matrix over
 the poses, K = U diag(λ) Uᵀ, take the P poses to P combinations of poses that are independent of each other,
@@ -32,13 +32,10 @@ import numpy as np
 from scipy.linalg import eigh
 
 from bayescal.data.measured_poses import MeasuredPoses
-from bayescal.density.batches import batches
-from bayescal.density.likelihood import Likelihood
-from bayescal.density.local import Local, root_of
+from bayescal.density.legs import Likelihood, Local, batches, root_of
 from bayescal.density.low_rank import factor_by_columns
-from bayescal.density.model_error import Kernel, build_kernel
 from bayescal.density.pose_likelihood import PoseLikelihood
-from bayescal.density.priors import LogNormalPrior
+from bayescal.density.priors import Kernel, LogNormalPrior, build_kernel
 from bayescal.errors import InputError
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.scratch import Scratch

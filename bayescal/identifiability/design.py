@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import ndtri
 from scipy.stats import qmc
 
-from bayescal.density.model_error import Kernel
+from bayescal.density.priors import Kernel
 from bayescal.errors import InputError
 from bayescal.machines.frames import FRAME_BLOCKS
 from bayescal.machines.kinematics import ForwardKinematics, Machine, solve_forward_kinematics, solve_inverse_kinematics

@@ -22,9 +22,9 @@ import numpy as np
 from bayescal.identifiability.design import Knowledge, Plan
 from bayescal.identifiability.directions import Direction
 from bayescal.identifiability.sensitivity import compute_measured_poses, compute_sensitivity
-from bayescal.machines.directions import Rows
 from bayescal.machines.kinematics import Machine, solve_forward_kinematics
 from bayescal.machines.models.legs import compute_leg_vectors
+from bayescal.machines.parameters import Rows
 from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array, compute_pose_error
 from bayescal.numerics.units import Units
 

@@ -9,7 +9,7 @@ any sensor. With D as weight both parts are independent:
 
 with M what the sensors tell of the pose. It holds for a singular M too, where they see only a part of it.
 
-Legs may besides err by a function of the pose, the same at every pose near another (`bayescal.density.model_error`). It
+Legs may besides err by a function of the pose, the same at every pose near another (`bayescal.density.priors`). It
 is g = F c over the planned poses, F Fᵀ the kernel's matrix and the coefficients c of each leg N(0, s²): parameters with
 a prior like any other, that nobody asks for.
 """

@@ -1,7 +1,7 @@
 """Coordinates in which the ridges of the posterior are straight, so that simple proposals follow them.
 
 Two shears of unit Jacobian take the curvature of the unit sphere, on which u has two components t1 and t2 and a third
-that follows (see `directions`), out of the ridges:
+that follows (see `parameters`), out of the ridges:
 
 - in place of the attachment point a, the joint at the initial actuator position, c = a + ρ^0 u, which is what the poses
   determine;
@@ -9,29 +9,36 @@ that follows (see `directions`), out of the ridges:
   direction (RR-8096 eqs. 38 to 40), which is what κ and u together can tell. Along a level leg κ does nothing.
 
 Where κ is not free, both components of a direction are replaced by its gain and its azimuth about the leg, in the local
-frame of u: by linear functions of these where a normal prior allows but a short arc of the circle (`circles`),
-otherwise by quantiles of the prior along it (`rings`).
+frame of u: by linear functions of these where a normal prior allows but a short arc of the circle, otherwise by
+quantiles of the prior along it (see `rings`).
 Struts have neither u nor ρ^0, and ridges that are straight as they stand.
 
 Every coordinate is then scaled by the prior's standard deviation. A parameter between bounds is not sheared; its
-coordinate y is standard normal under the uniform prior, θ = lower + (upper - lower) Φ(y), so that no climb and no
-walker runs into a wall.
+coordinate y is standard normal under the uniform prior, θ = lower + (upper - lower) Φ(y), so that no search and
+no walker meets a bound.
+
+`ClosingCoordinates` are for legs whose joints are hardly known. Measured poses determine the mean closure of a leg to a
+fraction of a micrometre, its joints perhaps to a millimetre only: where the model error may be a function of the pose.
+The length that closes the leg is no linear function of where the joints are, and a millimetre squared over the leg is
+micrometres. In place of the length l stands what it is beyond the length that closes the leg at a reference pose; as a
+shear along l this has unit Jacobian.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from math import prod
+from typing import Self
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 from scipy.special import ndtr, ndtri
 
-from bayescal.machines.circles import DirectionCircles, find_circles, frame_circles
+from bayescal.machines.kinematics import Machine
 from bayescal.machines.models.legs import actuator_directions, chart_of, local_directions
 from bayescal.machines.parameters import ParameterLayout
-from bayescal.machines.rings import DirectionRing
-from bayescal.machines.shears import Shears
+from bayescal.machines.rings import DirectionCircles, DirectionRing, find_circles, frame_circles
 from bayescal.numerics.geometry import Array
 
 WIDEST = 3.0  # prior sds, in units of the sine between direction and leg, beyond which a circle is lost in the prior
@@ -316,7 +323,7 @@ def mirror_direction(
 ) -> Array | None:
     """Return θ with one leg's actuator turned to the other direction of the same gain, its home joint kept in place.
 
-    With one component of u free, the actuator turns in the plane of e1 or e2 and the pole (see `directions`). The gain
+    With one component of u free, the actuator turns in the plane of e1 or e2 and the pole (see `parameters`). The gain
     along the leg is even about the leg's line in that plane. Only the free ones of the attachment point's coordinates
     follow. None where the other direction is further from the pole than the components tell.
 
@@ -354,3 +361,198 @@ def line_slope(layout: ParameterLayout, leg: int, component: int, line: Array) -
     local = chart_of(layout).to_local(np.broadcast_to(line, (len(layout.index["l"]), 3)))[leg]
     with np.errstate(divide="ignore", invalid="ignore"):
         return float(np.nan_to_num(local[component] / local[2], nan=0.0, posinf=np.inf, neginf=-np.inf))
+
+
+JOINT = ("a_x", "a_y", "a_z")
+
+
+@dataclass(frozen=True, eq=False)
+class Shears:
+    """What is added to parameters that are counted from what a direction does to them, for batches.
+
+    Attributes
+    ----------
+    layout : ParameterLayout
+        With actuators that have directions.
+    mask : ndarray of bool, shape (D,)
+        Parameters that may follow.
+    legs : ndarray, shape (N, 3)
+        The nominal legs' lines; κ follows along those that are not level.
+    along_leg : ndarray, shape (N, 3)
+        Which parts of its joint the length of a leg follows.
+    """
+
+    layout: ParameterLayout
+    mask: np.ndarray
+    legs: Array
+    along_leg: Array
+
+    @cached_property
+    def _joints(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Rows of the attachment points that follow, and the axis and leg of each, shapes (K,)."""
+        rows = np.stack([self.layout.index[symbol] for symbol in JOINT])
+        axis, leg = np.nonzero(self.mask[rows])
+        return rows[axis, leg], axis, leg
+
+    def _choose(self, symbol: str, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the rows of a symbol that follow, and their legs; none where there is no such symbol."""
+        rows = self.layout.index.get(symbol)
+        if rows is None:
+            return np.empty(0, dtype=int), np.empty(0, dtype=int)
+        legs = np.flatnonzero(which & self.mask[rows])
+        return rows[legs], legs
+
+    @cached_property
+    def _gains(self) -> tuple[np.ndarray, np.ndarray]:
+        return self._choose("kappa", self.legs[:, 2] == 1.0)
+
+    @cached_property
+    def _lengths(self) -> tuple[np.ndarray, np.ndarray]:
+        return self._choose("l", self.along_leg.any(axis=1))
+
+    @cached_property
+    def _turns(self) -> np.ndarray:
+        """Where the two components of the directions stand, shape (2, N)."""
+        return np.stack([self.layout.index[symbol] for symbol in self.layout.direction_symbols])
+
+    def apply(self, parameters: Array, sign: float) -> None:
+        """Add the shears to parameters (D, B) in place, times a sign; NaN where there are no directions."""
+        (joints, axis, leg), (gains, rising), (lengths, followed) = self._joints, self._gains, self._lengths
+        if not (len(joints) or len(gains) or len(lengths)):
+            return
+        n_legs, n_batch = self._turns.shape[1], parameters.shape[1]
+        direction = np.empty((3, n_legs, n_batch))
+        direction[:2] = parameters[self._turns]
+        chart_of(self.layout).complete(direction)
+        if len(gains):
+            first, second, third = direction[:, rising]
+            along = self.legs[rising, :2]
+            parameters[gains] += sign * (-third - (along[:, :1] * first + along[:, 1:] * second))
+        if not (len(joints) or len(lengths)):
+            return
+        shift = parameters[self.layout.index["rho0"]] * direction
+        if len(joints):
+            parameters[joints] += sign * shift[axis, leg]
+        if len(lengths):
+            parameters[lengths] += sign * np.einsum("ik,kib->ib", self.along_leg[followed], shift[:, followed])
+
+    def slope(self, theta: Array) -> Array:
+        """Return the derivative of θ by what it is counted from, at one vector (D,), shape (D, D)."""
+        (joints, axis, leg), (gains, rising), (lengths, followed) = self._joints, self._gains, self._lengths
+        change = np.eye(self.layout.size)
+        if not (len(joints) or len(gains) or len(lengths)):
+            return change
+        local, index = local_directions(self.layout, theta), self.layout.index["rho0"]
+        direction, rho0 = chart_of(self.layout).to_base(local), theta[index]
+        frames = chart_of(self.layout).axes
+        slopes = frames[:, :2] - (local[:, :2] / local[:, 2:])[..., None] * frames[:, 2:]
+        change[joints, index[leg]] -= direction[leg, axis]
+        along = self.along_leg[followed]
+        change[lengths, index[followed]] -= np.sum(along * direction[followed], axis=-1)
+        for m, turns in enumerate(self._turns):
+            change[joints, turns[leg]] -= rho0[leg] * slopes[leg, m, axis]
+            change[gains, turns[rising]] += np.sum(self.legs[rising] * slopes[rising, m], axis=-1)
+            if len(lengths):
+                change[lengths, turns[followed]] -= rho0[followed] * np.sum(along * slopes[followed, m], axis=-1)
+        return change
+
+
+LENGTH = "l"
+
+
+@dataclass(frozen=True, eq=False)
+class ClosingCoordinates(Coordinates):
+    """Coordinates with free leg lengths counted from what closes the legs at a reference pose.
+
+    Attributes
+    ----------
+    machine : Machine
+    position, rotation, actuators : ndarray, shapes (1, 3), (1, 3, 3), (1, N)
+        The reference pose.
+    """
+
+    machine: Machine
+    position: Array
+    rotation: Array
+    actuators: Array
+
+    @classmethod
+    def around(cls, known: Coordinates, machine: Machine, position: Array, rotation: Array, actuators: Array) -> Self:
+        """Return coordinates as they are but for the leg lengths."""
+        as_they_are = {field.name: getattr(known, field.name) for field in fields(Coordinates)}
+        return cls(**as_they_are, machine=machine, position=position, rotation=rotation, actuators=actuators)
+
+    @cached_property
+    def _lengths(self) -> np.ndarray:
+        """Legs whose length is free and not bounded."""
+        index = self.layout.index.get(LENGTH)
+        return np.empty(0, dtype=int) if index is None else np.flatnonzero(self._mask[index])
+
+    @cached_property
+    def _slope(self) -> Array:
+        """Closure per length of these legs, where the coordinates start."""
+        return self._differentiate(self.start)[self._lengths, self.layout.index[LENGTH][self._lengths]]
+
+    @cached_property
+    def _gap(self) -> Array:
+        """Closure of these legs where the coordinates start."""
+        return self._close(self.start[None])[0]
+
+    def _differentiate(self, theta: Array) -> Array:
+        """Return the closure's derivative at the reference pose for one parameter vector (D,), shape (N, D)."""
+        size, machine = self.machine.layout.size, self.machine
+        return machine.linearise(theta[:size], self.position, self.rotation, self.actuators).parameters[0]
+
+    def _close(self, theta: Array) -> Array:
+        """Return the closure of these legs at the reference pose, (B, D) to (B, k)."""
+        layout, model = self.machine.layout, self.machine.model
+        bound = model.bind(layout, self.position, self.rotation, self.machine.basis(self.actuators))
+        closure = bound.evaluate(np.asfortranarray(theta[:, : layout.size]))
+        return np.asarray(closure[self._lengths, 0].T.copy())
+
+    def _follow(self, theta: Array) -> Array:
+        """Return by how much the lengths follow the rest of θ (..., D), shape (..., k)."""
+        flat = theta.reshape(-1, theta.shape[-1]).copy()
+        index = self.layout.index[LENGTH][self._lengths]
+        flat[:, index] = self.start[index]
+        moved = (self._close(flat) - self._gap) / -self._slope
+        return np.asarray(moved.reshape(*theta.shape[:-1], -1))
+
+    def theta_from_y(self, y: Array) -> Array:
+        """Return full parameter vectors (..., D); see `Coordinates.theta_from_y`."""
+        theta = super().theta_from_y(y)
+        if len(self._lengths):
+            theta[..., self.layout.index[LENGTH][self._lengths]] += self._follow(theta)
+        return theta
+
+    def y_from_theta(self, theta: Array) -> Array:
+        """Return the coordinates (..., n) of full parameter vectors (..., D)."""
+        theta = theta.copy()
+        if len(self._lengths):
+            theta[..., self.layout.index[LENGTH][self._lengths]] -= self._follow(theta)
+        return super().y_from_theta(theta)
+
+    def jacobian(self, theta: Array) -> Array:
+        """Return dθ/dy, shape (D, n), at one parameter vector (D,)."""
+        change = super().jacobian(theta)
+        if len(self._lengths):
+            index = self.layout.index[LENGTH][self._lengths]
+            held = theta.copy()
+            held[index] = self.start[index]
+            slope = self._differentiate(held)[self._lengths]
+            slope[:, index] = 0.0
+            change[index] -= (slope @ change[: self.machine.layout.size]) / self._slope[:, None]
+        return change
+
+
+def close_at_mean(
+    known: Coordinates, machine: Machine, position: Array, rotation: Array, actuators: Array
+) -> ClosingCoordinates:
+    """Return coordinates whose lengths close the legs at the mean of poses (P, 3), (P, 3, 3) and actuators (P, N)."""
+    where = position.mean(axis=0), average_rotation(rotation), actuators.mean(axis=0)
+    return ClosingCoordinates.around(known, machine, *(one[None] for one in where))
+
+
+def average_rotation(rotations: Array) -> Array:
+    """Return the rotation nearest to the mean of rotations (P, 3, 3)."""
+    return np.asarray(Rotation.from_matrix(rotations).mean().as_matrix())

@@ -1,4 +1,9 @@
-"""Forward and inverse kinematics of any model by Newton's method, batched, and the home pose they start from."""
+"""Forward and inverse kinematics of any model by Newton's method, batched, and the assembly branch that they keep to.
+
+Lengths of legs and actuator positions fix a pose up to the branch. Two signs cannot change on the way from home unless
+the machine passes a singular pose: that of u · g, on which side of its foot a carriage stands, and for six legs that of
+the determinant of their lines, of unit directions and moments. They are those of perfect legs without deformation.
+"""
 
 from __future__ import annotations
 
@@ -8,18 +13,89 @@ from functools import cached_property
 import numpy as np
 
 from bayescal.errors import InputError, NumericalError
-from bayescal.machines.branch import Branch, compute_signs
-from bayescal.machines.deformations.base import Deformation, DeformationBasis
+from bayescal.machines.deformations import Deformation, DeformationBasis
 from bayescal.machines.mechanism import Drive, Mechanism
 from bayescal.machines.models import MODELS
-from bayescal.machines.models.base import KinematicModel, Linearisation
+from bayescal.machines.models.base import Closure, KinematicModel, Linearisation, newton_step
 from bayescal.machines.models.home import guess_level_pose
 from bayescal.machines.models.leg_distance import PerfectLegs
+from bayescal.machines.models.legs import actuator_directions, dot
 from bayescal.machines.models.six_pus import SixPus
 from bayescal.machines.models.six_ups import SixUps
 from bayescal.machines.parameters import HomeStart, ParameterLayout
-from bayescal.machines.paths import comes_straight, follow_path, step_pose
-from bayescal.numerics.geometry import Array
+from bayescal.numerics.geometry import (
+    DEGREES_OF_FREEDOM,
+    Array,
+    matrix_from_rotation_vector,
+    rotation_vector_from_matrix,
+)
+
+LEAST_SIDE = 1e-9  # of a leg's direction along its actuator, below which it is on no side
+LEAST_TURN = 1e-9  # determinant, moments in units of the platform's size, of which nothing can be said
+
+
+@dataclass(frozen=True, eq=False)
+class Branch:
+    """Signs at home.
+
+    Attributes
+    ----------
+    drive : str
+    sides : ndarray, shape (N,)
+        Of u · g; zero where it says nothing, as for struts.
+    turn : float
+        Of the determinant of the legs' lines; zero where it says nothing.
+    """
+
+    drive: Drive
+    sides: Array
+    turn: float
+
+    def holds(
+        self, layout: ParameterLayout, theta: Array, position: Array, rotation: Array, actuators: Array
+    ) -> np.ndarray:
+        """Return whether poses (..., 3), (..., 3, 3) of machines (..., D) are on the branch; those unknown are."""
+        side, turn = compute_signs(self.drive, layout, theta, position, rotation, actuators)
+        with np.errstate(invalid="ignore"):
+            lost: np.ndarray = (side * self.sides < 0.0).any(axis=-1) | (turn * self.turn < 0.0)
+        return ~lost
+
+
+def compute_signs(
+    drive: Drive, layout: ParameterLayout, theta: Array, position: Array, rotation: Array, actuators: Array
+) -> tuple[Array, Array]:
+    """Return the signs of u · g, shape (..., N), and of the determinant of the legs' lines, shape (...); zero for none.
+
+    Parameters
+    ----------
+    drive : str
+    layout : ParameterLayout
+    theta : ndarray, shape (..., D)
+    position, rotation : ndarray, shapes (..., 3) and (..., 3, 3)
+        Base frame, mm.
+    actuators : ndarray, shape (..., N)
+        mm.
+    """
+    arm = layout.take_vector(theta, "b") @ np.swapaxes(rotation, -1, -2)
+    leg = position[..., None, :] + arm - layout.take_vector(theta, "a")
+    side = np.zeros(leg.shape[:-1])
+    if drive == "base":
+        u = actuator_directions(layout, theta)
+        leg = leg - actuators[..., None] * u
+        side = _sign(dot(u, leg) / np.linalg.norm(leg, axis=-1), LEAST_SIDE)
+    if leg.shape[-2] != DEGREES_OF_FREEDOM:
+        return side, np.zeros(leg.shape[:-2])
+    size = np.linalg.norm(arm, axis=-1).max(axis=-1)[..., None, None]
+    line = leg / np.linalg.norm(leg, axis=-1, keepdims=True)
+    with np.errstate(invalid="ignore"):
+        turn = np.linalg.det(np.concatenate([line, np.cross(arm / size, line)], axis=-1))
+    return side, _sign(turn, LEAST_TURN)
+
+
+def _sign(value: Array, least: float) -> Array:
+    with np.errstate(invalid="ignore"):
+        return np.where(np.abs(value) > least, np.sign(value), 0.0)
+
 
 STEP_TOLERANCE = 1e-10
 SINGULAR_CONDITION = 1e8
@@ -409,3 +485,72 @@ def compute_leg_lines(machine: Machine) -> Array:
     flat = legs * [1.0, 1.0, 0.0]
     size = np.where(level, np.linalg.norm(flat, axis=1, keepdims=True), legs[:, 2:])
     return np.asarray(np.where(level, flat, legs) / size)
+
+
+STRIDE = 0.25  # of the shortest leg, that actuators move from one pose of a path to the next one
+STEPS_ON_THE_WAY = 4  # of Newton's method at each pose of a path
+SETTLED = 1e-3  # mm and rad, of the last of them, above which there is no pose on the path
+FINER = 8  # times as many poses on a path that was lost
+LOOKS = 32  # at poses of a straight way of the platform
+
+
+def step_pose(
+    closure: Closure, position: Array, rotation: Array, basis: DeformationBasis
+) -> tuple[Array, Array, Array]:
+    """Return the poses after a Newton step, and the step."""
+    step = newton_step(closure(position, rotation, basis, with_parameters=False))
+    return position + step[..., :3], matrix_from_rotation_vector(step[..., 3:]) @ rotation, step
+
+
+def follow_path(
+    machine: Machine, theta: Array, position: Array, rotation: Array, actuators: Array
+) -> tuple[Array, Array, np.ndarray]:
+    """Return poses of perfect joints near those of actuators (..., N), from home poses, and whether the path led there.
+
+    Machines whose actuators travel little by design have theirs near enough to home: these poses are returned. Where a
+    path leaves the branch of home, a finer one is tried.
+    """
+    mechanism, shape = machine.mechanism, position.shape[:-1]
+    n_strides = int(np.ceil(mechanism.actuator_range / (STRIDE * mechanism.leg_lengths.min())))
+    if mechanism.drive == "strut" or n_strides < 2:
+        return position, rotation, np.ones(shape, dtype=bool)
+    reached, turned, kept = _walk(machine, theta, position, rotation, actuators, n_strides)
+    if kept.all():
+        return reached, turned, kept
+    reached, turned, kept = (np.array(one) for one in (reached, turned, kept))
+    lost = ~kept
+    some = np.broadcast_to(theta, (*shape, theta.shape[-1]))[lost]
+    found = _walk(machine, some, position[lost], rotation[lost], actuators[lost], FINER * n_strides)
+    reached[lost], turned[lost], kept[lost] = found
+    return reached, turned, kept
+
+
+def _walk(
+    machine: Machine, theta: Array, position: Array, rotation: Array, actuators: Array, n_strides: int
+) -> tuple[Array, Array, np.ndarray]:
+    """Return poses along the straight path of the actuators, and whether all on the way settled on home's branch."""
+    closure, start = SixPus().prepare(machine.layout, theta), machine.mechanism.initial_actuator_positions
+    kept = np.ones(position.shape[:-1], dtype=bool)
+    for share in np.arange(1, n_strides + 1) / n_strides:
+        here = start + share * (actuators - start)
+        basis = machine.basis(here)
+        for _ in range(STEPS_ON_THE_WAY):
+            position, rotation, step = step_pose(closure, position, rotation, basis)
+        kept = kept & (np.abs(step) < SETTLED).all(axis=-1) & machine.holds_branch(theta, position, rotation, here)
+    return position, rotation, kept
+
+
+def comes_straight(machine: Machine, theta: Array, position: Array, rotation: Array) -> np.ndarray:
+    """Return whether the straight ways of the platform from home to poses (L, 3), (L, 3, 3) keep to home's branch.
+
+    Carriages of perfect legs follow on the side of home; theta is of shape (L, D).
+    """
+    home, share = machine.nominal_home, (np.arange(1, LOOKS + 1) / LOOKS)[:, None]
+    turn = rotation_vector_from_matrix(rotation @ home.rotation.T)
+    between = home.position + share * (position - home.position)[:, None]
+    turned = matrix_from_rotation_vector(share * turn[:, None]) @ home.rotation
+    one = theta[:, None]
+    legs = PerfectLegs(machine.layout, one, between, turned, machine.sides)
+    actuators = machine.mechanism.initial_actuator_positions + legs.displace()
+    kept = np.isfinite(actuators).all(axis=-1) & machine.holds_branch(one, between, turned, actuators)
+    return np.asarray(kept.all(axis=1))

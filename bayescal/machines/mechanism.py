@@ -14,8 +14,7 @@ from typing import Literal
 import numpy as np
 
 from bayescal.errors import InputError
-from bayescal.machines.directions import DirectionChart, choose_chart
-from bayescal.machines.parameters import HomeStart, ParameterBlock, ParameterLayout
+from bayescal.machines.parameters import DirectionChart, HomeStart, ParameterBlock, ParameterLayout, choose_chart
 from bayescal.numerics.geometry import Array
 
 MIN_LEGS = 6

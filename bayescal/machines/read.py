@@ -20,11 +20,12 @@ from bayescal.machines.mechanism import BeamSection, ExternalLoad, Flexures, Mec
 from bayescal.machines.models import KinematicModel
 from bayescal.machines.parameters import HomeStart
 from bayescal.machines.readings import FunctionModel, Legs, ReadingMachine, ReadingModel
-from bayescal.machines.readings.schema import LegsMachineConfig, MachineFileConfig
 from bayescal.machines.schema import (
     BeamSectionConfig,
     HomeConfig,
+    LegsMachineConfig,
     LoadConfig,
+    MachineFileConfig,
     MechanismConfig,
     PointsConfig,
     TargetRingConfig,

@@ -28,8 +28,7 @@ from bayescal.config.sections import FileMark, Section
 from bayescal.experiments import USES
 from bayescal.experiments.frame.load import find_kind, load
 from bayescal.machines.readings import ReadingMachine
-from bayescal.machines.readings.schema import LegsMachineConfig, MachineFileConfig, SlidingPlatformConfig
-from bayescal.machines.schema import MechanismConfig
+from bayescal.machines.schema import LegsMachineConfig, MachineFileConfig, MechanismConfig, SlidingPlatformConfig
 
 if TYPE_CHECKING:
     from pydantic.fields import FieldInfo

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from bayescal.data.instruments.rotations import SEQUENCES, name_angles, read_rotation_vectors
+from bayescal.data.instruments.read_poses import SEQUENCES, name_angles, read_rotation_vectors
 from bayescal.errors import InputError
 from bayescal.files.csv_tables import read_table
 

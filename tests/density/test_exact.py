@@ -8,10 +8,10 @@ import telescope_machines as machines
 from scipy.stats import multivariate_normal
 
 from bayescal.density.exact import CommonErrors, ExactDensity
-from bayescal.density.model_error import LinearKernel, SmoothKernel
 from bayescal.density.pose_likelihood import PoseLikelihood
+from bayescal.density.priors import LinearKernel, SmoothKernel
 from bayescal.density.structured import StructuredLikelihood
-from bayescal.machines.deformations.matrix import MatrixDeformation
+from bayescal.machines.deformations import MatrixDeformation
 from bayescal.machines.kinematics import Machine, solve_forward_kinematics
 from bayescal.numerics.geometry import compute_pose_error
 

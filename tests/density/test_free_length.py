@@ -7,11 +7,10 @@ import telescope_machines as machines
 from bayescal.density.errors import KernelLength, KernelScale, ModelError
 from bayescal.density.exact import ExactDensity
 from bayescal.density.legs import build_leg_posterior
-from bayescal.density.model_error import QuadraticKernel, SmoothKernel, build_kernel
 from bayescal.density.pose_likelihood import PoseLikelihood
-from bayescal.density.priors import LogNormalPrior, NormalPrior
+from bayescal.density.prediction import pointwise_given
+from bayescal.density.priors import LogNormalPrior, NormalPrior, QuadraticKernel, SmoothKernel, build_kernel
 from bayescal.density.structured import REACH, StructuredLikelihood, count_nodes
-from bayescal.density.structured_prediction import pointwise_given
 
 KERNELS = ("quadratic", "smooth")
 LENGTHS = LogNormalPrior(1.5, 0.6)

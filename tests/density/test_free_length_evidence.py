@@ -7,9 +7,8 @@ from scipy.special import logsumexp
 
 from bayescal.density.errors import KernelLength, KernelScale, ModelError
 from bayescal.density.legs import build_leg_posterior
-from bayescal.density.model_error import build_kernel
 from bayescal.density.pose_likelihood import PoseLikelihood
-from bayescal.density.priors import LogNormalPrior, NormalPrior
+from bayescal.density.priors import LogNormalPrior, NormalPrior, build_kernel
 from bayescal.density.structured import StructuredLikelihood
 from bayescal.inference.exploration import explore
 from bayescal.inference.importance import estimate_by_importance, resample

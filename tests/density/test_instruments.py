@@ -6,8 +6,7 @@ import pytest
 import telescope_machines as machines
 from scipy.stats import multivariate_normal
 
-from bayescal.data.instruments.points import PointReadings
-from bayescal.data.instruments.poses import PoseReadings
+from bayescal.data.instruments.readings import PointReadings, PoseReadings
 from bayescal.density.errors import ModelError
 from bayescal.density.instruments import InstrumentLikelihood
 from bayescal.density.legs import build_leg_posterior

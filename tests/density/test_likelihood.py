@@ -10,7 +10,7 @@ import telescope_machines as machines
 from scipy.stats import multivariate_normal
 
 from bayescal.data.measured_poses import MeasuredPoses
-from bayescal.density.batches import BATCH
+from bayescal.density.legs import BATCH
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.machines.kinematics import check_home_pose, solve_forward_kinematics
 from bayescal.numerics.geometry import compute_pose_error

@@ -11,7 +11,7 @@ from bayescal.density import pose_likelihood as likelihood_module
 from bayescal.density.exact import ExactDensity
 from bayescal.density.low_rank import factor_by_columns, find_low_rank
 from bayescal.density.pose_likelihood import PoseLikelihood
-from bayescal.machines.deformations.none import NoDeformation
+from bayescal.machines.deformations import NoDeformation
 from bayescal.machines.kinematics import Machine, solve_inverse_kinematics
 from bayescal.machines.models.six_ups import SixUps
 from bayescal.machines.read import load_mechanism

@@ -15,9 +15,8 @@ from sliding_platforms import SETS
 
 from bayescal.density.errors import KernelLength, KernelScale, ModelError
 from bayescal.density.legs import build_leg_posterior
-from bayescal.density.model_error import build_kernel
 from bayescal.density.outliers import NORMAL, Contaminated, StudentT
-from bayescal.density.priors import LogNormalPrior, SharePrior, UniformPrior
+from bayescal.density.priors import LogNormalPrior, SharePrior, UniformPrior, build_kernel
 from bayescal.density.structured import StructuredLikelihood
 from bayescal.inference.mode import Mode
 from bayescal.inference.straightening import straighten

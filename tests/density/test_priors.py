@@ -6,8 +6,15 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bayescal.density.model_error import OFF, KernelScalePrior
-from bayescal.density.priors import HalfNormalPrior, LogNormalPrior, NormalPrior, SharePrior, UniformPrior
+from bayescal.density.priors import (
+    OFF,
+    HalfNormalPrior,
+    KernelScalePrior,
+    LogNormalPrior,
+    NormalPrior,
+    SharePrior,
+    UniformPrior,
+)
 
 CASES = {
     "normal": (NormalPrior(3.0, 0.2), stats.norm(3.0, 0.2)),

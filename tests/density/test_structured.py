@@ -7,17 +7,17 @@ from scipy.stats import multivariate_normal
 
 from bayescal.density.errors import NO_MODEL_ERROR, KernelScale, LegErrors, ModelError
 from bayescal.density.legs import build_leg_posterior
-from bayescal.density.model_error import (
+from bayescal.density.pose_likelihood import PoseLikelihood
+from bayescal.density.prediction import pointwise_given, predict_structured
+from bayescal.density.priors import (
     OFF,
     LinearKernel,
+    NormalPrior,
     QuadraticKernel,
     SmoothKernel,
     build_kernel,
 )
-from bayescal.density.pose_likelihood import PoseLikelihood
-from bayescal.density.priors import NormalPrior
 from bayescal.density.structured import StructuredLikelihood, map_covariance
-from bayescal.density.structured_prediction import pointwise_given, predict_structured
 from bayescal.errors import InputError
 from bayescal.inference.exploration import explore
 

@@ -19,9 +19,8 @@ from bayescal.config.registry import list_references
 from bayescal.experiments.frame.load import find_kind
 from bayescal.limits import LARGEST_SEED
 from bayescal.machines.readings.line_machine import LineMachineConfig
-from bayescal.machines.readings.schema import LegsMachineConfig, SlidingPlatformConfig
 from bayescal.machines.readings.strut_machine import StrutMachineConfig
-from bayescal.machines.schema import MechanismConfig
+from bayescal.machines.schema import LegsMachineConfig, MechanismConfig, SlidingPlatformConfig
 
 AUDIT, STUDY, SELECTION = "audit/m2_hexapod.toml", "telescope/short.toml", "pose_selection/rr8096_figure14.toml"
 STAR, OWN, TABLE4 = "sika2008/calibrations.toml", "own_machine/study.toml", "yu2023/table4.toml"

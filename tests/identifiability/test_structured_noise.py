@@ -10,8 +10,8 @@ import pytest
 import telescope_machines as machines
 
 from bayescal.density.exact import ExactDensity
-from bayescal.density.model_error import LinearKernel, SmoothKernel
 from bayescal.density.pose_likelihood import PoseLikelihood
+from bayescal.density.priors import LinearKernel, SmoothKernel
 from bayescal.density.structured import StructuredLikelihood
 from bayescal.errors import InputError
 from bayescal.experiments.audit.design import load_audit, read_inputs

@@ -13,7 +13,6 @@ from scipy import stats
 from bayescal.density.errors import ModelError
 from bayescal.errors import InputError, NumericalError
 from bayescal.machines.coordinates import mirror_direction
-from bayescal.machines.directions import choose_chart
 from bayescal.machines.kinematics import (
     check_home_pose,
     compute_home_legs,
@@ -21,6 +20,7 @@ from bayescal.machines.kinematics import (
     solve_inverse_kinematics,
 )
 from bayescal.machines.models.legs import actuator_directions
+from bayescal.machines.parameters import choose_chart
 from bayescal.numerics.geometry import compute_pose_error, matrix_from_rotation_vector
 
 MODELS = tuple(name for name in machines.model_names() if name != "six_ups")

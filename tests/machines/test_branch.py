@@ -7,9 +7,13 @@ import numpy as np
 import pytest
 
 from bayescal.errors import InputError, NumericalError
-from bayescal.machines.branch import compute_signs
 from bayescal.machines.deformations import NominalDeformation
-from bayescal.machines.kinematics import check_home_pose, solve_forward_kinematics, solve_inverse_kinematics
+from bayescal.machines.kinematics import (
+    check_home_pose,
+    compute_signs,
+    solve_forward_kinematics,
+    solve_inverse_kinematics,
+)
 from bayescal.machines.read import build_named_machine, load_mechanism
 from bayescal.numerics.geometry import matrix_from_rotation_vector
 

@@ -7,7 +7,7 @@ import pytest
 import telescope_machines as machines
 
 from bayescal.density.errors import ModelError
-from bayescal.machines.circles import find_circles
+from bayescal.machines.rings import find_circles
 from bayescal.numerics.geometry import matrix_from_rotation_vector
 
 LEGS = np.array([[0.2, 0.05, 1.0], [-0.1, 0.3, 1.0], [0.4, -0.4, 1.0]])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayescal.machines.flexure import CIRCLE, PIVOT, SERIES_BELOW, compute_beam_shift, compute_circle_shift
+from bayescal.machines.models.beam import CIRCLE, PIVOT, SERIES_BELOW, compute_beam_shift, compute_circle_shift
 
 LENGTH = 10.0
 ANGLES = np.array([1e-9, 1e-4, np.radians(0.5), np.radians(1.0), 0.999 * SERIES_BELOW, 1.001 * SERIES_BELOW, 0.3])

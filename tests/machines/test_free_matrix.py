@@ -9,12 +9,11 @@ import telescope_machines as machines
 from bayescal.calibrated.settle import find_hindrance
 from bayescal.density.errors import KernelScale, ModelError
 from bayescal.density.legs import build_leg_posterior
-from bayescal.density.model_error import LinearKernel
 from bayescal.density.outliers import Contaminated
 from bayescal.density.pose_likelihood import PoseLikelihood
-from bayescal.density.priors import NormalPrior, SharePrior
+from bayescal.density.priors import LinearKernel, NormalPrior, SharePrior
 from bayescal.density.structured import StructuredLikelihood
-from bayescal.machines.closing_coordinates import ClosingCoordinates
+from bayescal.machines.coordinates import ClosingCoordinates
 from bayescal.machines.kinematics import solve_forward_kinematics
 
 SD = 0.02 / machines.ACTUATOR_RANGE

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bayescal.machines.circles import frame_circles
-from bayescal.machines.rings import DirectionRing
+from bayescal.machines.rings import DirectionRing, frame_circles
 
 LEG = np.array([0.2, 0.05, 1.0])
 UP = np.array([0.0, 0.0, 1.0])

@@ -26,7 +26,7 @@ from bayescal.calibrated.machine import CalibratedMachine
 from bayescal.density.calibration.measurements import Comparison, Measurements
 from bayescal.errors import InputError
 from bayescal.machines.readings import Given, Legs
-from bayescal.machines.readings.locate import Function, solve
+from bayescal.machines.readings.base import Function, solve
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import ARCSECOND, MICROMETRE
 

@@ -11,10 +11,16 @@ from bayescal.calibrated.recheck.plan import RecheckPlan
 from bayescal.calibrated.recheck.statistics import Recheck, say_shift, say_size
 from bayescal.calibrated.tables import name_column, read_commands
 from bayescal.data.actuators import check_range
-from bayescal.data.instruments.plausible import check_units
-from bayescal.data.instruments.poses import COORDINATES, PoseReadings
-from bayescal.data.instruments.read_poses import DEVIATIONS, UNITS, PoseNoise, read_noise, read_poses
-from bayescal.data.instruments.tables import check_positive, name_covariances
+from bayescal.data.instruments.read_poses import (
+    DEVIATIONS,
+    UNITS,
+    PoseNoise,
+    check_positive,
+    name_covariances,
+    read_noise,
+    read_poses,
+)
+from bayescal.data.instruments.readings import COORDINATES, PoseReadings, check_units
 from bayescal.density.calibration.measurements import Measurements
 from bayescal.errors import InputError, name_faults
 from bayescal.files.csv_tables import format_table, read_table

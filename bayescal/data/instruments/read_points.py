@@ -16,8 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from bayescal.data.actuators import check_calibration, read_actuators
-from bayescal.data.instruments.points import PointReadings
-from bayescal.data.instruments.tables import (
+from bayescal.data.instruments.read_poses import (
     Taken,
     check_positive,
     check_same_poses,
@@ -25,6 +24,7 @@ from bayescal.data.instruments.tables import (
     name_covariances,
     read_covariances,
 )
+from bayescal.data.instruments.readings import PointReadings
 from bayescal.errors import InputError
 from bayescal.files.csv_tables import Table, read_table
 from bayescal.numerics.geometry import Array, matrix_from_rotation_vector

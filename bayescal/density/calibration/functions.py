@@ -5,7 +5,7 @@ Function k errs a channel by a random function of an input z that is known, the 
     g_k(z) ~ GP(0, s_k² κ(z, z')),    g_k(0) = 0,
 
 z being the channel's own reading, the machine's coordinates as read from some channels, or the order of the rows; κ as
-in `bayescal.density.model_error`. Readings count as their travel from home in units of their range. That z is taken
+in `bayescal.density.priors`. Readings count as their travel from home in units of their range. That z is taken
 from readings with their error and noise in place of the true ones changes g by g' (g + ε), of relative size s over the
 range: some 1e-4.
 
@@ -30,16 +30,17 @@ from pydantic import Field, model_validator
 from bayescal.config.sections import Names, Positive, Section
 from bayescal.density.calibration.measurements import Measurements
 from bayescal.density.calibration.terms import ErrorTerm, Slopes, TermRows
-from bayescal.density.model_error import (
+from bayescal.density.priors import (
     BORDER,
     LENGTH,
     LENGTHY,
     SCALE,
     Kernel,
     KernelScalePrior,
+    LogNormalPrior,
+    Prior,
     build_kernel,
 )
-from bayescal.density.priors import LogNormalPrior, Prior
 from bayescal.errors import InputError
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import SCALES

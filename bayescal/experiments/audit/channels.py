@@ -16,8 +16,7 @@ from typing import Any
 import numpy as np
 
 from bayescal.calibrated.tables import list_columns, read_given, read_named, read_quantities
-from bayescal.density.calibration.joint_fit import JointFit
-from bayescal.density.calibration.likelihood import CalibrationPosterior
+from bayescal.density.calibration.likelihood import CalibrationPosterior, JointFit
 from bayescal.density.calibration.measurements import Measurements
 from bayescal.density.calibration.terms import Errors
 from bayescal.density.priors import NormalPrior

@@ -22,7 +22,7 @@ from threadpoolctl import threadpool_limits
 from bayescal.config.classes import label_class
 from bayescal.data.actuators import read_moves
 from bayescal.density.legs import LegPosterior, find_function_of_pose
-from bayescal.density.model_error import build_kernel
+from bayescal.density.priors import build_kernel
 from bayescal.errors import InputError
 from bayescal.experiments.audit.planned import FreeParameters, Planned, read_requirements
 from bayescal.experiments.audit.schema import (
@@ -71,9 +71,9 @@ from bayescal.identifiability.sensitivity import compute_sensitivity, inform
 from bayescal.identifiability.structure import Structure, find_structural_rank
 from bayescal.inference.mode import find_modes
 from bayescal.inference.schema import DrawsConfig
-from bayescal.machines.directions import AXES
 from bayescal.machines.frames import FRAME_BLOCKS, FRAMES, frame_symbols
 from bayescal.machines.kinematics import solve_forward_kinematics, solve_inverse_kinematics
+from bayescal.machines.parameters import AXES
 from bayescal.machines.sensors import Sensor
 from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array
 from bayescal.numerics.units import MICROMETRE, Units

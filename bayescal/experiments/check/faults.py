@@ -14,7 +14,7 @@ from scipy.stats import chi2
 from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.density.calibration.measurements import Measurements
 from bayescal.density.calibration.terms import Errors, ErrorTerm
-from bayescal.density.sessions.rows import ReadingRows
+from bayescal.density.sessions import ReadingRows
 from bayescal.errors import NumericalError
 from bayescal.experiments.check.inputs import Subject, draw_posterior
 from bayescal.experiments.shared.chi_square import ChiSquare, format_chance
@@ -266,7 +266,7 @@ class Left:
     errors : ndarray, shape (P, R)
         Free of the poses, as large as they would be had nothing been fitted.
     covariance : callable
-        Takes what is unknown of the errors, (n,), to (P, R, R); see `bayescal.density.sessions.rows.LinearRows`.
+        Takes what is unknown of the errors, (n,), to (P, R, R); see `bayescal.density.sessions.LinearRows`.
     missing : ndarray, shape (P, R, R)
         The part of it that is no reading's; by the stated noise alone the whole is the identity.
     n_errors : int

@@ -14,8 +14,7 @@ import numpy as np
 import pandas as pd
 from scipy.special import logsumexp
 
-from bayescal.density.sessions.linear import LinearSessions, find_state
-from bayescal.density.sessions.model import SessionModel
+from bayescal.density.sessions import LinearSessions, SessionModel, find_state
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.sessions.inputs import PPM, UNITS, Motions, SessionsInputs

@@ -13,8 +13,7 @@ import numpy as np
 from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.priors import NormalPrior
-from bayescal.density.sessions.model import Drift, Expansion, Part, SessionModel, walk_loadings
-from bayescal.density.sessions.rows import ReadingRows
+from bayescal.density.sessions import Drift, Expansion, Part, ReadingRows, SessionModel, walk_loadings
 from bayescal.errors import InputError, name_faults
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.sessions.schema import SessionConfig, SessionsConfig, ThermalConfig
@@ -208,7 +207,7 @@ def _build_expansions(thermal: ThermalConfig | None, layout: ParameterLayout) ->
 
 
 class Design(NamedTuple):
-    """Free parameters: see `bayescal.density.sessions.model.SessionModel`."""
+    """Free parameters: see `bayescal.density.sessions.SessionModel`."""
 
     start: Array
     moves: Array

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bayescal.density.batches import BATCH, POSES
+from bayescal.density.legs import BATCH, POSES
 from bayescal.experiments.frame.memory import Need, estimate_arrays
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results

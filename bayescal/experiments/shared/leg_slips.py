@@ -15,9 +15,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from bayescal.calibrated.machine import CalibratedMachine
-from bayescal.data.instruments.rotations import FIXED, ROLL_PITCH_YAW, name_angles
+from bayescal.data.instruments.read_poses import FIXED, ROLL_PITCH_YAW, name_angles
 from bayescal.data.measured_poses import MeasuredPoses
-from bayescal.density.likelihood import Likelihood
+from bayescal.density.legs import Likelihood
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.errors import BayescalError
 from bayescal.experiments.shared.measured import MeasuredVariant

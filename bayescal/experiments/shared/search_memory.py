@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from bayescal.density.batches import BATCH, POSES
-from bayescal.density.legs import LegPosterior
+from bayescal.density.legs import BATCH, POSES, LegPosterior
 from bayescal.experiments.frame.memory import check_arrays
 from bayescal.inference.exploration import count_walkers
 from bayescal.inference.schema import EvidenceConfig, SamplerConfig

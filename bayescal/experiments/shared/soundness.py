@@ -13,9 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import block_diag
 
-from bayescal.density.legs import LegPosterior
-from bayescal.density.likelihood import Likelihood
-from bayescal.density.local import turn_to_coordinates
+from bayescal.density.legs import LegPosterior, Likelihood, turn_to_coordinates
 from bayescal.experiments.shared.chi_square import ChiSquare
 from bayescal.inference.target import Fittable
 from bayescal.numerics.geometry import Array

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from bayescal.density.instruments import InstrumentLikelihood
-from bayescal.density.likelihood import Likelihood
+from bayescal.density.legs import Likelihood
 from bayescal.experiments.shared.leg_slips import LegData, Suspect, Tolerances, find_leg_slip, weigh_poses
 from bayescal.experiments.shared.outlook import join_outlooks, tell_outlook
 from bayescal.experiments.shared.slips import FoundSlip

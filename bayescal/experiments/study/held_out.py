@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from scipy.special import logsumexp
 
-from bayescal.density.batches import POSES
+from bayescal.density.legs import POSES
 from bayescal.density.prediction import measure_length, summarise_misfit
 from bayescal.experiments.shared.estimate import Arrays, Fit
 from bayescal.experiments.shared.stacking import compare_variants, find_tied

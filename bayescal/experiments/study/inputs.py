@@ -12,11 +12,9 @@ from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.data.photogrammetry.joint_deflection import JointDeflection, KappaEstimate, MatrixEstimate
 from bayescal.density.errors import LegTerm, ModelError
 from bayescal.density.exact import CommonErrors, ExactDensity
-from bayescal.density.legs import LegPosterior, build_leg_posterior
-from bayescal.density.likelihood import Likelihood
-from bayescal.density.model_error import INDEPENDENT
+from bayescal.density.legs import LegPosterior, Likelihood, build_leg_posterior
 from bayescal.density.outliers import NORMAL, Contaminated
-from bayescal.density.priors import Prior, SharePrior
+from bayescal.density.priors import INDEPENDENT, Prior, SharePrior
 from bayescal.errors import InputError
 from bayescal.experiments.shared.readings.priors import choose_priors, widen
 from bayescal.experiments.shared.study_schema import StudyConfig, TargetDataConfig, VariantConfig

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from bayescal.density.batches import BATCH
 from bayescal.density.errors import KernelLength, KernelScale, LegTerm
-from bayescal.density.likelihood import Likelihood
-from bayescal.density.model_error import INDEPENDENT, build_kernel
+from bayescal.density.legs import BATCH, Likelihood
+from bayescal.density.priors import INDEPENDENT, build_kernel
 from bayescal.density.structured import StructuredLikelihood, count_nodes
 from bayescal.errors import InputError
 from bayescal.experiments.frame.memory import check_arrays

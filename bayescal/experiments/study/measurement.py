@@ -9,18 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from bayescal.data.instruments.plausible import check_places, check_units
-from bayescal.data.instruments.points import PointReadings
-from bayescal.data.instruments.poses import PoseReadings
 from bayescal.data.instruments.read_points import PointNoise, read_points, read_stations
-from bayescal.data.instruments.read_poses import PoseNoise, read_poses
-from bayescal.data.instruments.tables import Taken
+from bayescal.data.instruments.read_poses import PoseNoise, Taken, read_poses
+from bayescal.data.instruments.readings import PointReadings, PoseReadings, check_places, check_units
 from bayescal.data.measured_poses import MeasuredPoses, check_repeated
-from bayescal.data.photogrammetry.exchanged import check_exchanged, check_pad_places
-from bayescal.data.photogrammetry.poses import PoseExtraction, extract_poses
+from bayescal.data.photogrammetry.poses import PoseExtraction, check_exchanged, check_pad_places, extract_poses
 from bayescal.data.photogrammetry.survey import Survey, read_survey
 from bayescal.density.instruments import InstrumentLikelihood
-from bayescal.density.likelihood import Likelihood
+from bayescal.density.legs import Likelihood
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.priors import NormalPrior, Prior
 from bayescal.errors import name_faults

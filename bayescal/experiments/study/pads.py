@@ -71,7 +71,7 @@ class Pads:
         Parameters
         ----------
         displacement, actuator_weight : ndarray, shape (P, N)
-            Of the calibration poses; see `bayescal.density.likelihood`.
+            Of the calibration poses; see `bayescal.density.legs`.
         """
         n_poses, n = displacement.shape
         change = np.zeros((n_poses, n, n, n))

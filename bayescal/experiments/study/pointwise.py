@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayescal.density.legs import LegPosterior
-from bayescal.density.likelihood import Likelihood
+from bayescal.density.legs import LegPosterior, Likelihood
 from bayescal.density.prediction import replicate
 from bayescal.numerics.geometry import Array
 

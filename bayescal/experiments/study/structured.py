@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayescal.density.batches import batches
-from bayescal.density.model_error import LENGTH, LENGTHY, SCALE, is_model_error
+from bayescal.density.legs import batches
 from bayescal.density.pose_likelihood import PoseLikelihood
+from bayescal.density.prediction import pointwise_given, predict_structured
+from bayescal.density.priors import LENGTH, LENGTHY, SCALE, is_model_error
 from bayescal.density.structured import StructuredLikelihood
-from bayescal.density.structured_prediction import pointwise_given, predict_structured
 from bayescal.experiments.shared.estimate import Fit
 from bayescal.experiments.study.kernels import name_kernel
 from bayescal.numerics.geometry import Array

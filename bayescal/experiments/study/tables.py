@@ -22,8 +22,8 @@ from bayescal.experiments.study.summary import list_nominal
 from bayescal.files.csv_tables import format_table
 from bayescal.inference.importance import smooth_weights
 from bayescal.limits import PARETO_K_LIMIT
-from bayescal.machines.flexure import CIRCLE, PIVOT, compute_beam_shift, compute_circle_shift
 from bayescal.machines.mechanism import Mechanism
+from bayescal.machines.models.beam import CIRCLE, PIVOT, compute_beam_shift, compute_circle_shift
 from bayescal.numerics.geometry import rotation_vector_from_matrix
 from bayescal.numerics.units import MICROMETRE
 

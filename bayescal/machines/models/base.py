@@ -15,7 +15,7 @@ import numpy as np
 
 from bayescal.config.sections import Section
 from bayescal.errors import NumericalError
-from bayescal.machines.deformations.base import DeformationBasis
+from bayescal.machines.deformations import DeformationBasis
 from bayescal.machines.mechanism import Drive, Mechanism
 from bayescal.machines.parameters import ParameterBlock, ParameterLayout
 from bayescal.numerics.geometry import Array

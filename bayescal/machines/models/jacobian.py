@@ -15,13 +15,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from bayescal.machines.deformations.base import DeformationBasis
+from bayescal.machines.deformations import DeformationBasis
 from bayescal.machines.mechanism import Mechanism
 from bayescal.machines.models.base import BoundClosure, Closure, KinematicModel, Linearisation
-from bayescal.machines.models.home import BatchHome, Home, home_solver, solve_home
+from bayescal.machines.models.home import BatchHome, BatchTurns, Home, compute_turn, home_solver, solve_home
 from bayescal.machines.models.legs import cross, cross_first_axis, dot
 from bayescal.machines.models.six_pus import SixPus
-from bayescal.machines.models.turns import BatchTurns, compute_turn
 from bayescal.machines.parameters import ParameterBlock, ParameterLayout
 from bayescal.numerics.geometry import Array, compute_left_inverse_jacobian
 from bayescal.numerics.scratch import Scratch

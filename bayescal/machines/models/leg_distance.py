@@ -11,7 +11,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from bayescal.machines.deformations.base import DeformationBasis
+from bayescal.machines.deformations import DeformationBasis
 from bayescal.machines.mechanism import Mechanism
 from bayescal.machines.models.base import BoundClosure, Closure, KinematicModel, Linearisation
 from bayescal.machines.models.legs import (

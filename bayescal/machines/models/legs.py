@@ -10,9 +10,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bayescal.machines.deformations.base import DeformationBasis
-from bayescal.machines.directions import DirectionChart, complete_components
-from bayescal.machines.parameters import ParameterLayout
+from bayescal.machines.deformations import DeformationBasis
+from bayescal.machines.parameters import DirectionChart, ParameterLayout, complete_components
 from bayescal.numerics.geometry import Array
 
 

@@ -9,7 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from bayescal.machines.deformations.base import DeformationBasis
+from bayescal.machines.deformations import DeformationBasis
 from bayescal.machines.mechanism import Mechanism
 from bayescal.machines.models.base import BoundClosure
 from bayescal.machines.models.leg_distance import LegDistance, LegDistanceClosure, list_point_blocks
@@ -25,7 +25,7 @@ class SixPus(LegDistance):
     title: ClassVar[str] = "6-PUS"
 
     def blocks(self, mechanism: Mechanism) -> tuple[ParameterBlock, ...]:
-        """Return a, b, u (two components, see `directions`), l and ρ^0 of each leg."""
+        """Return a, b, u (two components, see `parameters`), l and ρ^0 of each leg."""
         chart = mechanism.chart
         components = chart.to_local(mechanism.directions)[:, :2].T
         return (

@@ -12,7 +12,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from bayescal.machines.deformations.base import DeformationBasis
+from bayescal.machines.deformations import DeformationBasis
 from bayescal.machines.mechanism import Drive, Mechanism
 from bayescal.machines.models.base import BoundClosure, Linearisation
 from bayescal.machines.models.leg_distance import LegDistance, LegDistanceClosure, list_point_blocks

@@ -26,7 +26,7 @@ from bayescal.machines.models.legs import legs_first
 from bayescal.machines.parameters import ParameterBlock
 from bayescal.machines.readings.base import Channel, Coordinate
 from bayescal.machines.readings.function import Parameters, ReadingMachine
-from bayescal.machines.readings.schema import SlidingPlatformConfig
+from bayescal.machines.schema import SlidingPlatformConfig
 from bayescal.numerics.analytic import atan2, sqrt
 from bayescal.numerics.geometry import Array
 

@@ -8,9 +8,8 @@ import math
 import numpy as np
 
 from bayescal.data.measured_poses import MeasuredPoses
-from bayescal.machines.flexure import CIRCLE, compute_beam_shift, compute_circle_shift
 from bayescal.machines.kinematics import Machine, solve_forward_kinematics, solve_inverse_kinematics
-from bayescal.machines.models.beam import compute_shift
+from bayescal.machines.models.beam import CIRCLE, compute_beam_shift, compute_circle_shift, compute_shift
 from bayescal.machines.models.home import solve_home
 from bayescal.machines.models.legs import LegVectors, compute_leg_vectors
 from bayescal.numerics.geometry import Array

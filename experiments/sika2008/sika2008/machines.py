@@ -11,8 +11,8 @@ import pandas as pd
 from bayescal.errors import InputError, NumericalError
 from bayescal.experiments.frame.parallel import Run
 from bayescal.machines.readings import FunctionModel
-from bayescal.machines.readings.schema import SlidingPlatformConfig
 from bayescal.machines.readings.sliding_platform import SlidingPlatform
+from bayescal.machines.schema import SlidingPlatformConfig
 from bayescal.numerics.geometry import Array
 from sika2008.documented import name_parts, rms_of, squares_of
 from sika2008.schema import PlausibleMachinesConfig, PosesConfig

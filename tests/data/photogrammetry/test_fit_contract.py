@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from bayescal.data.photogrammetry.least_squares_fit import fit_least_squares
 from bayescal.data.photogrammetry.line_fit import fit_line
-from bayescal.data.photogrammetry.rigid_fit import fit_rigid_body
+from bayescal.data.photogrammetry.rigid_fit import fit_least_squares, fit_rigid_body
 from bayescal.errors import InputError
 from bayescal.numerics.geometry import compute_pose_error
 

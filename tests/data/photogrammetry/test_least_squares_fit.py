@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import studies
 
-from bayescal.data.photogrammetry.least_squares_fit import fit_least_squares
+from bayescal.data.photogrammetry.rigid_fit import fit_least_squares
 from bayescal.errors import InputError, PoseInputError
 from bayescal.numerics.geometry import compute_pose_error, matrix_from_rotation_vector
 

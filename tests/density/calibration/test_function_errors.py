@@ -15,8 +15,7 @@ from bayescal.density.calibration.functions import FunctionErrors, Travel
 from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.density.calibration.terms import Errors, NoiseFactor
 from bayescal.density.elimination import project_out
-from bayescal.density.model_error import OFF, build_kernel
-from bayescal.density.priors import LogNormalPrior
+from bayescal.density.priors import OFF, LogNormalPrior, build_kernel
 from bayescal.errors import InputError
 
 N_POSES = 9

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from bayescal.density.sessions.linear import LinearSessions
-from bayescal.density.sessions.model import DAYS_IN_MONTH, Drift, Expansion, Part, SessionModel, walk_loadings
+from bayescal.density.sessions import DAYS_IN_MONTH, Drift, Expansion, LinearSessions, Part, SessionModel, walk_loadings
 
 N_LEGS, FREE, POSES = 3, 4, (2, 3, 2)
 

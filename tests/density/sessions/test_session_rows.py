@@ -8,7 +8,7 @@ import calibration_problems as problems
 import numpy as np
 import pytest
 
-from bayescal.density.sessions.rows import ReadingRows
+from bayescal.density.sessions import ReadingRows
 
 CASES = {
     "known noise": {},

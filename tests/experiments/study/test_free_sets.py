@@ -114,23 +114,22 @@ def test_claims_take_the_variants_without_names(result, tmp_path, no_pictures):
 
 def test_figures_tell_free_sets_apart(result):
     from bayescal.experiments.frame.results import read_results
-    from bayescal.experiments.study.page.figures.errors import draw_error_bars
+    from bayescal.experiments.study.page.errors import draw_error_bars
     from bayescal.experiments.study.page.results import StudyResults
     from bayescal.experiments.study.page.styles import assign_styles
-    from bayescal.experiments.study.page.variants import find_best, split_variant
 
     study = StudyResults.of(read_results(result.out))
     styles = assign_styles(study)
     assert len({style.marker for style in styles.values()}) == 3
     assert len({(style.marker, style.colour) for style in styles.values()}) == 4
     assert styles["lengths"].label == "lengths"
-    bars = draw_error_bars(study.table("pose_errors"), study.error_scales, list(styles), styles, "").axes[0]
+    bars = draw_error_bars(study.table("pose_errors"), study.error_scales, styles, list(styles)).axes[0]
     assert [label.get_text() for label in bars.get_xticklabels()] == [
         *("6-PUS/none", "6-PUS/matrix", "“joints alone”", "lengths")
     ]
-    assert split_variant(study, "lengths") == ("six_pus", "none")
-    assert find_best(study, "six_pus", "none") in ("six_pus/none", "lengths")
-    assert find_best(study, "six_pus", "linear") is None
+    assert study.split("lengths") == ("six_pus", "none")
+    assert study.find_best("six_pus", "none") in ("six_pus/none", "lengths")
+    assert study.find_best("six_pus", "linear") is None
 
 
 @pytest.mark.parametrize(

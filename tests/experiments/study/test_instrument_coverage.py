@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 import studies
 
-from bayescal.data.instruments.points import PointReadings
-from bayescal.data.instruments.poses import PoseReadings
 from bayescal.data.instruments.read_points import PointNoise, convert_polar, spread_polar
+from bayescal.data.instruments.readings import PointReadings, PoseReadings
 from bayescal.density.errors import ModelError
 from bayescal.density.instruments import InstrumentLikelihood
 from bayescal.density.legs import build_leg_posterior

@@ -8,7 +8,7 @@ import telescope_machines as machines
 from beam_matrices import compute_beam_stiffness, condense_chain, shift_nodes
 
 from bayescal.machines.mechanism import BeamSection, section_of_rod
-from bayescal.machines.models.beam_elements import SYMBOLS, compute_chain_stiffness, differentiate_chain
+from bayescal.machines.models.equilibrium import SYMBOLS, compute_chain_stiffness, differentiate_chain
 from bayescal.numerics.geometry import skew_matrix
 
 E, G, DIAMETER, LENGTH = 200e3, 77e3, 1.5, 37.0

@@ -11,7 +11,7 @@ from finite_elements import FiniteElementMachine, external_wrench, node_stiffnes
 
 from bayescal.machines.kinematics import check_home_pose, solve_forward_kinematics, solve_inverse_kinematics
 from bayescal.machines.mechanism import ExternalLoad
-from bayescal.machines.models.beam_elements import compute_chain_stiffness
+from bayescal.machines.models.equilibrium import compute_chain_stiffness
 from bayescal.numerics.geometry import compute_pose_error, matrix_from_rotation_vector
 
 MODELS = ("stiffness", "stiffness_fixed")

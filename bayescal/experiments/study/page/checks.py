@@ -1,293 +1,246 @@
-"""What speaks for and against relying on a study's numbers: convergence, stability, model error, coverage."""
+"""How the posteriors are checked: chains by their ranks, predictions by left-out poses, prior and data by weights."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
-from typing import Any
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pandas as pd
+from arviz_stats.base import array_stats
+from arviz_stats.ecdf_utils import ecdf_pit
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure as Drawing
+from matplotlib.lines import Line2D
 
-from bayescal.experiments.shared.headline import NOT_DISTINGUISHABLE
-from bayescal.experiments.shared.judgement_page import format_factor
 from bayescal.experiments.study.page.results import SETTINGS, StudyResults
-from bayescal.experiments.study.page.soundness import choose_setting, describe_bounds, has_doubts, state_soundness
-from bayescal.experiments.study.page.variants import (
-    find_leaders,
-    is_told_apart,
-    label_variant,
-    measure_spread,
-    name_variants,
-    read_evidence,
+from bayescal.experiments.study.page.styles import Styles, add_legend, assign_styles
+from bayescal.limits import PARETO_K_LIMIT
+from bayescal.report.blocks import Block, Cell, Column, Figure, Fold, Statement, Table, make_table
+from bayescal.report.numbers import MICROMETRES, format_fixed, join_words
+from bayescal.report.style import GREY, INK, LEG_COLOURS, PALE, RED
+from bayescal.report.symbols import Asked, shown_in, split_name
+
+if TYPE_CHECKING:
+    from bayescal.numerics.geometry import Array
+
+COMPONENT_PITS = ("x_pit", "y_pit", "z_pit", "rx_pit", "ry_pit", "rz_pit")
+KOLMOGOROV = 1.358  # 95 % of the largest distance of an ECDF, times the root of the number of draws
+SIMULATIONS = 500
+MOST_NAMED = 80  # poses with a name below the axis
+MANY = 600
+"""Values from which on a band is not simulated."""
+GRID = np.linspace(0.0, 1.0, 101)
+SENSITIVE = 0.05
+"""Change of a posterior per doubling of a power, as a distance of distributions, from which on it counts."""
+RANKS = (
+    "Each chain's share of the draws below a rank, less the expected share, a line for each parameter and chain. "
+    "Band: 95 % of as many independent draws as the smallest bulk ESS says, one parameter at a time. A chain that "
+    "leaves it together with others of its colour has not seen what the others have."
 )
-from bayescal.limits import AGREEMENT, ESS_BULK_LIMIT, OUT_OF_QUESTION, PARETO_K_LIMIT, RHAT_LIMIT
-from bayescal.report.blocks import Statement
-from bayescal.report.numbers import format_fixed, format_percent, format_plain, format_span, join_words
-
-INTERVAL = 0.90
-FEW = 3  # variants to name one by one
-
-NOTHING_GAINED = 0.1
-"""Difference of log-evidences, nat, that is no reason for anything."""
-
-
-def list_failures(results: StudyResults) -> list[Statement]:
-    """Return everything that speaks against relying on the numbers, posterior by posterior."""
-    failures = []
-    for variant, setting, fit in results.fits():
-        where = label_variant(results, variant)
-        where += f", {SETTINGS[setting]}" if len(results.settings) > 1 else ""
-        problems = [one for one in fit["problems"].split("; ") if one]
-        if not problems and measure_gap(fit) > AGREEMENT:
-            problems = [f"the two log-evidences differ by {format_fixed(measure_gap(fit), 2)} nat, limit {AGREEMENT}"]
-        if not problems and not fit["converged"]:
-            problems = ["not converged"]
-        failures += [Statement(f"{where}: {problem}", "bad") for problem in problems]
-    return failures
+PITS = (
+    "Share of the measured components (x, y, z and three angles of every calibration pose, each pose left out) "
+    "below a quantile of their predictions, less the expected share, with model error and without. Band: 95 % of "
+    "independent uniform numbers. An S that falls first and rises then means predictions too wide, the other way "
+    "round too narrow, a hump to one side a bias."
+)
+REPLICATES = (
+    "Errors of the calibration poses against the mean prediction, sorted, with those that replicates of the "
+    "measurement would have (band: 95 %; line: median), with model error. A posterior that has seen a "
+    "pose fits it somewhat better than a replicate. Poses far left of the band: noise or model error too large; "
+    "right of it: too small, at the upper end single poses that are blunders."
+)
+PARETO_K = (
+    "Pareto k of the weights that leave a calibration pose out, with model error. Above the line "
+    f"({PARETO_K_LIMIT}) the weights fail; such a pose (open) was left out by a run of its own, unless more than "
+    "ten poses of a posterior are as bad."
+)
+POWERS = (
+    "How far the distribution of a parameter moves when the prior, or the density of the measurements, is raised "
+    f"to a power near one; it counts from {SENSITIVE} on. Sensitive to the prior alone: the measurements say "
+    "little. Sensitive to both: they pull apart."
+)
 
 
-def title_failures(results: StudyResults) -> str:
-    """Return how far the failures reach: to the ranking, or only to posteriors without model error."""
-    if len(results.settings) > 1 and passes_with_model_error(results):
-        return (
-            "Do not rely yet on the posteriors listed here, all without model error; the ranking with model error does "
-            "not use them."
-        )
-    return "Do not rely on these numbers yet. What speaks against them:"
+def fold_checks(study: StudyResults) -> list[Block]:
+    """Return the checks of the best variant, and those of all, each behind a line."""
+    best = study.label(study.best_name)
+    shown: list[tuple[str, Figure | Table]] = []
+    poses = study.table("poses")
+    poses = poses[poses["use"] == "calibration"]
+    if "x_pit" in poses:
+        title = f"Poses left out: where they lie in the predictions of {best} (LOO-PIT)"
+        shown.append((title, _illustrate_pits(poses[poses["variant"] == study.best_name])))
+        figure = Figure("replicates", REPLICATES, None, study.say_missing())
+        if study.replicates is not None:
+            figure = Figure("replicates", REPLICATES, partial(_draw_replicates, study.replicates, study.units))
+        shown.append((f"Errors of poses and of their replicates, {best} (posterior predictive check)", figure))
+    draw = partial(_draw_pareto_k, poses[poses["model_error"] == "free"], study.ranking, assign_styles(study))
+    shown.append(("Pareto k of every pose left out", Figure("pareto_k", PARETO_K, draw)))
+    shown.append((f"Chains of {best} (rank plot)", _illustrate_ranks(study)))
+    own = study.table("parameters", study.best_name)
+    own = own[(own["model_error"] == "free") & own["prior_sensitivity"].notna()]
+    if len(own):
+        shown.append((f"Sensitivity of {best} to prior and data (power scaling)", tabulate_power_scaling(own)))
+    return [Fold(title, (block,)) for title, block in shown]
 
 
-def passes_with_model_error(results: StudyResults) -> bool:
-    """Whether every posterior with model error converged and both estimators of its log-evidence agree."""
-    return all(_passed(fit) for _, setting, fit in results.fits() if setting == "free")
+def _illustrate_ranks(study: StudyResults) -> Figure:
+    if study.best_name not in study.draws:
+        return Figure("ranks", RANKS, None, study.say_missing())
+    draws = study.draws[study.best_name]
+    effective = min(float(study.fit(study.best_name)["ess_bulk_min"]), float(len(next(iter(draws.values())))))
+    return Figure("ranks", RANKS, partial(_draw_ranks, draws, study.n_chains, effective))
 
 
-def _passed(fit: Mapping[str, Any]) -> bool:
-    return bool(fit["converged"] and measure_gap(fit) <= AGREEMENT and not fit["problems"])
+def _draw_ranks(draws: Mapping[str, Array], n_chains: int, effective: float) -> Drawing:
+    """Return the rank plot of all parameters: each chain's share of the ranks, less what it should be.
+
+    Of each parameter (S,) draws, chains laid end to end; ``effective`` is their smallest effective number.
+    """
+    figure = Drawing(figsize=(4.6, 2.6))
+    axes = figure.subplots()
+    ranks = array_stats.compute_ranks(np.stack(list(draws.values())), axis=-1, relative=True)
+    for chain, own in enumerate(np.split(ranks, n_chains, axis=-1)):
+        share = np.stack([np.searchsorted(np.sort(one), GRID, side="right") / len(one) for one in own])
+        axes.plot(GRID, (share - GRID).T, color=LEG_COLOURS[chain % len(LEG_COLOURS)], linewidth=0.4, alpha=0.6)
+    width = KOLMOGOROV * np.sqrt((1 - 1 / n_chains) * n_chains / effective)
+    _shade(axes, GRID, np.full_like(GRID, -width), np.full_like(GRID, width))
+    axes.set_xlabel("Rank among all draws, as a share")
+    axes.set_ylabel("share of a chain − expected")
+    axes.set_title(f"Ranks, {len(draws)} parameters, {n_chains} chains")
+    return figure
 
 
-def measure_gap(fit: Mapping[str, Any]) -> float:
-    """Return how far the two log-evidences of a posterior lie apart."""
-    return abs(float(fit["log_evidence_importance"] - fit["log_evidence_bridge"]))
-
-
-def name_or_count(words: list[str], total: int) -> str:
-    """Return a few variants by name, many as a count."""
-    return join_words(words) if len(words) <= FEW else f"{len(words)} of {total} variants (tables below)"
-
-
-def state_convergence(results: StudyResults) -> Statement:
-    """Say whether all posteriors passed their checks, and by what margin."""
-    fits = list(results.fits())
-    failed = sum(1 for _, _, fit in fits if not _passed(fit))
-    if failed:
-        return Statement(
-            f"{failed} of {len(fits)} posteriors did not pass their checks (listed above).", "bad", "Checks"
-        )
-    gap = max(measure_gap(fit) for _, _, fit in fits)
-    rhat = max(fit["rhat_max"] for _, _, fit in fits)
-    bulk = min(fit["ess_bulk_min"] for _, _, fit in fits)
-    text = (
-        f"All {len(fits)} posteriors converged: R-hat at most {format_fixed(rhat, 4)} (limit {RHAT_LIMIT}), bulk ESS "
-        f"at least {format_fixed(bulk, 0)} (limit {format_fixed(ESS_BULK_LIMIT, 0)}). Both evidence estimators agree "
-        f"to {format_fixed(gap, 3)} nat or better (limit {AGREEMENT})."
-    )
-    if has_doubts(results):
-        caveat = "That follows from what was stated of noise and tolerances; what speaks against it stands above."
-        return Statement(f"{text} {caveat}", "plain", "Checks")
-    return Statement(text, "good", "Checks")
-
-
-# --- stability -------------------------------------------------------------------------------------------------------
-
-
-def state_stability(results: StudyResults) -> list[Statement]:
-    """Say whether the same variants lead with wider and narrower priors."""
-    if not results.has("sensitivity"):
-        return []
-    wide = results.sensitivity_grid
-    if len(results.ranking) == 1 or len(wide) == 1:
-        return []
-    statements = [_compare_widths(results, wide)]
-    found = results.table("sensitivity")
-    best = found.groupby("factor")["log_evidence"].transform("max")
-    matter = found[found["log_evidence"] > best - OUT_OF_QUESTION]
-    unreliable = int((matter["pareto_k"] > PARETO_K_LIMIT).sum())
-    if unreliable:
-        verb = "is" if unreliable == 1 else "are"
-        text = f"{unreliable} of {len(matter)} evidences near the best {verb} unreliable (Pareto k)."
-        statements.append(Statement(text, "warning", "Stability"))
-    return statements
-
-
-def _compare_widths(results: StudyResults, wide: pd.DataFrame) -> Statement:
-    leaders = find_leaders(results)
-    names = name_variants(results, leaders)
-    span = f"priors {format_plain(wide.index[0])} to {format_plain(wide.index[-1])} times as wide as the study's"
-    rivals = wide.drop(columns=leaders)
-    if rivals.empty:
-        largest = format_fixed(float((wide.max(axis=1) - wide.min(axis=1)).max()), 1)
-        return Statement(f"Over {span} the variants lie within {largest} nat of each other.", lead="Stability")
-    lead = wide[leaders].min(axis=1) - rivals.max(axis=1)
-    lost = lead[lead < -NOT_DISTINGUISHABLE].index
-    if len(lost):
-        where = [f"{label_variant(results, str(rivals.loc[t].idxmax()))} at {format_factor(t)}" for t in lost]
-        text = f"The ranking is not stable over {span}: not {name_variants(results, leaders, 'or')} comes first but "
-        return Statement(f"{text}{join_words(where)}.", "bad", "Stability")
-    stay = "stays" if len(leaders) == 1 else "stay"
-    if lead.min() > NOT_DISTINGUISHABLE:
-        where_least = float(lead.index[int(lead.argmin())])
-        least = f"never by less than {format_fixed(lead.min(), 1)} nat (at {format_factor(where_least)})"
-        text = f"{names} {stay} first, {least}"
-    else:
-        text = f"no other variant gets ahead of {names} by more than {format_plain(NOT_DISTINGUISHABLE)} nat"
-    if len(leaders) > 1:
-        within = (wide[leaders].max(axis=1) - wide[leaders].min(axis=1)).max()
-        text += f", with {format_fixed(float(within), 1)} nat or less between them"
-    text = f"The ranking is stable over {span}: {text}; {_describe_reversals(results, wide)}."
-    return Statement(text, "good", "Stability")
-
-
-def list_reversals(results: StudyResults, values: Mapping[str, float], limit: float) -> list[tuple[str, str]]:
-    """Return pairs (passes, passed): told apart by the evidence, and by more than a limit the other way by a score."""
-    ranking = results.ranking
-    pairs = [(ranking[j], ranking[i]) for j in range(len(ranking)) for i in range(j)]
-    return [
-        (low, high) for low, high in pairs if values[low] - values[high] > limit and is_told_apart(results, low, high)
-    ]
-
-
-def _describe_reversals(results: StudyResults, wide: pd.DataFrame) -> str:
-    """Name who passes whom at which factor on the priors, beyond what is not told apart anyway."""
-    passes: dict[str, list[str]] = {}
-    for factor, (_, row) in zip(wide.index, wide.iterrows(), strict=True):
-        values = {str(name): float(value) for name, value in row.items()}
-        passed: dict[str, int] = {}
-        for low, _ in list_reversals(results, values, NOT_DISTINGUISHABLE):
-            passed[low] = passed.get(low, 0) + 1
-        for low, n in passed.items():
-            passes.setdefault(low, []).append(f"{n} {'variant' if n == 1 else 'variants'} at {format_factor(factor)}")
-    if not passes:
-        return "the whole order stays"
-    words = [f"{label_variant(results, name)} passes {join_words(where)}" for name, where in passes.items()]
-    return f"further down the order changes ({name_or_count(words, len(wide.columns))})"
-
-
-# --- model error -----------------------------------------------------------------------------------------------------
-
-
-def state_model_error(results: StudyResults) -> list[Statement]:
-    """Say which variants the data want a model error for, and who leads without it."""
-    if "zero" not in results.settings:
-        return []
-    gain = {name: measure_gain(results, name) for name in results.ranking}
-    leaders = find_leaders(results)
-    one = len(leaders) == 1
-    worth = format_span([abs(gain[name]) for name in leaders])
-    need, their = ("needs", "its") if one else ("need", "their")
-    if all(abs(gain[name]) < NOTHING_GAINED for name in leaders):
-        text = (
-            f"To {name_variants(results, leaders)} the model error τ makes no difference: without it "
-            f"log-evidence changes by less than {format_fixed(NOTHING_GAINED, 1)} nat"
-        )
-    elif all(gain[name] < 0 for name in leaders):
-        text = (
-            f"{name_variants(results, leaders)} {need} no model error τ: setting it to zero raises {their} "
-            f"log-evidence by {worth} nat"
-        )
-    elif all(gain[name] >= 0 for name in leaders):
-        fall = f"without it {their} log-evidence falls by {worth} nat"
-        text = f"{name_variants(results, leaders)} {need} the model error τ: {fall}"
-    else:
-        wanting = name_variants(results, [name for name in leaders if gain[name] >= 0])
-        text = f"Of {name_variants(results, leaders)} only {wanting} would do worse without the model error τ"
-    text += _describe_needing(results, {name: gain[name] for name in gain if name not in leaders})
-    return [_compare_without(results, leaders, text)]
-
-
-def _describe_needing(results: StudyResults, gain: Mapping[str, float]) -> str:
-    """Say how far the other variants fall without model error."""
-    needing = [name for name in gain if gain[name] >= NOTHING_GAINED]
-    if not needing:
-        return ""
-    least = format_fixed(min(gain[name] for name in needing), 1)
-    if len(needing) == 1:
-        return f"; {label_variant(results, needing[0])} falls by {least} nat"
-    which = (
-        "the other variants"
-        if len(needing) == len(gain)
-        else name_or_count([label_variant(results, name) for name in needing], len(gain))
-    )
-    return f"; without it {which} fall by {least} nat or more"
-
-
-def _compare_without(results: StudyResults, leaders: list[str], text: str) -> Statement:
-    """Add who leads with the model error set to zero; a warning where it is another variant."""
-    if len(results.ranking) == 1:
-        return Statement(f"{text}.", lead="Model error")
-    without = find_leaders(results, "zero")
-    others = [name for name in results.ranking if name not in without]
-    lead = ""
-    if others:
-        least = min(read_evidence(results, name, "zero") for name in without)
-        lead = f" by {format_fixed(least - max(read_evidence(results, name, 'zero') for name in others), 1)} nat"
-    if set(without) == set(leaders) and len(leaders) > 1:
-        spread = format_fixed(measure_spread(results, without, "zero"), 1)
-        text = f"{text}. With τ = 0 everywhere the same {len(leaders)} lead{lead}, within {spread} nat."
-        return Statement(text, lead="Model error")
-    verb = "leads" if len(without) == 1 else "lead"
-    text = f"{text}. With τ = 0 everywhere, {name_variants(results, without)} {verb}{lead}"
-    if not set(without) & set(leaders):
-        return Statement(f"{text}: not the variant that leads with model error.", "warning", "Model error")
-    return Statement(f"{text}.", lead="Model error")
-
-
-def measure_gain(results: StudyResults, name: str) -> float:
-    """Return what the model error adds to a variant's log-evidence, nats."""
-    return read_evidence(results, name) - read_evidence(results, name, "zero")
-
-
-# --- coverage --------------------------------------------------------------------------------------------------------
-
-
-def state_coverage(results: StudyResults) -> list[Statement]:
-    """Say how often the 90 % predictive intervals hold the measurements, in both settings."""
-    if not results.has("pose_errors"):
-        return []
-    statements = []
-    n_poses = results.summary["n_poses"]["calibration"]
+def _illustrate_pits(poses: pd.DataFrame) -> Figure:
+    pits = {}
     for setting, words in SETTINGS.items():
-        coverage = {name: results.fit(name, setting)["calibration"]["interval_90_coverage"] for name in results.ranking}
-        narrow = [name for name, share in coverage.items() if is_too_narrow(share, n_poses)]
-        span = " to ".join(dict.fromkeys(format_percent(x) for x in (min(coverage.values()), max(coverage.values()))))
-        text = (
-            f"{words[0].upper()}{words[1:]}, the 90 % predictive intervals hold {span} of the calibration measurements"
-        )
-        if narrow:
-            shares = [f"{label_variant(results, name)} ({_cover_both(results, name, setting)})" for name in narrow]
-            text += ": intervals too narrow for "
-            text += name_or_count(shares, len(coverage))
-        statements.append(Statement(f"{text}.", "warning" if narrow else "plain", "Coverage"))
-    best = results.ranking[0]
-    bounds = describe_bounds(results, best, choose_setting(results, best))
-    if any(statement.lead == "Bounds" for statement in state_soundness(results)):
-        return statements
-    return [*statements, Statement(f"{label_variant(results, best)}: {bounds}.", lead="Coverage")]
+        chosen = poses[poses["model_error"] == setting]
+        values = chosen[list(COMPONENT_PITS)].to_numpy(dtype=float).ravel()
+        pits[words[0].upper() + words[1:]] = values[pd.notna(values)]
+    if not all(len(values) > 2 for values in pits.values()):
+        return Figure("loo_pit", PITS, None, "no component of a pose is measured")
+    return Figure("loo_pit", PITS, partial(_draw_pits, pits))
 
 
-def _cover_both(results: StudyResults, variant: str, setting: str) -> str:
-    fit = results.fit(variant, setting)
-    text = format_percent(fit["calibration"]["interval_90_coverage"])
-    if fit.get("verification"):
-        text += f", verification {format_percent(fit['verification']['interval_90_coverage'])}"
-    return text
+def _draw_pits(pits: Mapping[str, Array]) -> Drawing:
+    """Return ΔECDF of PITs, a panel per setting, each with a simultaneous 95 % band of uniform numbers.
+
+    By simulation, whose time grows with the square of their number; Kolmogorov's, which many values reach, beyond.
+    """
+    figure = Drawing(figsize=(4.6 * len(pits), 2.6))
+    panels = figure.subplots(1, len(pits), squeeze=False, sharey=True)[0]
+    for axes, (title, values) in zip(panels, pits.items(), strict=True):
+        if len(values) <= MANY:
+            points, share, low, high = ecdf_pit(values, 0.95, SIMULATIONS)
+        else:
+            points, width = GRID, KOLMOGOROV / np.sqrt(len(values))
+            share = np.searchsorted(np.sort(values), GRID, side="right") / len(values)
+            low, high = np.clip(GRID - width, 0.0, 1.0), np.clip(GRID + width, 0.0, 1.0)
+        _shade(axes, points, low - points, high - points)
+        axes.plot(points, share - points, color=INK, linewidth=1.1)
+        axes.set_title(title)
+        axes.set_xlabel("Where the measured value lies in its prediction (LOO-PIT)")
+    panels[0].set_ylabel("share below − expected")
+    return figure
 
 
-def is_too_narrow(coverage: float, n_poses: int) -> bool:
-    """Whether a coverage lies two standard errors below 90 %, counting a pose's six components as one trial."""
-    return bool(coverage < INTERVAL - 2 * math.sqrt(INTERVAL * (1 - INTERVAL) / max(n_poses, 1)))
+def _shade(axes: Axes, points: Array, low: Array, high: Array) -> None:
+    axes.fill_between(points, low, high, color=PALE, alpha=0.6, linewidth=0)
+    axes.axhline(0.0, color=GREY, linewidth=0.7)
+    axes.set_xlim(0, 1)
 
 
-def read_prior_scale(results: StudyResults) -> float | None:
-    """Return the scale of the model error's prior, µm, if the config states it."""
-    scale = results.config.get("model_error", {}).get("scale_um")
-    return None if scale is None else float(scale)
+def _draw_replicates(misfit: Array, asked: Asked) -> Drawing:
+    """Return the distribution of the poses' errors and that of replicates.
+
+    ``misfit``, shape (S, P, 6), mm and rad, is measured less replicated poses.
+    """
+    angle, unit = shown_in("rad", asked)
+    turned = (f"Orientation error ({unit})", slice(3, 6), angle)
+    kinds = (("Position error (µm)", slice(0, 3), MICROMETRES), turned)
+    mean = misfit.mean(axis=0)
+    known = [one for one in kinds if np.isfinite(misfit[..., one[1]]).any()]
+    figure = Drawing(figsize=(4.6 * len(known), 2.6))
+    panels = figure.subplots(1, len(known), squeeze=False, sharey=True)[0]
+    for axes, (label, part, factor) in zip(panels, known, strict=True):
+        seen = factor * np.sort(_measure(mean[:, part]))
+        made = factor * np.sort(_measure((mean - misfit)[..., part]), axis=-1)
+        share = (np.arange(len(seen)) + 0.5) / len(seen)
+        axes.fill_betweenx(share, *np.quantile(made, [0.025, 0.975], axis=0), color=PALE, linewidth=0)
+        axes.plot(np.median(made, axis=0), share, color=GREY, linewidth=0.9)
+        axes.plot(seen, share, color=INK, marker="o", markersize=2.5, linewidth=0.7)
+        axes.set_xlim(left=0)
+        axes.set_xlabel(label)
+    panels[0].set_ylabel("share of the poses below")
+    measured = Line2D([], [], color=INK, marker="o", markersize=2.5, label="measured")
+    replicates = Line2D([], [], color=PALE, linewidth=6, label="replicates, 95 %")
+    panels[0].legend(handles=[measured, replicates], loc="lower right")
+    return figure
+
+
+def _measure(vector: Array) -> Array:
+    """Return the lengths of vectors (..., 3) along what was measured."""
+    return np.asarray(np.sqrt(np.nansum(vector**2, axis=-1)))
+
+
+def _draw_pareto_k(left_out: pd.DataFrame, variants: list[str], styles: Styles) -> Drawing:
+    """Return Pareto k of every calibration pose and variant; open where a run left the pose out."""
+    figure = Drawing(figsize=(9.4, 2.6))
+    axes = figure.subplots()
+    poses = list(dict.fromkeys(left_out["pose"]))
+    place = {pose: k for k, pose in enumerate(poses)}
+    for k, name in enumerate(variants):
+        own, style = left_out[left_out["variant"] == name], styles[name]
+        shift = 0.6 * ((k + 0.5) / len(variants) - 0.5)
+        face = np.where(own["refitted"].astype(bool), "none", style.colour)
+        shape: dict[str, Any] = {
+            "marker": style.marker,
+            "facecolors": face,
+            "edgecolors": style.colour,
+            "linewidths": 0.7,
+        }
+        axes.scatter(own["pose"].map(place) + shift, own["pareto_k"], s=11, **shape)
+    axes.axhline(PARETO_K_LIMIT, color=RED, linewidth=0.8)
+    step = -(-len(poses) // MOST_NAMED)
+    axes.set_xticks(range(0, len(poses), step), poses[::step], rotation=90 if len(poses) > 12 else 0)
+    axes.tick_params(axis="x", labelsize=7)
+    axes.set_xlim(-0.7, len(poses) - 0.3)
+    axes.set_ylabel("Pareto k")
+    axes.grid(axis="y")
+    add_legend(figure, styles, 1.2)
+    return figure
+
+
+def tabulate_power_scaling(own: pd.DataFrame) -> Table:
+    """Return by symbol how much a posterior depends on prior and measurements.
+
+    Parameters
+    ----------
+    own : DataFrame
+        ``parameter``, ``prior_sensitivity`` and ``likelihood_sensitivity`` of one variant.
+    """
+    split = [split_name(name) for name in own["parameter"]]
+    own = own.assign(symbol=[symbol for symbol, _ in split], leg=[leg for _, leg in split])
+    columns = [
+        Column("Parameter", kind="symbol"),
+        Column("Prior", "smallest to largest", "Sensitivity to"),
+        Column("measurements", "smallest to largest", "Sensitivity to"),
+        Column("What it means", kind="text"),
+    ]
+    rows: list[list[str | Cell]] = []
+    for symbol, group in own.groupby("symbol", sort=False):
+        values = [group[f"{one}_sensitivity"] for one in ("prior", "likelihood")]
+        spans = (dict.fromkeys(format_fixed(float(x), 3) for x in (one.min(), one.max())) for one in values)
+        prior, data = (one >= SENSITIVE for one in values)
+        words = []
+        for chosen, text in ((prior & data, "prior and measurements pull apart"), (prior & ~data, "the prior decides")):
+            legs = [str(leg) for leg in group.loc[chosen, "leg"] if leg]
+            if chosen.any():
+                words.append(text + ("" if chosen.all() or not legs else f" in leg {join_words(legs)}"))
+        in_conflict = bool((prior & data).any())
+        meaning = Cell("; ".join(words) or "the measurements decide", "warning" if in_conflict else "plain")
+        rows.append([str(symbol), *(" to ".join(span) for span in spans), meaning])
+    caption = "Sensitivity to prior and measurements by power scaling, over the entries of each symbol."
+    return make_table(caption, columns, rows, [Statement(POWERS)])

@@ -1,13 +1,31 @@
-"""What was measured, as a table."""
+"""What was measured and what symbols mean, and what others state of the same machine: claims, and values of others."""
 
 from __future__ import annotations
 
+import math
+import re
+from dataclasses import replace
 from typing import Any
 
+import pandas as pd
+
+from bayescal.experiments.shared import knowledge_page
 from bayescal.experiments.shared.origin import name_origin
-from bayescal.experiments.study.page.results import StudyResults, get_number
-from bayescal.report.blocks import Section, Statement, Table, make_pairs
-from bayescal.report.numbers import format_fixed
+from bayescal.experiments.study.page.results import VERDICTS, StudyResults, get_number
+from bayescal.report.blocks import (
+    Block,
+    Cell,
+    Column,
+    Counts,
+    Level,
+    Section,
+    Statement,
+    Table,
+    make_pairs,
+    make_table,
+)
+from bayescal.report.numbers import NOTHING, format_estimate, format_fixed, format_significant, join_words
+from bayescal.report.reading import Row
 
 SHOWN_TARGETS = 20
 INSTRUMENTS = {"poses": "poses, whole or in part, as an instrument hands them out", "points": "tracked points"}
@@ -20,43 +38,99 @@ POINTS = (
     "says; well above 1 the probe deforms or the noise is larger, well below 1 the noise is smaller than stated."
 )
 
+type Symbol = tuple[str, str]
+
+KAPPA: Symbol = (
+    "kappa",
+    "deflection of a platform joint per displacement: of its own actuator (linear), the diagonal of K (matrix)",
+)
+MATRIX: Symbol = ("K", "deflection of all platform joints per displacement of all actuators")
+ERROR = "model error: standard deviation of what the model leaves unexplained along a {}"
+SYMBOLS: tuple[Symbol, ...] = (
+    ("a", "joint of a leg's actuator on the base, base frame"),
+    ("b", "joint of a leg on the platform, platform frame"),
+    ("u", "direction of an actuator, a unit vector"),
+    ("l", "length of a leg; of a strut, at the initial position of its actuator"),
+    ("rho", "position of an actuator; Δρ its displacement from the initial position"),
+    ("rho0", "initial position of an actuator"),
+    KAPPA,
+    MATRIX,
+    ("tau", ERROR.format("leg")),
+)
+STRUTS: tuple[Symbol, ...] = (
+    ("a", "joint of a strut on the base, base frame"),
+    ("b", "joint of a strut on the platform, platform frame"),
+    ("l", "length of a strut at the initial position of its actuator"),
+    ("rho", "position of an actuator; Δρ, its displacement from the initial position, lengthens the strut"),
+)
+FRAMES: tuple[Symbol, ...] = (
+    ("base_x … base_rz", "frame of the instrument against the base: displacement and rotation vector"),
+    ("tool_x … tool_rz", "frame of the probe against the platform: displacement and rotation vector"),
+)
+NOTATION = "Notation; subscripts x, y, z are components, a leg's number stands in the column's heading."
+LEVELS: dict[str, Level] = dict(zip(VERDICTS, ("good", "bad", "plain"), strict=True))
+PLURAL = {"holds": "hold", "does not hold": "do not hold", "not testable": "are not testable"}
+OWN = "own"  # section of findings that the publication does not state
+CLAIMS = (
+    "A claim opens to say how it was tested and what its verdict depends on. “Not testable”: these data cannot decide."
+)
+
+
+# --- what was measured -----------------------------------------------------------------------------------------------
+
+
+def state_data(study: StudyResults) -> list[Statement]:
+    """Say that there is no tool, which readings are not used, that they are few, and how noise was found."""
+    found = [] if study.summary.get("states_tool", True) else [Statement(knowledge_page.NO_TOOL, "warning", "Tool")]
+    if "unused" in study.summary:
+        found.append(Statement(study.summary["unused"], "warning", "Data"))
+    fit = study.fit(study.chosen)
+    if get_number(fit, "n_equations") < fit["n_parameters"]:
+        text = f"{fit['n_equations']} equations for {fit['n_parameters']} unknowns: what the readings do not determine"
+        found.append(Statement(f"{text} rests on the stated tolerances.", "warning", "Data"))
+    for row in study.rows("parameters", study.chosen):
+        kind, _, what = str(row["parameter"]).rstrip(")").partition("(")
+        factor, unit = study.shown_in(row["unit"])
+        amount = format_estimate(factor * row["mean"], factor * row["sd"])
+        if kind == "noise_factor":
+            found.append(Statement(f"The noise of {what} is {amount} times the stated one (± 1 sd).", lead="Noise"))
+        elif kind == "model_error":
+            text = f"Beyond its noise, {what} errs by {amount} {unit} (± 1 sd)."
+            found.append(Statement(text, lead="Model error"))
+    return found
+
 
 def show_data(study: StudyResults) -> Section | None:
-    """Return what was measured; None where the facts below the heading say it all."""
-    if "pose_extraction" not in study.summary and study.instrument is None:
+    """Return what was measured and how it became poses; None where the facts below the heading say it all."""
+    summary, instrument = study.summary, study.instrument
+    if "pose_extraction" not in summary and instrument is None:
         return None
-    return Section("Data", (tabulate_data(study),), anchor="data")
-
-
-def tabulate_data(results: StudyResults) -> Table:
-    """Return what was measured and how it became poses."""
-    summary = results.summary
     rows = [
         ["Origin", name_origin(summary["origin"])],
         ["Calibration poses", str(summary["n_poses"]["calibration"])],
-        ["Verification poses", str(summary["n_poses"]["verification"]) if results.n_verification else "none"],
+        ["Verification poses", str(summary["n_poses"]["verification"]) if study.n_verification else "none"],
     ]
-    if results.instrument is None:
-        return make_pairs("Measurements.", rows + _list_targets(summary["pose_extraction"]), [Statement(TARGETS)])
-    notes = [Statement(POINTS)] if "points" in results.instrument else []
-    return make_pairs("Measurements.", rows + _list_readings(results.instrument, results), notes)
+    notes = []
+    if instrument is None:
+        extraction = summary["pose_extraction"]
+        rejected = [str(target) for target in extraction["rejected_targets"]]
+        rows += [
+            ["Pose extraction", extraction["method"]],
+            ["χ² per degree of freedom of the rigid fits", format_fixed(get_number(extraction, "chi2_per_dof"), 3)],
+            ["Rejected targets", f"{len(rejected)}: {_shorten(rejected)}" if rejected else "none"],
+        ]
+        notes.append(Statement(TARGETS))
+    else:
+        rows += _list_readings(instrument, sum(summary["n_poses"].values()))
+        notes += [Statement(POINTS)] if "points" in instrument else []
+    return Section("Data", (make_pairs("Measurements.", rows, notes),), anchor="data")
 
 
-def _list_targets(extraction: dict[str, Any]) -> list[list[str]]:
-    rejected = [str(target) for target in extraction["rejected_targets"]]
-    return [
-        ["Pose extraction", extraction["method"]],
-        ["χ² per degree of freedom of the rigid fits", format_fixed(get_number(extraction, "chi2_per_dof"), 3)],
-        ["Rejected targets", f"{len(rejected)}: {_shorten(rejected)}" if rejected else "none"],
-    ]
-
-
-def _list_readings(instrument: dict[str, Any], results: StudyResults) -> list[list[str]]:
+def _list_readings(instrument: dict[str, Any], n_poses: int) -> list[list[str]]:
     """Return what an instrument read: coordinates of poses, or points by stations."""
     kind = str(instrument.get("measurement"))
-    rows = [["Instrument", INSTRUMENTS.get(kind, kind)]]
     free = ", ".join(str(frame) for frame in instrument.get("free_frames", []))
-    rows.append(["Frames found with the machine", free or "none, all known"])
+    rows = [["Instrument", INSTRUMENTS.get(kind, kind)], ["Frames found with the machine", free or "none, all known"]]
     if "points" in instrument:
         rows += [
             ["Stations", _shorten([str(name) for name in instrument["stations"]])],
@@ -65,12 +139,174 @@ def _list_readings(instrument: dict[str, Any], results: StudyResults) -> list[li
             ["χ² per degree of freedom of the rigid fits", format_fixed(get_number(instrument, "chi2_per_dof"), 3)],
         ]
     elif "measured_coordinates" in instrument:
-        total = sum(results.summary["n_poses"].values())
         counts = instrument["measured_coordinates"]
-        words = [name if count == total else f"{name} ({count} of {total})" for name, count in counts.items() if count]
+        words = [name if n == n_poses else f"{name} ({n} of {n_poses})" for name, n in counts.items() if n]
         rows.append(["Coordinates measured", ", ".join(words)])
     return rows
 
 
 def _shorten(names: list[str]) -> str:
     return ", ".join(map(str, names[:SHOWN_TARGETS])) + (" …" if len(names) > SHOWN_TARGETS else "")
+
+
+# --- symbols ---------------------------------------------------------------------------------------------------------
+
+
+def show_notation(study: StudyResults) -> Section | None:
+    """Return the symbols of a machine on legs; of a publication, also where it defines them."""
+    if not study.has("pose_errors"):
+        return None
+    publication = study.publication
+    columns = [Column("Symbol", kind="symbol"), Column("Meaning", kind="text")]
+    rows = [[symbol, meaning] for symbol, meaning in list_symbols(study)]
+    if publication is not None:
+        columns.append(Column(publication["source"], kind="text"))
+        rows = [[symbol, meaning, publication["notation"].get(symbol, NOTHING)] for symbol, meaning in rows]
+    sources = () if publication is None else (publication["citation"],)
+    return Section("Notation", (make_table(NOTATION, columns, rows), *sources), anchor="notation")
+
+
+def list_symbols(study: StudyResults) -> tuple[Symbol, ...]:
+    """Return symbol and meaning of what a study's machine has; of struts only what is theirs."""
+    frames = FRAMES if len(study.frames) else ()
+    if not study.has_struts:
+        return (*SYMBOLS, *frames)
+    there = {*study.deformations, *(["matrix"] if study.has("ring") else [])}
+    deformed = [(KAPPA, {"linear", "matrix"}), (MATRIX, {"matrix"})]
+    own = (symbol for symbol, kinds in deformed if kinds & there)
+    return (*STRUTS, *own, ("tau", ERROR.format("strut")), *frames)
+
+
+# --- claims of a publication -----------------------------------------------------------------------------------------
+
+
+def list_counts(study: StudyResults) -> list[tuple[str, tuple[Cell, ...]]]:
+    """Return how many claims have each verdict, as marks: those of the publication, and findings of the project."""
+    if not study.has("claims"):
+        return []
+    claims = study.table("claims")
+    own = claims["section"] == OWN
+    counted = [("Stated by the publication", claims[~own]), ("Found beyond it", claims[own])]
+    return [(title, tuple(_count(rows))) for title, rows in counted if len(rows)]
+
+
+def _count(claims: pd.DataFrame) -> list[Cell]:
+    counts = {verdict: int((claims["verdict"] == verdict).sum()) for verdict in LEVELS}
+    return [
+        Cell(f"{n} {verdict if n == 1 else PLURAL[verdict]}", LEVELS[verdict], badge=True)
+        for verdict, n in counts.items()
+        if n
+    ]
+
+
+def state_claims(study: StudyResults) -> list[Statement]:
+    """Say in one sentence how the publication's claims fared."""
+    claims = study.table("claims")[study.table("claims")["section"] != OWN]
+    if claims.empty:
+        return []
+    counts = join_words([cell.text for cell in _count(claims)])
+    words = f"{len(claims)} {'claim' if len(claims) == 1 else 'claims'}"
+    return [Statement(f"Of {words} of the publication, {counts}.", lead="Publication")]
+
+
+def show_claims(study: StudyResults) -> Section | None:
+    """Return the section of the claims, counted and one by one; None where the study tests none."""
+    if not study.has("claims") or study.publication is None:
+        return None
+    blocks: list[Block] = [Counts(title, marks) for title, marks in list_counts(study)]
+    blocks += [CLAIMS, tabulate_claims(study.table("claims"))]
+    return Section(f"Claims of {study.publication['source']}", tuple(blocks), anchor="claims", short="Claims")
+
+
+def tabulate_claims(claims: pd.DataFrame) -> Table:
+    """Return the claims by the publication's sections in their order; other findings come last."""
+    columns = [Column(title, kind="text") for title in ("Verdict", "Claim", "Expected", "Found")]
+    rows: list[list[str | Cell]] = []
+    headings = {}
+    for section in sorted(dict.fromkeys(claims["section"]), key=_order):
+        headings[len(rows)] = _title(section)
+        rows += [_describe_claim(claim) for _, claim in claims[claims["section"] == section].iterrows()]
+    return replace(make_table("Claims and findings.", columns, rows, style="claims"), headings=headings)
+
+
+def _order(section: str) -> tuple[bool, list[int], str]:
+    return not section[:1].isdigit(), [int(number) for number in re.findall(r"\d+", section)], section
+
+
+def _title(section: str) -> str:
+    if section == OWN:
+        return "Beyond the publication: findings of this project"
+    if not section[:1].isdigit():
+        return section or "Without section"
+    return f"{'Sections' if ',' in section else 'Section'} {section}"
+
+
+def _describe_claim(claim: pd.Series) -> list[str | Cell]:
+    found = claim["found"]
+    if not found and claim["value"] == claim["value"]:  # NaN where there is no number
+        found = f"{format_significant(float(claim['value']))} {'' if claim['unit'] == '1' else claim['unit']}".strip()
+    return [
+        Cell(claim["verdict"], LEVELS[claim["verdict"]], badge=True),
+        Cell(claim["statement"], more=f"{claim['why']} ({claim['claim']})".strip()),
+        claim["expected"] or NOTHING,
+        found or NOTHING,
+    ]
+
+
+# --- values of others ------------------------------------------------------------------------------------------------
+
+
+def _list_others(study: StudyResults) -> dict[str, list[Row]]:
+    """Return the rows of each source of values that stay out of the fit, by its title."""
+    found: dict[str, list[Row]] = {}
+    for row in study.rows("beside", study.chosen):
+        found.setdefault(str(row["beside"]), []).append(row)
+    return found
+
+
+def _measure_distance(row: Row) -> float:
+    """Return how far a value lies from the posterior mean, in standard deviations of both; 0 where neither has any."""
+    value_sd = row["value_sd"] if row["value_sd"] == row["value_sd"] else 0.0
+    spread = math.hypot(row["sd"], value_sd)
+    return float((row["value"] - row["mean"]) / spread) if spread > 0.0 else 0.0
+
+
+def state_comparison(study: StudyResults) -> list[Statement]:
+    """Say how values of others, which stay out of the fit, compare with the posterior."""
+    found = []
+    for title, rows in _list_others(study).items():
+        worst = max(rows, key=lambda row: abs(_measure_distance(row)))
+        near = sum(abs(_measure_distance(row)) <= 2.0 for row in rows)
+        factor, unit = study.shown_in(str(worst["unit"]))
+        text = (
+            f"{title}: {near} of {len(rows)} values within two standard deviations; farthest "
+            f"{worst['quantity']}, {format_fixed(factor * worst['value'], 2)} {unit} against "
+            f"{format_estimate(factor * worst['mean'], factor * worst['sd'])} {unit} (± 1 sd)."
+        )
+        found.append(Statement(text, lead="Comparison"))
+    return found
+
+
+def show_comparison(study: StudyResults) -> Section | None:
+    """Return the values of others with the posterior; None without any."""
+    columns = [Column("Quantity", kind="text"), Column("Unit", kind="text"), Column("calibrated"), Column("other")]
+    columns += [Column("Difference"), Column("in standard deviations")]
+    blocks: list[Block] = []
+    for title, rows in _list_others(study).items():
+        source = f" ({rows[0]['source']})" if rows[0]["source"] else ""
+        lines = [_compare(study, row) for row in rows]
+        blocks.append(make_table(f"{title}{source}. These values stay out of the fit.", columns, lines))
+    title = "Comparison with other values"
+    return Section(title, tuple(blocks), anchor="comparison", short="Comparison") if blocks else None
+
+
+def _compare(study: StudyResults, row: Row) -> list[str | Cell]:
+    factor, unit = study.shown_in(row["unit"])
+    return [
+        str(row["quantity"]),
+        unit,
+        format_estimate(factor * row["mean"], factor * row["sd"]),
+        format_significant(factor * row["value"], 6),
+        format_significant(factor * (row["value"] - row["mean"])),
+        format_fixed(_measure_distance(row), 1, sign=True),
+    ]

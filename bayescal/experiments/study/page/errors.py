@@ -1,13 +1,78 @@
-"""Errors of measured poses, and how often intervals and bounds hold them."""
+"""What was measured against what is predicted: errors of poses, held-back readings, poses that others contradict."""
 
 from __future__ import annotations
 
-from bayescal.experiments.study.page.checks import is_too_narrow
-from bayescal.experiments.study.page.illustrations import illustrate_bounds, illustrate_errors
-from bayescal.experiments.study.page.results import SHORT_SETTINGS, USES, StudyResults
-from bayescal.experiments.study.page.variants import VARIANT, label_variant
-from bayescal.report.blocks import Block, Cell, Column, Fold, Section, Statement, Table, make_table
-from bayescal.report.numbers import NOTHING, format_percent
+import math
+import re
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure as Drawing
+from matplotlib.patches import Patch
+from matplotlib.ticker import FuncFormatter
+
+from bayescal.experiments.study.page.results import (
+    SETTINGS,
+    SHORT_SETTINGS,
+    USES,
+    VARIANT,
+    ErrorScale,
+    StudyResults,
+    name_some,
+)
+from bayescal.experiments.study.page.soundness import COVERAGE, is_too_narrow
+from bayescal.experiments.study.page.styles import Styles, assign_styles
+from bayescal.limits import BLUNDER
+from bayescal.report.blocks import Block, Cell, Column, Figure, Fold, Section, Statement, Table, make_table
+from bayescal.report.numbers import (
+    MICROMETRES,
+    NOTHING,
+    format_fixed,
+    format_percent,
+    format_plain,
+    format_significant,
+    join_words,
+)
+from bayescal.report.reading import Row
+from bayescal.report.style import GREY, INK, LEG_COLOURS, PALE, RED
+from bayescal.report.symbols import describe_deformation, quote
+
+SHADES = {"calibration": 0.85, "verification": 0.35}
+WIDTH = 0.38
+CROWDED = 4  # variants beyond which labels and numbers are slanted
+MARGINS = {"left": 0.065, "right": 0.995, "bottom": 0.11, "top": 0.89, "wspace": 0.16}
+CROWDED_MARGINS = MARGINS | {"bottom": 0.34, "top": 0.93}
+SLANTED: dict[str, Any] = {"rotation": 25, "ha": "right", "rotation_mode": "anchor", "fontsize": 7}
+BOUND = "position_bound_95_mm"
+NINETY = 1.645
+FAR = 2.5  # binomial deviations of a coverage that are no chance
+FEW = 40  # held-back readings, from which little can be said of coverage
+SHOWN = 10
+BARS = (
+    "each bar is as high as the largest error, the line across it is the mean, both as numbers. Errors of the "
+    "posterior mean prediction with model error"
+)
+BOUNDS = (
+    "Position error of every pose in units of the 95 % bound that the posterior predicts for it (open: "
+    "verification). One pose in twenty is expected beyond 1; many more, in red, mean a posterior that claims too "
+    "much. The bound is the median over the poses."
+)
+HELD_BACK = (
+    "Each reading of a held-back pose, predicted from the other readings there and from a calibration that has not "
+    "seen the pose."
+)
+OUTLIERS = (
+    "Each pose may be an outlier: it has nothing to do with where the machine was, because it was named wrongly, the "
+    "machine had not settled or something was in the way. An outlier counts for nothing in the posterior. The "
+    "probability is that of the best variant."
+)
+
+
+# --- errors of measured poses ----------------------------------------------------------------------------------------
 
 
 def show_errors(study: StudyResults) -> Section | None:
@@ -15,23 +80,24 @@ def show_errors(study: StudyResults) -> Section | None:
     if not study.has("pose_errors"):
         return None
     title = "Coverage: how many measurements lie inside their intervals, variant by variant"
-    blocks: list[Block] = [*illustrate_errors(study), illustrate_bounds(study)]
-    blocks.append(Fold(title, (tabulate_coverage(study),)))
+    draw = partial(_draw_bounds, study.table("pose_errors"), study.ranking, assign_styles(study))
+    blocks: list[Block] = [*_illustrate_errors(study), Figure("bounds", BOUNDS, draw)]
+    blocks.append(Fold(title, (_tabulate_coverage(study),)))
     return Section("Pose errors", tuple(blocks), anchor="errors", short="Errors")
 
 
-def tabulate_coverage(results: StudyResults) -> Table:
+def _tabulate_coverage(study: StudyResults) -> Table:
     """Return how often intervals and bounds hold the measurements, for every posterior."""
-    uses = USES if results.n_verification else USES[:1]
+    uses = USES if study.n_verification else USES[:1]
     kinds = ("90 % intervals, all components", "95 % bound, position", "95 % bound, orientation")
     columns = [VARIANT, Column("Model error", kind="text"), *(Column(use, "%", kind) for kind in kinds for use in uses)]
     rows = []
-    for name, setting, fit in results.fits():
-        frame = results.table("pose_errors", name)
+    for name, setting, fit in study.fits():
+        frame = study.table("pose_errors", name)
         frame = frame[frame["model_error"] == setting]
-        cells: list[str | Cell] = [label_variant(results, name), SHORT_SETTINGS[setting]]
+        cells: list[str | Cell] = [study.label(name), SHORT_SETTINGS[setting]]
         for use in uses:
-            share, n = fit[use]["interval_90_coverage"], results.summary["n_poses"][use]
+            share, n = fit[use]["interval_90_coverage"], study.summary["n_poses"][use]
             cells.append(Cell(format_percent(share).rstrip(" %"), "warning" if is_too_narrow(share, n) else "plain"))
         for kind, unit in (("position", "mm"), ("orientation", "deg")):
             for use in uses:
@@ -42,3 +108,261 @@ def tabulate_coverage(results: StudyResults) -> Table:
     note = "Marked where the coverage lies two standard errors or more below 90 %, a pose counted as one trial."
     caption = "Share of the measurements inside their predictive intervals and bounds; nominal 90 % and 95 %."
     return make_table(caption, columns, rows, [Statement(note)])
+
+
+def _illustrate_errors(study: StudyResults) -> list[Figure]:
+    """Return the bars of every deformation, on common axes; of a single model all deformations together."""
+    styles = assign_styles(study)
+    bars = partial(draw_error_bars, study.table("pose_errors"), study.error_scales, styles)
+    if len(study.models) == 1:
+        caption = f"{BARS[0].upper()}{BARS[1:]}{study.cite('figures', 'errors_all')}."
+        return [Figure("errors_all", caption, partial(bars, list(styles)))]
+    shown = []
+    for k, deformation in enumerate(study.deformations, start=1):
+        name = f"errors_{deformation if re.fullmatch(r'\w+', deformation, re.ASCII) else k}"
+        words = describe_deformation(deformation)
+        title = f"{words[0].upper()}{words[1:]}"
+        caption = f"{title}{study.cite('figures', name)}: {BARS}; the axes are the same for all deformations."
+        shown.append(Figure(name, caption, partial(bars, study.find(deformation=deformation), title)))
+    return shown
+
+
+def draw_error_bars(
+    predictions: pd.DataFrame, scales: Sequence[ErrorScale], styles: Styles, variants: Sequence[str], title: str = ""
+) -> Drawing:
+    """Return bars of some variants, from left to right: as high as the largest error, a line at the mean.
+
+    All such figures of a study take the same axes, from ``predictions`` of all its variants.
+    """
+    crowded = len(variants) > CROWDED
+    figure = Drawing(figsize=(9.4, 3.6 if crowded else 2.2))
+    figure.set_layout_engine("none")  # fixed margins take half the time
+    frame = predictions[predictions["model_error"] == "free"]
+    uses = [use for use in SHADES if (frame["use"] == use).any()]
+    panels = figure.subplots(1, len(scales), gridspec_kw=CROWDED_MARGINS if crowded else MARGINS, squeeze=False)[0]
+    models, deformations = ({getattr(styles[name], what) for name in variants} for what in ("model", "deformation"))
+    by_model = len(models) > 1 and len(deformations) == 1
+    labels = [styles[name].model if by_model else styles[name].label for name in variants]
+    for axes, scale in zip(panels, scales, strict=True):
+        errors = scale.factor * frame.groupby(["variant", "use"])[scale.column].agg(["mean", "max"])
+        for k, name in enumerate(variants):
+            for use, side in zip(uses, (-1, 1) if len(uses) > 1 else (0,), strict=True):
+                mean, largest = (float(errors[what][name, use]) for what in ("mean", "max"))
+                _draw_bar(axes, k, side, mean, largest, styles[name].colour, SHADES[use], crowded)
+        axes.set_ylim(0, (1.35 if crowded else 1.3) * float(errors["max"].max()) or 1.0)
+        axes.set_xlim(-0.6, max(len(variants), 3) - 0.4)
+        axes.set_xticks(range(len(variants)), labels, **(SLANTED if crowded else {}))
+        axes.tick_params(axis="x", length=0)
+        axes.set_ylabel(scale.label)
+        axes.grid(axis="y")
+    colours = {styles[name].colour for name in variants}
+    colour = colours.pop() if len(colours) == 1 else GREY
+    panels[0].set_title(title)
+    panels[-1].legend(
+        handles=[Patch(color=colour, alpha=SHADES[use], linewidth=0, label=f"{use} poses") for use in uses],
+        loc="lower right",
+        bbox_to_anchor=(1.0, 1.0),
+        ncols=2,
+        borderaxespad=0.0,
+    )
+    return figure
+
+
+def _draw_bar(
+    axes: Axes, place: float, side: int, mean: float, largest: float, colour: str, shade: float, upright: bool
+) -> None:
+    """Draw a bar left (-1) or right (1) of a place or on it (0); its numbers reach away from its neighbour, or up."""
+    centre = place + 0.5 * side * WIDTH
+    axes.bar(centre, largest, width=0.94 * WIDTH, color=colour, alpha=shade, linewidth=0)
+    axes.hlines(mean, centre - 0.47 * WIDTH, centre + 0.47 * WIDTH, color=INK, linewidth=1.6)
+    numbers = format_significant(mean, 2), format_significant(largest, 2)
+    if upright:
+        text = "/".join(numbers)
+        axes.annotate(text, (centre, largest), (0, 2), textcoords="offset points", ha="center", fontsize=6, rotation=90)
+        return
+    align, text = {-1: "right", 0: "center", 1: "left"}[side], "/\n".join(numbers)  # in degrees they are long
+    axes.annotate(text, (place, largest), (3 * side, 2), textcoords="offset points", ha=align, fontsize=7)
+
+
+def _draw_bounds(predictions: pd.DataFrame, variants: Sequence[str], styles: Styles) -> Drawing:
+    """Return every pose's position error in units of its 95 % bound: a row per variant, a column per setting."""
+    figure = Drawing(figsize=(9.4, 0.8 + 0.265 * len(variants)))
+    grid = figure.subplots(1, 2, sharex=True, sharey=True)
+    ratio = predictions["position_error_mm"] / predictions[BOUND]
+    frame = predictions.assign(ratio=ratio.clip(lower=1e-6))
+    for axes, (setting, words) in zip(grid, SETTINGS.items(), strict=True):
+        for k, name in enumerate(variants):
+            rows = frame[(frame["variant"] == name) & (frame["model_error"] == setting)]
+            _draw_strip(axes, rows, k, styles[name].colour)
+        axes.axvline(1.0, color=INK, linewidth=0.9)
+        axes.set_title(f"{words[0].upper()}{words[1:]}")
+        axes.set_xlabel("Position error / its 95 % bound")
+        axes.grid(axis="x")
+        axes.tick_params(axis="y", length=0)
+    low, high = max(0.002, 0.7 * frame["ratio"].min()), 1.25 * max(1.0, frame["ratio"].max())
+    grid[0].set_xscale("log")  # shared
+    grid[0].set_xlim(low, high)
+    grid[0].xaxis.set_major_formatter(FuncFormatter(lambda value, _: format_plain(value)))
+    grid[0].set_yticks(range(len(variants)), [styles[name].label for name in variants])
+    grid[0].set_ylim(len(variants) - 0.5, -0.5)
+    return figure
+
+
+def _draw_strip(axes: Axes, rows: pd.DataFrame, k: int, colour: str) -> None:
+    """Draw one variant's poses; their order in the survey spreads them over the row's height."""
+    ratio = rows["ratio"].to_numpy()
+    height = k + 0.56 * ((np.arange(len(rows)) + 0.5) / max(len(rows), 1) - 0.5)
+    held = (rows["use"] == "verification").to_numpy()
+    for chosen, fill in ((~held, colour), (held, "white")):
+        axes.plot(
+            ratio[chosen], height[chosen], "o", markersize=3.2, color=fill, markeredgecolor=colour, markeredgewidth=0.8
+        )
+    beyond = int((ratio > 1).sum())
+    expected = 0.05 * len(rows)
+    bound = format_significant(MICROMETRES * float(rows[BOUND].median()), 2)
+    axes.annotate(
+        f"{beyond} of {len(rows)} beyond, bound {bound} µm",
+        (1.02, k),
+        xycoords=("axes fraction", "data"),
+        va="center",
+        fontsize=7.5,
+        color=INK if beyond <= expected + 2 * math.sqrt(0.95 * expected) else RED,
+    )
+    axes.axhline(k + 0.5, color=GREY, linewidth=0.3, alpha=0.4)
+
+
+# --- held-back readings ----------------------------------------------------------------------------------------------
+
+
+def state_held_back(study: StudyResults) -> list[Statement]:
+    """Say how many held-back readings of the machine's own sensors lie in their 90 % intervals."""
+    mine = study.table("predictions", study.chosen)
+    mine = mine[~mine["external"].astype(bool)] if len(mine) else mine
+    if mine.empty:
+        return []
+    share, n, lead = float(mine["inside"].mean()), len(mine), "Prediction"
+    words = (
+        f"{int(mine['inside'].sum())} of {n} held-back readings of the machine's own sensors ({format_percent(share)}) "
+        "lie in their 90 % intervals"
+    )
+    if abs(share - COVERAGE) <= FAR * math.sqrt(COVERAGE * (1.0 - COVERAGE) / n):
+        return [Statement(f"{words}, as expected{'' if n >= FEW else '; small sample'}.", "good", lead)]
+    tendency = "too small" if share < COVERAGE else "too large"
+    return [Statement(f"{words}: the stated uncertainty is {tendency}.", "warning", lead)]
+
+
+def show_held_back(study: StudyResults) -> Section | None:
+    """Return how held-back readings compare with their predictions; None without any."""
+    if not study.has("predictions"):
+        return None
+    table = study.table("predictions")
+    table = table.assign(kind=table["channel"].str.partition("[")[0])
+    kinds = list(dict.fromkeys(str(kind) for kind in table["kind"]))
+    columns = [VARIANT, *(Column(kind, group="in their 90 % intervals") for kind in kinds)]
+    rows: list[list[str | Cell]] = []
+    for name in study.names:
+        mine = table[table["variant"] == name]
+        counts = [mine[mine["kind"] == kind]["inside"] for kind in kinds]
+        cells = [f"{int(one.sum())} of {len(one)}" if len(one) else NOTHING for one in counts]
+        rows.append([study.label(name), *cells])
+    blocks: list[Block] = [HELD_BACK, make_table("Coverage.", columns, rows)]
+    mine = study.table("predictions", study.chosen)
+    if len(mine):
+        caption = f"Held-back readings, {study.label(study.chosen)}."
+        blocks.append(Figure("predictions", caption, partial(_draw_predictions, mine)))
+    return Section("Held-back readings", tuple(blocks), anchor="held-back")
+
+
+def _draw_predictions(predictions: pd.DataFrame) -> Drawing:
+    """Return how far held-back readings lie from what is predicted, in its standard deviations, by channel."""
+    channels = list(dict.fromkeys(str(name) for name in predictions["channel"]))
+    figure = Drawing(figsize=(8.2, 1.2 + 0.36 * len(channels)))
+    axes = figure.subplots()
+    axes.axvspan(-NINETY, NINETY, color=PALE, alpha=0.5, linewidth=0.0)
+    for row, channel in enumerate(reversed(channels)):
+        mine = predictions[predictions["channel"] == channel]
+        z = ((mine["measured"] - mine["mean"]) / mine["sd"]).to_numpy()
+        spread = row + 0.28 * np.linspace(-1.0, 1.0, len(z)) if len(z) > 1 else np.array([float(row)])
+        inside = mine["inside"].to_numpy(dtype=bool)
+        axes.plot(z[inside], spread[inside], "o", color=LEG_COLOURS[0], markersize=3.5)
+        axes.plot(z[~inside], spread[~inside], "D", color=RED, markersize=4.0)
+    axes.set_yticks(range(len(channels)), [quote(name) for name in reversed(channels)])
+    axes.set_xlabel("(Measured − predicted) / sd of the prediction; grey holds 90 % of a normal, red lie outside")
+    axes.grid(axis="x")
+    return figure
+
+
+# --- poses that the others contradict --------------------------------------------------------------------------------
+
+
+def _list_outliers(study: StudyResults) -> list[Row]:
+    """Return the rows of the best variant's poses, the most improbable first."""
+    rows = [row for row in study.rows("poses", study.best_name) if row["model_error"] == "free"]
+    if "outlier_probability" in study.table("poses"):
+        return sorted(rows, key=lambda row: -row["outlier_probability"])
+    if "square" in study.table("poses"):
+        return sorted((row for row in rows if row["contradicting"]), key=lambda row: row["trust"])
+    return []
+
+
+def state_outliers(study: StudyResults) -> list[Statement]:
+    """Say which poses the others contradict, or that none is an outlier."""
+    rows, lead = _list_outliers(study), "Outliers"
+    if not rows:
+        return []
+    if "outlier_probability" not in rows[0]:
+        words = name_some([str(row["pose"]) for row in rows])
+        verb = "pose disagrees" if len(rows) == 1 else "poses disagree"
+        return [Statement(f"Check the readings of {words}: {len(rows)} {verb} with the others.", "warning", lead)]
+    probabilities = {str(row["pose"]): float(row["outlier_probability"]) for row in rows}
+    bad = [f"{pose} ({format_percent(p)})" for pose, p in probabilities.items() if p > BLUNDER]
+    if not bad:
+        most = f"the most probable is {rows[0]['pose']}, with {format_percent(rows[0]['outlier_probability'])}"
+        return [Statement(f"No pose is probably an outlier; {most}.", "good", lead)]
+    verb, rest = ("pose is an outlier", "it counts") if len(bad) == 1 else ("poses are outliers", "they count")
+    text = f"Measure again or leave out: {len(bad)} of {len(rows)} {verb}, {join_words(bad)}; {rest} for nothing here."
+    return [Statement(text, "warning", lead)]
+
+
+def show_outliers(study: StudyResults) -> Section | None:
+    """Return the residuals of the poses, and those that the others contradict; None where nothing says which."""
+    rows, blocks = _list_outliers(study), list[Block]()
+    cells: list[list[str | Cell]] = []
+    if "square" in study.table("poses"):
+        caption = f"Residuals of {study.label(study.best_name)} at each pose, in units of their noise."
+        blocks.append(Figure("poses", caption, partial(_draw_poses, study.table("poses", study.best_name))))
+        columns = [Column("Pose", kind="text"), Column("Equations"), Column("Residual / noise"), Column("Weight")]
+        for row in rows:
+            size = format_significant(math.sqrt(row["square"] / max(1, row["equations"])), 2)
+            cells.append([str(row["pose"]), str(row["equations"]), size, format_fixed(row["trust"], 2)])
+        none = "No pose contradicts the others."
+        blocks.append(make_table("Poses that the others contradict.", columns, cells) if rows else none)
+    elif rows:
+        columns = [Column("Pose", kind="text"), Column("Use", kind="text"), Column("P(outlier)", "%")]
+        for row in rows[:SHOWN]:
+            p = row["outlier_probability"]
+            cells.append(
+                [str(row["pose"]), str(row["use"]), Cell(format_fixed(100 * p, 1), "bad" if p > BLUNDER else "plain")]
+            )
+        caption = f"The {len(cells)} most probable outliers of {len(rows)} poses."
+        blocks += [OUTLIERS, make_table(caption, columns, cells)]
+    return Section("Poses", tuple(blocks), anchor="outliers") if blocks else None
+
+
+def _draw_poses(poses: pd.DataFrame) -> Drawing:
+    """Return the residuals of the best machine at each pose, in units of their noise."""
+    figure = Drawing(figsize=(9.4, 2.9))
+    axes = figure.subplots()
+    size = np.sqrt(poses["square"] / np.maximum(poses["equations"], 1))
+    contradicting = poses["contradicting"].to_numpy(dtype=bool)
+    place = np.arange(len(poses))
+    axes.bar(place[~contradicting], size[~contradicting], color=LEG_COLOURS[0], width=0.7)
+    axes.bar(place[contradicting], size[contradicting], color=RED, width=0.7)
+    axes.axhline(1.0, color=GREY, linewidth=0.8)
+    step = max(1, len(poses) // 50)
+    axes.set_xticks(place[::step], [quote(str(name)) for name in poses["pose"]][::step], rotation=60)
+    axes.tick_params(axis="x", labelsize=7.5)
+    axes.set_ylabel("Residual / noise")
+    axes.set_xlabel("Pose; red: the others contradict it")
+    axes.grid(axis="y")
+    return figure

@@ -1,28 +1,45 @@
-"""The posterior of the parameters, and how much the data narrowed it."""
+"""The posterior of parameters and frames, how much the data narrowed it, and published values next to it."""
 
 from __future__ import annotations
 
+import math
+import re
+from collections.abc import Iterable
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure as Drawing
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 
 from bayescal.experiments.shared.knowledge_page import VERDICT_LEVELS
 from bayescal.experiments.shared.origin import name_origin
-from bayescal.experiments.study.page.figures.readings import draw_reduction
-from bayescal.experiments.study.page.illustrations import illustrate_parameters
-from bayescal.experiments.study.page.published import compare_published, has_published, name_table, tabulate_published
-from bayescal.experiments.study.page.results import NOISE, StudyResults
-from bayescal.experiments.study.page.variants import (
-    find_variants,
-    group_variants,
-    label_variant,
-    list_deformations,
-    name_variants,
-)
+from bayescal.experiments.shared.study_schema import name_variant
+from bayescal.experiments.study.page.results import NOISE, VARIANT, StudyResults, name_some
+from bayescal.experiments.study.page.styles import Styles, add_legend, assign_styles
 from bayescal.report.blocks import Block, Cell, Column, Figure, Fold, Heading, Section, Statement, Table, make_table
-from bayescal.report.numbers import NOTHING, count_decimals, format_estimate, format_fixed, format_significant
-from bayescal.report.symbols import MODEL_ERROR, describe_deformation, name_parameter
+from bayescal.report.numbers import (
+    NOTHING,
+    count_decimals,
+    format_estimate,
+    format_fixed,
+    format_significant,
+    format_span,
+)
+from bayescal.report.style import GREY, INK, LEG_COLOURS, PALE
+from bayescal.report.symbols import (
+    MODEL_ERROR,
+    Asked,
+    describe_deformation,
+    name_parameter,
+    quote,
+    scale_of,
+    set_mathematics,
+    write_symbol,
+)
 
 OPEN = 3  # variants whose tables are all shown; of more each stands behind a line
 CONTRACTION = (
@@ -37,11 +54,34 @@ PUBLISHED = (
     "{origin}. A published value outside an interval contradicts nothing, unless the data were made from that very "
     "table."
 )
+FRAMES = (
+    "Where the instrument's frame lies against the base and the probe's against the platform was not known; both were "
+    "found with the machine. A frame and the joints that move with it are distinguished by their tolerances alone, so "
+    "that a frame may stay as uncertain as before though every pose is predicted well."
+)
+LENGTH = "mm"
+ODD = 0.25  # of the other models' values, below which a published row looks misprinted
+MISPRINT = 10.0
+PRIOR_90 = 1.645  # prior standard deviations to the 5 and 95 % points of a normal prior
+MANY = 8  # symbols from which the panels are three in a row
 
 
 def show_parameters(study: StudyResults) -> Section:
     """Return the posterior of the parameters: leg by leg where poses of legs were measured, else one by one."""
     return _show_legs(study) if study.has("pose_errors") else _show_each(study)
+
+
+def state_undetermined(study: StudyResults) -> list[Statement]:
+    """Say of which parameters the data do not halve the uncertainty; nothing of legs, leg by leg."""
+    if study.has("pose_errors"):
+        return []
+    rows = [row for row in study.rows("parameters", study.chosen) if row["verdict"] != NOISE]
+    weak = [str(row["parameter"]) for row in rows if row["verdict"] != "identifiable"]
+    if not weak:
+        return [Statement("The uncertainty of every free parameter is at least halved.", "good", "Parameters")]
+    it = "it is" if len(weak) == 1 else "they are"
+    text = f"{name_some(weak)}: uncertainty not halved; {it} poorly determined by these data."
+    return [Statement(text, "warning", "Parameters")]
 
 
 # --- one by one ------------------------------------------------------------------------------------------------------
@@ -63,20 +103,36 @@ def _show_each(study: StudyResults) -> Section:
                 format_significant(factor * row["prior_sd"], 3),
                 format_estimate(factor * row["mean"], factor * row["sd"]),
                 f"{low} to {high}",
-                format_contraction(row["contraction"]),
+                format_fixed(row["contraction"], 2),
                 Cell("" if verdict == NOISE else VERDICTS[verdict], VERDICT_LEVELS[verdict]),
             ]
         )
     titles = {name: str(study.fit(name)["title"]) for name in study.names}
-    draw = partial(draw_reduction, study.table("parameters"), titles)
+    draw = partial(_draw_reduction, study.table("parameters"), titles)
     caption = "Posterior standard deviation of each parameter over its tolerance (prior standard deviation)."
-    table = make_table(f"Parameters of {label_variant(study, study.chosen)}.", columns, rows)
+    table = make_table(f"Parameters of {study.label(study.chosen)}.", columns, rows)
     return Section("Parameters", (CONTRACTION, table, Figure("parameters", caption, draw)), anchor="parameters")
 
 
-def format_contraction(value: float) -> str:
-    """Return a contraction as every table shows it."""
-    return format_fixed(value, 2)
+def _draw_reduction(parameters: pd.DataFrame, titles: dict[str, str]) -> Drawing:
+    """Return each parameter's posterior standard deviation over its tolerance, by variant."""
+    some = parameters[parameters["verdict"] != NOISE]
+    names = list(dict.fromkeys(str(name) for name in some["parameter"]))
+    figure = Drawing(figsize=(9.4, 3.6))
+    axes = figure.subplots()
+    for k, (variant, title) in enumerate(titles.items()):
+        rows = some[some["variant"] == variant]
+        place = np.array([names.index(str(name)) for name in rows["parameter"]]) + 0.1 * (k - 0.5 * (len(titles) - 1))
+        marker, colour = "osD^vPX*p"[k % 9], LEG_COLOURS[k % 6]
+        axes.plot(place, rows["sd"] / rows["prior_sd"], marker, color=colour, markersize=4.5, label=quote(title))
+    axes.axhline(1.0, color=GREY, linewidth=0.8)
+    axes.set_yscale("log")
+    axes.set_ylabel("Posterior sd / tolerance")
+    axes.set_xticks(range(len(names)), [quote(name) for name in names], rotation=60)
+    axes.tick_params(axis="x", labelsize=8.0)
+    axes.grid(axis="y")
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=2)
+    return figure
 
 
 # --- leg by leg ------------------------------------------------------------------------------------------------------
@@ -88,38 +144,40 @@ def _show_legs(study: StudyResults) -> Section:
     if published is not None:
         title += " and published tables"
         blocks += [published, PUBLISHED.format(origin=name_origin(study.summary["origin"]).rstrip("."))]
-    blocks += [illustrate_parameters(study), *state_agreement(study)]
+    blocks += [_illustrate(study), *state_agreement(study)]
     for heading, folds in fold_parameters(study):
         blocks += [Heading(heading), *folds]
-    blocks.append(Fold("How much the measurements narrowed each parameter", (tabulate_contraction(study),)))
+    blocks.append(Fold("How much the measurements narrowed each parameter", (_tabulate_contraction(study),)))
     return Section(title, tuple(blocks), anchor="parameters", short="Parameters")
 
 
-def fold_parameters(results: StudyResults) -> list[tuple[str, list[Fold]]]:
+def fold_parameters(study: StudyResults) -> list[tuple[str, list[Fold]]]:
     """Return the tables of all variants, each behind a line that says how far it is from the published one."""
     groups = []
-    for deformation in list_deformations(results):
+    for deformation in study.deformations:
         folds = []
-        for name in find_variants(results, deformation=deformation):
-            title = _title(results, name)
-            if has_published(results, name):
-                comparison = compare_published(results, name)
+        for name in study.find(deformation=deformation):
+            title, found = _title(study, name), compare_published(study, name)
+            if found is not None:
                 title += (
-                    f": least squares {format_significant(comparison.rms_mm, 2)} mm rms from the published lengths, "
-                    f"{comparison.n_inside} of {comparison.n_known} published values in the posterior's 90 % intervals"
+                    f": least squares {format_significant(found.rms_mm, 2)} mm rms from the published lengths, "
+                    f"{found.n_inside} of {found.n_known} published values in the posterior's 90 % intervals"
                 )
-            folds.append(Fold(title, (tabulate_parameters(results, name),), len(results.ranking) <= OPEN))
+            folds.append(Fold(title, (tabulate_parameters(study, name),), len(study.ranking) <= OPEN))
         words = describe_deformation(deformation)
         groups.append((words[0].upper() + words[1:], folds))
     return groups
 
 
-def state_agreement(results: StudyResults) -> list[Statement]:
+def _read_geometry(study: StudyResults) -> pd.DataFrame:
+    return study.free[study.free["symbol"] != MODEL_ERROR]
+
+
+def state_agreement(study: StudyResults) -> list[Statement]:
     """Say how far the posteriors of variants that fit equally well lie apart."""
-    frame = results.parameters
-    frame = frame[(frame["model_error"] == "free") & (frame["symbol"] != MODEL_ERROR)]
+    frame = _read_geometry(study)
     words = []
-    for group in group_variants(results, results.ranking):
+    for group in study.group(study.ranking):
         rows = frame[frame["variant"].isin(group)]
         index = ["symbol", "leg"]  # of the parameters that all have
         mean, sd = (rows.pivot(index=index, columns="variant", values=what).dropna() for what in ("mean", "sd"))
@@ -127,43 +185,34 @@ def state_agreement(results: StudyResults) -> list[Statement]:
             apart = np.ptp(mean.to_numpy(), axis=1) / sd.to_numpy().mean(axis=1)
             symbol, leg = mean.index[int(apart.argmax())]
             where = name_parameter(f"{symbol}[{leg}]" if leg else str(symbol))
-            words.append(
-                f"{name_variants(results, group)} by at most {format_fixed(float(apart.max()), 2)} sd ({where})"
-            )
-    if not words:
-        return []
+            most = format_fixed(float(apart.max()), 2)
+            words.append(f"{study.name_variants(group)} by at most {most} sd ({where})")
     text = f"The posterior means of variants that fit equally well differ: {'; '.join(words)}."
-    return [Statement(text)]
+    return [Statement(text)] if words else []
 
 
-def tabulate_parameters(results: StudyResults, variant: str) -> Table:
+def tabulate_parameters(study: StudyResults, variant: str) -> Table:
     """Return one variant's offsets from nominal: posterior, least squares and published, a column per leg."""
-    posterior = results.parameters
-    posterior = posterior[(posterior["variant"] == variant) & (posterior["model_error"] == "free")]
-    posterior = posterior[posterior["symbol"] != MODEL_ERROR]
-    found = results.table("least_squares")[results.table("least_squares")["variant"] == variant]
-    legs = [leg for leg in results.legs if leg in set(posterior["leg"]) | set(found["leg"])] or [1]
+    posterior = _read_geometry(study)
+    posterior = posterior[posterior["variant"] == variant]
+    found = study.table("least_squares", variant)
+    legs = sorted({*posterior["leg"], *found["leg"]} - {0}) or [1]
     columns = [Column("", kind="symbol"), Column("Unit", kind="text"), Column("", kind="text")]
     columns += [Column(f"leg {leg}") for leg in legs]
-    least_squares = {str(symbol): rows for symbol, rows in found.groupby("parameter", sort=False)}
     rows = []
     for symbol, chosen in posterior.groupby("symbol", sort=False):
-        factor, unit = results.scale_of(str(symbol), str(chosen["unit"].iloc[0]))
-        lines = _list_lines(chosen, least_squares.get(str(symbol), found.iloc[:0]), legs, factor)
+        factor, unit = study.scale_of(str(symbol), str(chosen["unit"].iloc[0]))
+        lines = _list_lines(chosen, found[found["parameter"] == symbol], legs, factor)
         for k, (label, cells) in enumerate(lines):
             span = len(lines) if k == 0 else 0
             rows.append([Cell(str(symbol), span=span), Cell(unit, span=span), Cell(label), *(Cell(c) for c in cells)])
-    caption = f"{_title(results, variant)}: offsets from nominal."
-    return make_table(caption, columns, rows, _state_fit(results, variant, found), "long")
+    caption = f"{_title(study, variant)}: offsets from nominal."
+    return make_table(caption, columns, rows, _state_fit(study, variant, found), "long")
 
 
-def _title(results: StudyResults, variant: str) -> str:
-    table = name_table(results, variant)
-    return (
-        f"{table[0].upper()}{table[1:]}, {label_variant(results, variant)}"
-        if table
-        else label_variant(results, variant)
-    )
+def _title(study: StudyResults, variant: str) -> str:
+    table = name_table(study, variant)
+    return f"{table[0].upper()}{table[1:]}, {study.label(variant)}" if table else study.label(variant)
 
 
 def _list_lines(
@@ -188,7 +237,7 @@ def _list_lines(
     return lines
 
 
-def _state_fit(results: StudyResults, variant: str, found: pd.DataFrame) -> list[Statement]:
+def _state_fit(study: StudyResults, variant: str, found: pd.DataFrame) -> list[Statement]:
     if found.empty:
         return []
     residual = found.drop_duplicates("leg").sort_values("leg")["leg_residual_rms_um"]
@@ -196,8 +245,8 @@ def _state_fit(results: StudyResults, variant: str, found: pd.DataFrame) -> list
     statements = [Statement(f"Residuals of least squares: {low} to {high} µm (rms) per leg.")]
     if not found["converged"].astype(bool).all():
         statements.append(Statement("The least-squares fit did not converge.", "bad"))
-    comparison = compare_published(results, variant)
-    if comparison.n_known:
+    comparison = compare_published(study, variant)
+    if comparison is not None and comparison.n_known:
         text = (
             f"Least squares differ from the published values by {format_significant(comparison.rms_mm)} mm rms over "
             f"{comparison.n_lengths} lengths. "
@@ -207,17 +256,226 @@ def _state_fit(results: StudyResults, variant: str, found: pd.DataFrame) -> list
     return statements
 
 
-def tabulate_contraction(results: StudyResults) -> Table:
+def _tabulate_contraction(study: StudyResults) -> Table:
     """Return the contraction of each symbol's parameters: the mean over the legs and the least."""
-    frame = results.parameters
-    frame = frame[(frame["model_error"] == "free") & (frame["symbol"] != MODEL_ERROR)]
+    frame = _read_geometry(study)
     grouped = frame.groupby(["variant", "symbol"])["contraction"].agg(["mean", "min"])
-    symbols = list(dict.fromkeys(frame["symbol"]))
-    cells = {
-        (str(name), str(symbol)): f"{format_contraction(mean)} ({format_contraction(least)})"
-        for (name, symbol), mean, least in grouped.itertuples()
-    }
+    cells = {key: f"{format_fixed(mean, 2)} ({format_fixed(least, 2)})" for key, mean, least in grouped.itertuples()}
     columns = [Column("", kind="symbol")]
-    columns += [Column(label_variant(results, name), group="mean over legs (least)") for name in results.ranking]
-    rows = [[symbol, *(cells.get((name, symbol), NOTHING) for name in results.ranking)] for symbol in symbols]
+    columns += [Column(study.label(name), group="mean over legs (least)") for name in study.ranking]
+    symbols = dict.fromkeys(map(str, frame["symbol"]))
+    rows = [[symbol, *(cells.get((name, symbol), NOTHING) for name in study.ranking)] for symbol in symbols]
     return make_table("Contraction of the parameters, with model error.", columns, rows, [Statement(CONTRACTION)])
+
+
+def _illustrate(study: StudyResults) -> Figure:
+    """Return the intervals of the parameters of one model, that of the variant to use."""
+    model, styles = study.split(study.chosen)[0], assign_styles(study)
+    several = len(study.models) > 1
+    which = f" of the {study.label_model(model)} model, the study's first among the best," if several else ""
+    caption = (
+        f"Parameters{which} as offsets from nominal, with model error: posterior mean and 90 % interval of each "
+        "variant; the band is the prior's central 90 %. Where an interval is as wide as the band the measurements "
+        f"determine nothing.{' The other models: tables below.' if several else ''}"
+    )
+    names = study.find(model)
+    frame, published = _read_geometry(study), study.table("least_squares")
+    frame, published = (table[table["variant"].isin(names)] for table in (frame, published))
+    draw = partial(_draw_parameters, frame, published, {name: styles[name] for name in names}, study.units)
+    return Figure("parameters", caption, draw)
+
+
+def _draw_parameters(rows: pd.DataFrame, published: pd.DataFrame, styles: Styles, asked: Asked) -> Drawing:
+    """Return the 90 % posterior intervals of the geometry, as offsets from nominal, a panel per symbol."""
+    symbols = list(dict.fromkeys(rows["symbol"]))
+    n_columns = 2 if len(symbols) <= MANY else 3
+    n_rows = math.ceil(len(symbols) / n_columns)
+    figure = Drawing(figsize=(9.4, 0.5 + 1.7 * n_rows))
+    grid = figure.subplots(n_rows, n_columns, squeeze=False).ravel()
+    for axes, symbol in zip(grid, symbols, strict=False):
+        chosen = rows[rows["symbol"] == symbol]
+        there = {name: style for name, style in styles.items() if name in set(chosen["variant"])}
+        factor, unit = scale_of(symbol, str(chosen["unit"].iloc[0]), asked)
+        widths = factor * PRIOR_90 * chosen.groupby("leg")["prior_sd"].max()  # far wider than posteriors: all shaded
+        axes.bar(widths.index, 2 * widths, 0.9, -widths, color=PALE, alpha=0.55, linewidth=0)
+        draw_intervals(axes, chosen, there, factor)
+        single = set(chosen["leg"]) == {0}
+        for k, name in enumerate(there):
+            known = published[(published["variant"] == name) & (published["parameter"] == symbol)]
+            leg = (0.0 if single else known["leg"].to_numpy()) + np.full(len(known), _shift(k, len(there)))
+            offset = factor * known["published_offset"].to_numpy()
+            axes.plot(leg, offset, linestyle="none", marker="x", markersize=4.5, color=INK, markeredgewidth=0.9)
+        axes.axhline(0, color=INK, linewidth=0.8)
+        axes.set_ylabel(f"{set_mathematics(symbol, 'Δ')} ({unit})")
+        label_legs(axes, chosen)
+    for axes in grid[len(symbols) :]:
+        axes.set_axis_off()
+    others: list[Patch | Line2D] = [Patch(color=PALE, alpha=0.55, label="prior, central 90 %")]
+    if published["published_offset"].notna().any():
+        others.append(Line2D([], [], color=INK, marker="x", markersize=4.5, linestyle="none", label="published"))
+    add_legend(figure, styles, 1.6, *others, most=5)
+    return figure
+
+
+def _shift(k: int, n: int) -> float:
+    return min(0.72, 0.24 * n) * ((k + 0.5) / n - 0.5)
+
+
+def draw_intervals(axes: Axes, rows: pd.DataFrame, styles: Styles, factor: float) -> None:
+    """Draw means and 90 % intervals as offsets from nominal, times a factor: variants side by side at each leg."""
+    for k, (name, style) in enumerate(styles.items()):
+        chosen = rows[rows["variant"] == name]
+        leg = chosen["leg"].to_numpy() + _shift(k, len(styles))
+        mean, low, high = (factor * (chosen[c] - chosen["nominal"]).to_numpy() for c in ("mean", "q05", "q95"))
+        axes.vlines(leg, low, high, color=style.colour, linewidth=1.6)
+        axes.plot(leg, mean, linestyle="none", marker=style.marker, markersize=3.8, color=style.colour)
+
+
+def label_legs(axes: Axes, rows: pd.DataFrame) -> None:
+    """Name the legs below an axis."""
+    legs = sorted(set(rows["leg"]))
+    axes.set_xticks(legs, [f"leg {leg}" if leg else "machine" for leg in legs])
+    axes.set_xlim(min(legs) - 0.5, max(legs) + 0.5)
+    axes.tick_params(axis="x", length=0)
+    axes.grid(axis="y")
+
+
+# --- published values ------------------------------------------------------------------------------------------------
+
+
+class Published(NamedTuple):
+    """A least-squares identification against published values.
+
+    ``rms_mm`` of the differences over all ``n_lengths`` lengths (NaN without any), and how many of ``n_known`` values
+    lie inside the posterior's 90 % interval.
+    """
+
+    rms_mm: float
+    n_lengths: int
+    n_inside: int
+    n_known: int
+
+
+def compare_published(study: StudyResults, variant: str) -> Published | None:
+    """Compare one variant's least squares and posterior (model error free) with the published values, if any."""
+    rows = study.table("least_squares", variant)
+    published = rows[rows["published_offset"].notna()]
+    if published.empty:
+        return None
+    lengths = rows[(rows["unit"] == LENGTH) & rows["difference"].notna()]["difference"]
+    free = [row for row in study.rows("parameters", variant) if row["model_error"] == "free"]
+    parameters = {str(row["parameter"]): row for row in free}
+    inside = []
+    for row in published.itertuples():
+        one = parameters.get(f"{row.parameter}[{row.leg}]") or parameters.get(str(row.parameter))
+        if one is not None:
+            inside.append(one["q05"] <= one["nominal"] + row.published_offset <= one["q95"])
+    return Published(_measure_rms(lengths), len(lengths), sum(inside), len(inside))
+
+
+def _measure_rms(values: Iterable[float]) -> float:
+    """Return the root mean square of the values that are there, NaN without any."""
+    known = pd.Series(values, dtype=float).dropna()
+    return float(np.sqrt(np.mean(np.square(known.to_numpy())))) if len(known) else math.nan
+
+
+def name_table(study: StudyResults, variant: str) -> str:
+    """Return which published table belongs to a variant, ``table 5(a)``; empty where the config names none."""
+    for entry in study.config.get("variants", []):
+        if entry.get("name", name_variant(entry.get("model"), entry.get("deformation"))) == variant:
+            name = re.split(r"[/\\]", str(entry.get("published") or ""))[-1].removesuffix(".csv")
+            return re.sub(r"^table_?(\d+)_?([a-z])$", r"table \1(\2)", name)
+    return ""
+
+
+def tabulate_published(study: StudyResults) -> Table | None:
+    """Return the rms difference between least squares and the published tables: a row per model; None without any."""
+    frame = study.table("least_squares")
+    if not frame["published_offset"].notna().any():
+        return None
+    frame = frame[frame["difference"].notna()]
+    columns, keys = [Column("Model", kind="text")], []
+    for deformation in study.deformations:
+        names = study.find(deformation=deformation)
+        words = describe_deformation(deformation).removeprefix("with the ")
+        numbers = {name_table(study, name).partition("(")[0] for name in names}
+        title = f"{numbers.pop()}, {words}" if len(numbers) == 1 and "" not in numbers else words
+        group = title[0].upper() + title[1:]
+        rows = frame[frame["variant"].isin(names)]
+        lengths = list(dict.fromkeys(rows[rows["unit"] == LENGTH]["parameter"]))
+        if lengths:  # all together, every other symbol by itself
+            scale, text = study.scale_of(lengths[0], LENGTH)
+            letters = ", ".join(dict.fromkeys(symbol.partition("_")[0] for symbol in lengths))
+            columns.append(Column(letters, text, group))
+            keys.append((deformation, lengths, scale))
+        others = rows[rows["unit"] != LENGTH].drop_duplicates("parameter")
+        for symbol, unit in zip(others["parameter"], others["unit"], strict=True):
+            scale, text = study.scale_of(symbol, unit)
+            columns.append(Column(symbol, text, group, symbolic=True))
+            keys.append((deformation, [symbol], scale))
+    cells: list[list[str]] = []
+    for model in study.models:
+        row = [study.label_model(model)]
+        for deformation, symbols, scale in keys:
+            names = study.find(model, deformation)
+            chosen = frame[frame["variant"].isin(names) & frame["parameter"].isin(symbols)]
+            row.append(format_significant(scale * _measure_rms(chosen["difference"]), 2))
+        cells.append(row)
+    caption = "Least squares on these data against the published tables: rms difference over the legs."
+    return make_table(caption, columns, cells, list_remarks(study))
+
+
+def list_remarks(study: StudyResults) -> list[Statement]:
+    """Return published rows that are far smaller than those of all other models, as misprints would be."""
+    frame = study.table("least_squares")[study.table("least_squares")["published_offset"].notna()]
+    grouped = {(str(name), str(symbol)): rows for (name, symbol), rows in frame.groupby(["variant", "parameter"])}
+    sizes = {key: _measure_rms(rows["published_offset"]) for key, rows in grouped.items()}
+    remarks = []
+    for (name, symbol), size in sizes.items():
+        same = study.find(deformation=study.split(name)[1])
+        others = [sizes[other, symbol] for other in same if other != name and (other, symbol) in sizes]
+        if len(others) > 1 and 0 < size < ODD * min(others):
+            remarks.append(_remark(study, name, symbol, [size / x for x in others], grouped[name, symbol]))
+    return remarks
+
+
+def _remark(study: StudyResults, name: str, symbol: str, shares: list[float], rows: pd.DataFrame) -> Statement:
+    factor, unit = study.scale_of(symbol, str(rows["unit"].iloc[0]))
+    unit = f"·{unit}" if unit.startswith("10") else f" {unit}"
+    printed = factor * _measure_rms(rows["difference"])
+    times_ten = factor * _measure_rms(rows["offset"] - MISPRINT * rows["published_offset"])
+    table = name_table(study, name) or "the published table"
+    text = (
+        f"The {write_symbol(symbol)} of {table}, {study.label(name)}, is printed at "
+        f"{format_span(shares, 2)} of the other models' size (rms)"
+    )
+    if times_ten < 0.5 * printed:
+        text += (
+            f"; ten times the printed values lie {format_significant(times_ten, 2)}{unit} rms from least squares, the "
+            f"printed ones {format_significant(printed, 2)}{unit}: they may have been printed in another unit"
+        )
+    return Statement(f"{text}.", "warning")
+
+
+# --- frames ----------------------------------------------------------------------------------------------------------
+
+
+def show_frames(study: StudyResults) -> Section | None:
+    """Return the frames found, with model error, and what was known of them; None where all were known."""
+    rows = study.frames[study.frames["model_error"] == "free"]
+    if rows.empty:
+        return None
+    columns = [VARIANT]
+    cells = {name: [study.label(name)] for name in study.ranking}
+    before = ["known before"]
+    for symbol, several in rows.groupby("symbol", sort=False):
+        chosen = several.set_index("variant")
+        factor, unit = study.scale_of(str(symbol), str(chosen["unit"].iloc[0]))
+        columns.append(Column(str(symbol), unit, symbolic=True))
+        before.append(f"± {format_significant(factor * float(chosen['prior_sd'].iloc[0]), 2)}")
+        places = min(4, count_decimals(factor * float(chosen["sd"].min())))
+        for name in study.ranking:
+            mean, sd = (factor * float(chosen[value][name]) for value in ("mean", "sd"))
+            cells[name].append(format_estimate(mean, sd, places, sign=True))
+    caption = "Frames found, posterior mean ± sd; displacements along and rotation vectors about the axes."
+    return Section("Frames", (FRAMES, make_table(caption, columns, [*cells.values(), before])), anchor="frames")

@@ -1,36 +1,32 @@
-"""The ranking of the variants, and what deformation and model add, each by itself."""
+"""The ranking of the variants, what deformation and model add, each by itself, and what variants predict together."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure as Drawing
+from matplotlib.ticker import FuncFormatter, SymmetricalLogLocator
+
 from bayescal.experiments.study.page.evidence import format_evidence
-from bayescal.experiments.study.page.illustrations import illustrate_ranking
-from bayescal.experiments.study.page.prediction import tabulate_stacking
-from bayescal.experiments.study.page.results import USES, StudyResults, get_number
-from bayescal.experiments.study.page.variants import (
-    VARIANT,
-    find_best,
-    find_free_sets,
-    group_variants,
-    label_model,
-    label_variant,
-    list_deformations,
-    list_models,
-    read_evidence,
-    split_variant,
-)
+from bayescal.experiments.study.page.results import USES, VARIANT, ErrorScale, StudyResults, get_number
+from bayescal.experiments.study.page.styles import Styles, assign_styles
 from bayescal.limits import PARETO_K_LIMIT
-from bayescal.report.blocks import Block, Cell, Column, Fold, Section, Statement, Table, make_table
+from bayescal.report.blocks import Block, Cell, Column, Figure, Fold, Section, Statement, Table, make_table
 from bayescal.report.numbers import (
     NOTHING,
     format_estimate,
     format_fixed,
     format_pair,
     format_percent,
+    format_power,
     format_significant,
     join_words,
 )
+from bayescal.report.style import INK, PALE
 
 TEXT = (
     "Log-evidence in nats: a difference of 1 nat is odds of 2.7 to 1, 5 nats of 150 to 1; it is compared between "
@@ -41,13 +37,21 @@ NOMINAL = (
     " “From nominal” is how far the identified geometry moved: rms of all lengths, and rms in units of the stated "
     "tolerances along the directions that the data determine."
 )
+STACKING = (
+    "Variants whose elpd LOO lies within two standard errors of the best one's predict equally well on the "
+    "calibration poses. Stacking weighs them so that the mixture predicts left-out poses best; a small "
+    "weight means that a variant adds nothing to the others, not that it is wrong."
+)
+THICKNESS = 0.62
+
+type Found = list[tuple[Column, str | Cell]]
 
 
 def show_ranking(study: StudyResults) -> Section:
     """Return the variants, the best first, with what they add to each other."""
     blocks: list[Block] = [TEXT + (NOMINAL if study.has("pose_errors") else "")]
     if study.has("pose_errors"):
-        blocks.append(illustrate_ranking(study))
+        blocks.append(_illustrate(study))
     blocks.append(tabulate_ranking(study, "free"))
     blocks += [table for table in (tabulate_effects(study), tabulate_stacking(study)) if table is not None]
     if "zero" in study.settings:
@@ -82,9 +86,6 @@ def tabulate_ranking(study: StudyResults, setting: str) -> Table:
     return make_table(caption, columns, rows, notes, "wide")
 
 
-type Found = list[tuple[Column, str | Cell]]
-
-
 def _compare(fit: dict[str, Any], behind: float, best: float) -> Found:
     """Return how far one of several variants is behind the best: in evidence, then by LOO."""
     error = fit["elpd_loo_difference_se"]
@@ -101,7 +102,7 @@ def _describe(study: StudyResults, name: str, fit: dict[str, Any], behind: Found
     bad = int(fit["loo_unreliable"])
     loo = format_estimate(fit["elpd_loo"], fit["elpd_loo_se"], 1)
     found: Found = [
-        (VARIANT, label_variant(study, name)),
+        (VARIANT, study.label(name)),
         (Column("Free"), str(fit["n_parameters"])),
         (Column("", "nat", "Log-evidence"), format_evidence(fit["log_evidence"], fit["log_evidence_se"])),
         *behind[:1],
@@ -113,8 +114,7 @@ def _describe(study: StudyResults, name: str, fit: dict[str, Any], behind: Found
     found.append((Column("Residual / noise"), format_significant(get_number(fit, "misfit"), 2)))
     for scale in study.error_scales:
         for use in USES if study.n_verification else USES[:1]:
-            column = Column(use, scale.unit, f"{scale.what.capitalize()} error, mean / max")
-            found.append((column, format_pair(scale.read(fit[use], "mean"), scale.read(fit[use], "max"), 2)))
+            found.append((Column(use, scale.unit, f"{scale.title}, mean / max"), scale.format_both(fit[use])))
     if "distance_from_nominal_mm" in fit:
         length = format_significant(fit["distance_from_nominal_mm"])
         tolerances = format_significant(get_number(fit, "distance_from_nominal_prior_sd"), 2)
@@ -126,60 +126,169 @@ def _describe(study: StudyResults, name: str, fit: dict[str, Any], behind: Found
     return found
 
 
-def _state_names(results: StudyResults) -> list[Statement]:
+def _state_names(study: StudyResults) -> list[Statement]:
     """Say how models are called in config and results, where the report writes them otherwise."""
-    if "models" not in results.summary:
-        return []
-    other = [
-        f"{label_model(results, model)} is {model}"
-        for model in list_models(results)
-        if label_model(results, model) != model
-    ]
+    titles = {model: study.label_model(model) for model in study.models} if "models" in study.summary else {}
+    other = [f"{title} is {model}" for model, title in titles.items() if title != model]
     if not other:
         return []
-    example = next((name for name in results.ranking if label_variant(results, name) != name), None)
+    example = next((name for name in study.ranking if study.label(name) != name), None)
     if example is None:  # all have names of their own
         return [Statement(f"In the config {join_words(other)}.")]
-    return [Statement(f"In config and results {join_words(other)}: {label_variant(results, example)} is {example}.")]
+    return [Statement(f"In config and results {join_words(other)}: {study.label(example)} is {example}.")]
 
 
-def tabulate_effects(results: StudyResults) -> Table | None:
-    """Return the log-evidence by model and deformation, and what either is worth with the other kept; None for one."""
-    models, deformations = list_models(results), list_deformations(results)
+def tabulate_effects(study: StudyResults) -> Table | None:
+    """Return the log-evidence by model and deformation, and what either adds with the other unchanged; None for one."""
+    models, deformations = study.models, study.deformations
     if len(models) < 2 or len(deformations) < 2:
         return None
     letters = {
         name: chr(ord("A") + k) if k < 26 else str(k)
-        for k, group in enumerate(group_variants(results, results.ranking))
+        for k, group in enumerate(study.group(study.ranking))
         for name in group
     }
-    best = split_variant(results, results.ranking[0])[1]
+    best, first = study.split(study.best_name)[1], models[0]
     columns = [
         Column("Model", kind="text"),
         *(Column(d, "nat", "Below the best variant") for d in deformations),
         *(Column(f"{best} − {d}", "nat", "What the deformation adds") for d in deformations if d != best),
-        *(Column(d, "nat", f"Against {label_model(results, models[0])}, same deformation") for d in deformations),
+        *(Column(d, "nat", f"Against {study.label_model(first)}, same deformation") for d in deformations),
     ]
-    top = read_evidence(results, results.ranking[0])
-    rows = []
-    for model in models:
-        own = {d: name for d in deformations if (name := find_best(results, model, d)) is not None}
-        value = {d: read_evidence(results, name) for d, name in own.items()}
-        other = {d: read_evidence(results, n) for d in deformations if (n := find_best(results, models[0], d))}
-        row = [label_model(results, model)]
-        row += [f"{format_fixed(value[d] - top, 1)} {letters[own[d]]}" if d in own else NOTHING for d in deformations]
-        row += [_format_difference(value, best, value, d) for d in deformations if d != best]
-        row += [_format_difference(value, d, other, d) if model != models[0] else NOTHING for d in deformations]
-        rows.append(row)
+    own = {(m, d): name for m in models for d in deformations if (name := study.find_best(m, d)) is not None}
+    value = {pair: study.evidence(name) for pair, name in own.items()}
+    top = study.evidence(study.best_name)
+
+    def subtract(one: tuple[str, str], other: tuple[str, str]) -> str:
+        known = one in value and other in value
+        return format_fixed(value[one] - value[other], 1, sign=True) if known else NOTHING
+
+    below = {pair: f"{format_fixed(value[pair] - top, 1)} {letters[name]}" for pair, name in own.items()}
+    rows = [
+        [
+            study.label_model(m),
+            *(below.get((m, d), NOTHING) for d in deformations),
+            *(subtract((m, best), (m, d)) for d in deformations if d != best),
+            *(subtract((m, d), (first, d)) if m != first else NOTHING for d in deformations),
+        ]
+        for m in models
+    ]
     note = (
         "Variants of one letter fit equally well: within 1 nat, or within twice the error of the estimates, of the "
         "best of their letter."
     )
-    if find_free_sets(results):
+    if study.free_sets:
         note += " Of several free sets of one model and deformation the best one stands here."
     return make_table("Log-evidence by model and deformation, with model error.", columns, rows, [Statement(note)])
 
 
-def _format_difference(value: dict[str, float], one: str, reference: dict[str, float], other: str) -> str:
-    there = one in value and other in reference
-    return format_fixed(value[one] - reference[other], 1, sign=True) if there else NOTHING
+def tabulate_stacking(study: StudyResults) -> Table | None:
+    """Return the variants that predict alike, and their stacked prediction; None where one predicts best alone."""
+    stacked: Mapping[str, Any] | None = study.summary.get("stacked")
+    if stacked is None:
+        return None
+    weights: Mapping[str, float] = stacked["weights"]
+    uses, scales = [use for use in USES if use in stacked], study.error_scales
+    columns = [
+        VARIANT,
+        Column("Weight", "%"),
+        *([Column("verification", "nat", "elpd")] if "verification" in uses else []),
+        *(Column(use, one.unit, f"{one.title}, mean / max") for one in scales for use in uses),
+        *(Column(use, "%", "In 90 % intervals") for use in uses),
+    ]
+    order = sorted(weights, key=lambda name: -weights[name])
+    rows = []
+    for title, weight, fit in (
+        *((study.label(name), weights[name], study.fit(name)) for name in order),
+        ("all, stacked", 1.0, stacked),
+    ):
+        row = [title, format_percent(weight).rstrip(" %")]
+        row += [format_fixed(get_number(fit, "elpd"), 1)] if "verification" in uses else []
+        row += [scale.format_both(fit.get(use)) for scale in scales for use in uses]
+        rows.append(row + [format_percent(fit[use]["interval_90_coverage"]).rstrip(" %") for use in uses])
+    return make_table(f"The stacked prediction of {study.name_variants(order)}.", columns, rows, [Statement(STACKING)])
+
+
+# --- the figure ------------------------------------------------------------------------------------------------------
+
+
+def _illustrate(study: StudyResults) -> Figure:
+    """Return evidence and pose errors of all variants."""
+    use = study.use
+    groups = [sorted(group, key=study.ranking.index) for group in study.group(study.ranking)]
+    behind: dict[tuple[str, str], float] = {}
+    for setting in study.settings:
+        best = max(study.evidence(name, setting) for name in study.ranking)
+        behind |= {(name, setting): best - study.evidence(name, setting) for name in study.ranking}
+    bands = " A shared band joins variants that fit equally well." if len(groups) > 1 else ""
+    caption = (
+        "Left: how far each variant's log-evidence with model error lies below the best one, logarithmic beyond 1 nat. "
+        f"Middle: errors of the posterior mean prediction on the {use} poses; full bar: mean, pale bar: "
+        "largest, both as numbers. Right: log-evidence with the model error set to zero, below the best of those."
+        f"{bands} Position error is the distance between measured and predicted origin of the platform, "
+        "orientation error the angle between measured and predicted platform."
+    )
+    errors = study.table("pose_errors")
+    chosen = errors[errors["use"] == use]
+    draw = partial(_draw, groups, behind, chosen, study.error_scales, use, assign_styles(study))
+    return Figure("errors", caption, draw)
+
+
+def _draw(
+    groups: Sequence[Sequence[str]],
+    behind: Mapping[tuple[str, str], float],
+    predictions: pd.DataFrame,
+    scales: Sequence[ErrorScale],
+    use: str,
+    styles: Styles,
+) -> Drawing:
+    """Return panels with a row per variant: evidence, position error, orientation error where it was measured.
+
+    Variants of a group, which fit equally well, share a band; ``behind`` is their log-evidence below the best, nats, by
+    variant and setting of the model error.
+    """
+    names = [name for group in groups for name in group]
+    rows, colours = range(len(names)), [styles[name].colour for name in names]
+    figure = Drawing(figsize=(9.4, 0.75 + 0.265 * len(names)))
+    axes = figure.subplots(1, 2 + len(scales), sharey=True, width_ratios=[1.0] * (1 + len(scales)) + [0.8])
+    for panel in axes:
+        top = -0.5
+        for k, group in enumerate(groups):
+            if k % 2 == 0 and len(groups) > 1:
+                panel.axhspan(top, top + len(group), color=PALE, alpha=0.4, linewidth=0)
+            top += len(group)
+        panel.grid(axis="x")
+        panel.tick_params(axis="y", length=0)
+    free, zero = ([max(0.0, behind[name, setting]) for name in names] for setting in ("free", "zero"))
+    axes[0].barh(rows, free, height=THICKNESS, color=colours, linewidth=0)
+    _label_evidence(axes[0], free, "Log-evidence below\nthe best (nat)")
+    for panel, scale in zip(axes[1:-1], scales, strict=True):
+        errors = scale.factor * predictions.groupby(["variant", "model_error"])[scale.column].agg(["mean", "max"])
+        mean, largest = ([float(errors[which][name, "free"]) for name in names] for which in ("mean", "max"))
+        panel.barh(rows, largest, height=THICKNESS, color=colours, alpha=0.35, linewidth=0)
+        panel.barh(rows, mean, height=THICKNESS, color=colours, linewidth=0)
+        _write_at(panel, largest, [format_pair(*both, 2) for both in zip(mean, largest, strict=True)])
+        panel.set_xlim(0, 1.45 * max(largest) or 1.0)
+        panel.set_xlabel(f"{scale.label},\n{use}")
+    axes[-1].plot(zero, rows, "D", markersize=4, color="white", markeredgecolor=INK, markeredgewidth=0.8)
+    _label_evidence(axes[-1], zero, "The same with τ = 0,\nbelow the best of those")
+    axes[0].set_yticks(rows, [styles[name].label for name in names])
+    axes[0].set_ylim(len(names) - 0.5, -0.5)
+    return figure
+
+
+def _label_evidence(axes: Axes, values: Sequence[float], label: str) -> None:
+    axes.set_xscale("symlog", linthresh=1.0, linscale=0.5)
+    axes.set_xlim(0, 100 * max(1.0, *values))
+    locator = axes.xaxis.get_major_locator()
+    if isinstance(locator, SymmetricalLogLocator):
+        locator.set_params(numticks=4)
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: format_power(value, 1)))
+    _write_at(axes, values, [format_fixed(-one, 1) for one in values])
+    axes.set_xlabel(label)
+
+
+def _write_at(axes: Axes, ends: Sequence[float], texts: Sequence[str]) -> None:
+    """Write numbers at the ends of the bars that they belong to."""
+    for k, (end, text) in enumerate(zip(ends, texts, strict=True)):
+        axes.annotate(text, (end, k), (5, 0), textcoords="offset points", va="center", fontsize=8)

@@ -4,34 +4,46 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
+import h5py
+import numpy as np
 import pandas as pd
 
 from bayescal.errors import InputError
 from bayescal.experiments.frame.results import SUMMARY_FILE, Results
-from bayescal.experiments.shared.headline import Candidate, choose_best, list_candidates
-from bayescal.experiments.study.page.posterior_files import Replicates, read_posteriors, read_replicates
-from bayescal.experiments.study.page.publication import Publication, read_publication
-from bayescal.report.numbers import MICROMETRES
+from bayescal.experiments.shared.headline import (
+    Candidate,
+    choose_best,
+    group_candidates,
+    label_title,
+    list_candidates,
+)
+from bayescal.experiments.shared.study_schema import stem_of
+from bayescal.experiments.shared.trees import name_file
+from bayescal.numerics.geometry import matrix_from_rotation_vector, rotation_vector_of_turn
+from bayescal.report.blocks import Column
+from bayescal.report.numbers import MICROMETRES, format_pair, join_words
 from bayescal.report.reading import NUMBER, Kinds, Row, check_keys, list_rows
-from bayescal.report.symbols import OF_KERNELS, Asked, scale_of, shown_in, split_name
+from bayescal.report.symbols import OF_KERNELS, Asked, describe_deformation, scale_of, shown_in, split_name
 
 if TYPE_CHECKING:
     from bayescal.numerics.geometry import Array
 
+VARIANT = Column("Variant", kind="name")
 SETTINGS = {"free": "with model error", "zero": "without model error (τ = 0)"}
 SHORT_SETTINGS = {"free": "free", "zero": "τ = 0"}
 USES = ("calibration", "verification")
 NOISE = "noise"
 """Verdict on parameters that are none of the machine's."""
+MANY = 8  # names beyond which the others are counted
 FRAME = re.compile(r"(base[1-9]?|tool)_r?[xyz]")
-STRUT = "strut"
 VERDICTS = ("holds", "does not hold", "not testable")
+PUBLICATION_KEYS: dict[str, Kinds] = {"source": str, "citation": str, "figures": dict, "notation": dict}
 
 SUMMARY_KEYS: dict[str, Kinds] = {
     **dict.fromkeys(("experiment", "title"), str),
@@ -105,10 +117,19 @@ class ErrorScale(NamedTuple):
         """Return the ``mean`` or ``max`` of a use's errors in that unit; NaN without."""
         return self.factor * get_number(errors[self.column], which) if errors else math.nan
 
+    def format_both(self, errors: Mapping[str, Any] | None) -> str:
+        """Return a use's mean and largest error as a table shows them."""
+        return format_pair(self.read(errors, "mean"), self.read(errors, "max"), 2)
+
+    @property
+    def title(self) -> str:
+        """What a heading says."""
+        return f"{self.what.capitalize()} error"
+
     @property
     def label(self) -> str:
         """What an axis says."""
-        return f"{self.what.capitalize()} error ({self.unit})"
+        return f"{self.title} ({self.unit})"
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,12 +142,11 @@ class StudyResults:
         As JSON has them.
     tables : mapping of str to DataFrame
         Those that have rows, by name.
-    publication : Publication or None
-        What the study repeats; None for anybody's machine.
     draws : dict
         For each variant whose posterior file is there, the draws (S,) of each parameter, with model error.
-    replicates : Replicates or None
-        Of the best variant; None where its posterior file is not there.
+    replicates : ndarray or None, shape (S, P, 6)
+        Measured minus replicated calibration poses of the best variant with model error, mm and rad; None where its
+        posterior file is not there.
     n_chains : int
         Of the draws, in which they are laid end to end.
     """
@@ -134,9 +154,8 @@ class StudyResults:
     summary: dict[str, Any]
     config: dict[str, Any]
     tables: Mapping[str, pd.DataFrame]
-    publication: Publication | None = None
     draws: dict[str, dict[str, Array]] = field(default_factory=dict)
-    replicates: Replicates | None = None
+    replicates: Array | None = None
     n_chains: int = 1
 
     @classmethod
@@ -150,20 +169,23 @@ class StudyResults:
             missing.
         """
         folder = results.folder or Path()
-        summary, path = results.summary, folder / SUMMARY_FILE
-        _check_summary(summary, path)
+        _check_summary(results.summary, folder / SUMMARY_FILE)
         tables = {name: table for name, table in results.tables.items() if not table.empty}
         _check_tables(tables, folder)
-        publication = read_publication(summary, path)
-        if "claims" in tables and publication is None:
-            raise InputError(f"{path}: publication: found nothing, expected the one whose claims are tested")
-        found = cls(summary, results.config, tables, publication)
+        if "claims" in tables and "publication" not in results.summary:
+            wanted = "found nothing, expected the one whose claims are tested"
+            raise InputError(f"{folder / SUMMARY_FILE}: publication: {wanted}")
+        found = cls(results.summary, results.config, tables)
         if results.folder is None:
             return found
-        chains = read_posteriors(folder / "posterior", found.ranking)
-        draws = {name: {one: x.ravel() for one, x in own.items()} for name, own in chains.items()}
-        seen = read_replicates(folder / "posterior", found.best_name) if found.has("pose_errors") else None
-        return cls(summary, results.config, tables, publication, draws, seen, _count_chains(chains))
+        read = {name: _read_posterior(folder, name, _read_draws) for name in found.ranking}
+        chains = {name: own for name, own in read.items() if own is not None}
+        return replace(
+            found,
+            draws={name: {one: x.ravel() for one, x in own.items()} for name, own in chains.items()},
+            replicates=_read_posterior(folder, found.best_name, _read_replicates) if found.has("pose_errors") else None,
+            n_chains=next((len(x) for own in chains.values() for x in own.values()), 1),
+        )
 
     # --- tables --------------------------------------------------------------------------------------------------
 
@@ -201,19 +223,10 @@ class StudyResults:
         others = [name for ranking in self.summary["rankings"] for name in ranking if name not in self.ranking]
         return [*self.ranking, *others]
 
-    def candidates(self, setting: str = "free") -> list[Candidate]:
-        """Return the variants of the most data as the headline compares them, in the order of the study."""
-        return list_candidates(self.summary, setting)
-
     @property
     def best_name(self) -> str:
         """The variant of the largest log-evidence."""
         return self.ranking[0]
-
-    @property
-    def best(self) -> dict[str, Any]:
-        """Its row, with model error."""
-        return self.fit(self.best_name, "free")
 
     @cached_property
     def chosen(self) -> str:
@@ -223,7 +236,7 @@ class StudyResults:
     @property
     def settings(self) -> list[str]:
         """Settings of the model error that were computed."""
-        return [one for one in SETTINGS if one == "free" or "without_model_error" in self.best]
+        return [one for one in SETTINGS if one == "free" or "without_model_error" in self.fit(self.best_name)]
 
     def fit(self, variant: str, setting: str = "free") -> dict[str, Any]:
         """Return a posterior's row of the summary."""
@@ -236,7 +249,114 @@ class StudyResults:
             for variant in self.names:
                 yield variant, setting, self.fit(variant, setting)
 
+    def split(self, name: str) -> tuple[str, str]:
+        """Return a variant's model and deformation; its name says them unless it has one of its own."""
+        if name in self.own_names:
+            return self.own_names[name]
+        model, _, deformation = name.rpartition("/") if "models" in self.summary else ("", "", "")
+        return model, deformation
+
+    @property
+    def models(self) -> list[str]:
+        """The kinematic models in the order of the study."""
+        return list(dict.fromkeys(self.split(name)[0] for name in self.summary["variants"]))
+
+    @property
+    def deformations(self) -> list[str]:
+        """The deformations in the order of the study."""
+        return list(dict.fromkeys(self.split(name)[1] for name in self.summary["variants"]))
+
+    def find(self, model: str | None = None, deformation: str | None = None) -> list[str]:
+        """Return the variants of a model, of a deformation or of both, in the order of the study."""
+        pairs = {name: self.split(name) for name in self.summary["variants"]}
+        return [name for name, own in pairs.items() if model in (None, own[0]) and deformation in (None, own[1])]
+
+    def find_best(self, model: str, deformation: str) -> str | None:
+        """Return the variant of a model and deformation with the largest log-evidence; None where there is none."""
+        return max(self.find(model, deformation), key=self.evidence, default=None)
+
+    @property
+    def free_sets(self) -> dict[tuple[str, str], list[str]]:
+        """The variants of each model and deformation that has several, in the order of the study."""
+        if "models" not in self.summary:
+            return {}
+        pairs = dict.fromkeys(self.split(name) for name in self.summary["variants"])
+        return {pair: names for pair in pairs if len(names := self.find(*pair)) > 1}
+
+    # --- what the page calls them ----------------------------------------------------------------------------------
+
+    def label(self, name: str) -> str:
+        """Return what the page calls a variant."""
+        return label_title(str(self.fit(name)["title"]))
+
+    def label_model(self, model: str) -> str:
+        """Return a kinematic model's title; its name where the study gives none."""
+        return str(self.summary.get("models", {}).get(model, model))
+
+    def say_missing(self) -> str:
+        """Return why a figure of the best variant's draws is left out where its posterior file is not there."""
+        return f"it needs the draws of {self.label(self.best_name)}, whose file is not there"
+
+    def name_variants(self, names: Sequence[str], between: str = "and") -> str:
+        """Return variants as words; those of one deformation as its models, unless some have names of their own."""
+        models, deformations = zip(*(self.split(name) for name in names), strict=True)
+        own = any(name in self.own_names for name in names)
+        if len(set(deformations)) == 1 and len(names) > 1 and all(models) and not own:
+            words = [self.label_model(model) for model in models]
+            return f"{join_words(words, between)} {describe_deformation(deformations[0])}"
+        return join_words([self.label(name) for name in names], between)
+
+    # --- what their evidence says ----------------------------------------------------------------------------------
+
+    def evidence(self, name: str, setting: str = "free") -> float:
+        """Return a variant's log-evidence, nats."""
+        return float(self.fit(name, setting)["log_evidence"])
+
+    def gain(self, name: str) -> float:
+        """Return what the model error adds to a variant's log-evidence, nats."""
+        return self.evidence(name) - self.evidence(name, "zero")
+
+    def spread(self, names: Sequence[str], setting: str = "free") -> float:
+        """Return the largest difference of log-evidence among variants, nats."""
+        values = [self.evidence(name, setting) for name in names]
+        return max(values) - min(values)
+
+    def candidates(self, setting: str = "free") -> list[Candidate]:
+        """Return the variants of the most data as the headline compares them, in the order of the study."""
+        return list_candidates(self.summary, setting)
+
+    def distinguishes(self, one: str, other: str) -> bool:
+        """Whether the evidence distinguishes two variants."""
+        first, second = (candidate for candidate in self.candidates() if candidate.name in (one, other))
+        return first.is_distinguishable(second)
+
+    def group(self, names: Sequence[str], setting: str = "free") -> list[list[str]]:
+        """Return variants in groups by evidence, the best group first; within a group in the order of the study."""
+        groups = group_candidates([one for one in self.candidates(setting) if one.name in names])
+        return [[one.name for one in group] for group in groups]
+
+    def find_leaders(self, setting: str = "free") -> list[str]:
+        """Return the variants that fit as well as the best one, in the order of the study."""
+        return self.group(self.ranking, setting)[0]
+
+    @cached_property
+    def sensitivity_grid(self) -> pd.DataFrame:
+        """Log-evidence with a row per factor on the priors and a column per variant, in the order of the ranking."""
+        wide = self.table("sensitivity").pivot(index="factor", columns="variant", values="log_evidence")
+        return wide.sort_index()[self.ranking]
+
     # --- the machine and the data --------------------------------------------------------------------------------
+
+    @property
+    def publication(self) -> dict[str, Any] | None:
+        """What the study repeats: ``source``, ``citation``, and where ``figures`` and ``notation`` are in it."""
+        return self.summary.get("publication")
+
+    def cite(self, kind: str, name: str) -> str:
+        """Return what a figure is after, or where a symbol is defined, in brackets behind a space; nothing else."""
+        place = self.publication[kind].get(name) if self.publication else None
+        after = "after " if kind == "figures" else ""
+        return f" ({after}{self.summary['publication']['source']} {place})" if place else ""
 
     @property
     def units(self) -> Asked:
@@ -264,7 +384,7 @@ class StudyResults:
     @property
     def has_struts(self) -> bool:
         """Whether the actuators change the lengths of struts; else they move the base points."""
-        return bool(self.summary.get("drive") == STRUT)
+        return bool(self.summary.get("drive") == "strut")
 
     @property
     def n_verification(self) -> int:
@@ -281,12 +401,23 @@ class StudyResults:
         """What instrument measured, and what it read; None for photogrammetry."""
         return self.summary.get("instrument")
 
+    @property
+    def tau_scale(self) -> float | None:
+        """Scale of the model error's prior, µm, if the config states it."""
+        scale = self.config.get("model_error", {}).get("scale_um")
+        return None if scale is None else float(scale)
+
     # --- parameters ----------------------------------------------------------------------------------------------
 
     @property
     def parameters(self) -> pd.DataFrame:
         """One row per posterior and parameter of the machine; ``leg`` is zero where a parameter belongs to none."""
         return self.all_parameters[~self._of_frames & ~self.all_parameters["symbol"].isin(OF_KERNELS)]
+
+    @property
+    def free(self) -> pd.DataFrame:
+        """The same of the posteriors whose model error is free."""
+        return self.parameters[self.parameters["model_error"] == "free"]
 
     @property
     def frames(self) -> pd.DataFrame:
@@ -304,20 +435,50 @@ class StudyResults:
         split = [split_name(str(name)) for name in table["parameter"]]
         return table.assign(symbol=[symbol for symbol, _ in split], leg=[leg for _, leg in split])
 
-    @cached_property
-    def sensitivity_grid(self) -> pd.DataFrame:
-        """Log-evidence with a row per factor on the priors and a column per variant, in the order of the ranking."""
-        wide = self.table("sensitivity").pivot(index="factor", columns="variant", values="log_evidence")
-        return wide.sort_index()[self.ranking]
 
-    @property
-    def legs(self) -> list[int]:
-        """Numbers of the legs."""
-        return sorted({*self.parameters["leg"], *self.table("least_squares")["leg"]} - {0})
+def _read_posterior[Found](folder: Path, variant: str, read: Callable[[h5py.File], Found]) -> Found | None:
+    """Return what a variant's file says; None without one. Letters that no file may have stand there as others."""
+    own = folder / "posterior" / f"{stem_of(variant)}.nc"
+    path = own if own.is_file() else folder / name_file(variant)
+    if not path.is_file():
+        return None
+    try:
+        with h5py.File(path, "r") as file:
+            return read(file)
+    except (OSError, KeyError) as error:
+        raise InputError(f"{path}: cannot be read as a posterior ({error})") from error
 
 
-def _count_chains(chains: Mapping[str, Mapping[str, Array]]) -> int:
-    return next((len(x) for own in chains.values() for x in own.values()), 1)
+def _read_draws(file: h5py.File) -> dict[str, Array]:
+    """Return the draws (E, S) of each parameter by chains, from the posterior group of an ArviZ file."""
+    draws: dict[str, Array] = {}
+    for symbol, values in file["posterior"].items():
+        if values.ndim < 2 or symbol in OF_KERNELS:
+            continue  # coordinates; scale and length of an error, not of the machine
+        every = np.asarray(values, dtype=np.float64).reshape(*values.shape[:2], -1)
+        names = [symbol] if values.ndim == 2 else [f"{symbol}[{one}]" for one in _list_entries(values)]
+        draws |= {name: every[..., k] for k, name in enumerate(names)}
+    return draws
+
+
+def _list_entries(values: h5py.Dataset) -> list[str]:
+    """Return what stands in the brackets of parameters' names: as the file has it, else numbers from one."""
+    if not len(values.dims[2]):
+        return [str(k + 1) for k in range(values.shape[2])]
+    return [one.decode() if isinstance(one, bytes) else str(one) for one in values.dims[2][0][()]]
+
+
+def _read_replicates(file: h5py.File) -> Array | None:
+    """Return measured less replicated poses (S, P, 6), mm and rad; None of an earlier version."""
+    if "observed_data/readings" not in file:
+        return None
+    measured, made = (file[f"{group}/readings"][()] for group in ("observed_data", "posterior_predictive"))
+    measured = np.broadcast_to(measured, made.shape)
+    known = np.isfinite(measured[..., 3:]).all(axis=-1, keepdims=True)
+    turned, seen = (matrix_from_rotation_vector(np.nan_to_num(one[..., 3:])) for one in (made, measured))
+    turn = rotation_vector_of_turn(seen @ np.swapaxes(turned, -1, -2))
+    misfit = np.concatenate([measured[..., :3] - made[..., :3], np.where(known, turn, np.nan)], axis=-1)
+    return misfit.reshape(-1, *misfit.shape[2:])
 
 
 def _check_tables(tables: Mapping[str, pd.DataFrame], results: Path) -> None:
@@ -355,9 +516,21 @@ def _check_summary(summary: dict[str, Any], path: Path) -> None:
         check_keys(row, ROW_KEYS, path, f"variants.{name}.")
         if "without_model_error" in row:
             check_keys(row["without_model_error"], ROW_KEYS, path, f"variants.{name}.without_model_error.")
+    if "publication" in summary:
+        check_keys(summary, {"publication": dict}, path, "")
+        check_keys(summary["publication"], PUBLICATION_KEYS, path, "publication.")
+        for key in ("figures", "notation"):
+            places = summary["publication"][key]
+            check_keys(places, dict.fromkeys(places, str), path, f"publication.{key}.")
 
 
 def get_number(content: Mapping[str, Any], key: str) -> float:
     """Return a number that may be missing, NaN then."""
     value = content.get(key)
     return float(value) if isinstance(value, NUMBER) else math.nan
+
+
+def name_some(names: Sequence[str]) -> str:
+    """Return names as words, of many the first and how many more there are."""
+    more = [f"{len(names) - MANY} more"] if len(names) > MANY else []
+    return join_words([*names[:MANY], *more])

@@ -2,35 +2,48 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure as Drawing
 
-from bayescal.experiments.study.page.figures.ridges import draw_ridges
-from bayescal.experiments.study.page.results import FRAME, NOISE, StudyResults
-from bayescal.experiments.study.page.variants import VARIANT, label_variant
-from bayescal.report.blocks import Block, Column, Figure, Fold, Section, Statement, Table, make_table
+from bayescal.experiments.shared import knowledge_page
+from bayescal.experiments.study.page.results import FRAME, NOISE, VARIANT, StudyResults
+from bayescal.report.blocks import Block, Column, Figure, Fold, Section, Statement, make_table
 from bayescal.report.numbers import NOTHING, format_fixed, join_words
-from bayescal.report.symbols import MODEL_ERROR, name_parameter, split_name, write_symbol
+from bayescal.report.style import INK
+from bayescal.report.symbols import MODEL_ERROR, name_parameter, set_mathematics, split_name, write_symbol
 
 if TYPE_CHECKING:
     from bayescal.numerics.geometry import Array
 
 SHOWN_PAIRS = 3
 NO_PAIRS = "Correlations within a leg."
-KEPT, LOST = 0.5, 0.01  # share of the prior variance of a combination that is hardly, or well, measured
+RETAINED, REMOVED = 0.5, 0.01  # share of the prior variance of a combination that is hardly, or well, measured
+SHOWN_DRAWS = 1500
+FEW = 10  # parameters of which the correlations are written as numbers
 
 
 def show_ridges(study: StudyResults) -> Section | None:
-    """Return the most correlated parameters; None without draws."""
-    if not study.draws or not study.has("pose_errors"):
+    """Return undetermined combinations, or the most correlated parameters of legs; None without either."""
+    if not study.has("pose_errors"):
+        return next(iter(knowledge_page.show_ridges(study.tables, study.chosen)), None)
+    if not study.draws:
         return None
-    blocks: list[Block] = [*state_ridges(study), illustrate_ridges(study)]
-    table = tabulate_ridges(study)
-    if table is not None:
-        blocks.append(Fold("The most correlated pairs of every variant", (table,)))
+    blocks: list[Block] = [*state_ridges(study), _illustrate(study)]
+    rows = []
+    for name in study.ranking:
+        if name in study.draws:
+            pairs = rank_pairs(study.draws[name])[:SHOWN_PAIRS]
+            texts = [f"{name_parameter(a)}, {name_parameter(b)}: {format_fixed(r, 3, sign=True)}" for a, b, r in pairs]
+            rows.append([study.label(name), *texts, *[NOTHING] * (SHOWN_PAIRS - len(texts))])
+    columns = [VARIANT, *(Column(title, kind="text") for title in ("Strongest", "second", "third"))]
+    table = make_table("Most correlated pairs of parameters, correlation of the draws.", columns, rows)
+    blocks.append(Fold("The most correlated pairs of every variant", (table,)))
     return Section("Correlations of parameters", tuple(blocks), anchor="ridges", short="Ridges")
 
 
@@ -49,33 +62,18 @@ def choose_leg(pairs: list[tuple[str, str, float]]) -> tuple[int, list[tuple[str
     return leg, [(a[0], b[0]) for a, b in within if a[1] == b[1] == leg][:4]
 
 
-def tabulate_ridges(results: StudyResults) -> Table | None:
-    """Return the most correlated pairs of every variant whose draws are there."""
-    rows = []
-    for name in results.ranking:
-        if name in results.draws:
-            pairs = rank_pairs(results.draws[name])[:SHOWN_PAIRS]
-            texts = [f"{name_parameter(a)}, {name_parameter(b)}: {format_fixed(r, 3, sign=True)}" for a, b, r in pairs]
-            rows.append([label_variant(results, name), *texts, *[NOTHING] * (SHOWN_PAIRS - len(texts))])
-    if not rows:
-        return None
-    columns = [VARIANT]
-    columns += [Column(title, kind="text") for title in ("Strongest", "second", "third")]
-    return make_table("Most correlated pairs of parameters, correlation of the draws.", columns, rows)
-
-
-def state_ridges(results: StudyResults) -> list[Statement]:
+def state_ridges(study: StudyResults) -> list[Statement]:
     """Say in words which pairs of the best variant the measurements cannot tell apart."""
-    best = results.ranking[0]
-    if best not in results.draws:
+    best = study.best_name
+    if best not in study.draws:
         return []
-    pairs = rank_pairs(results.draws[best])
+    pairs = rank_pairs(study.draws[best])
     strong = [p for p in pairs if abs(p[2]) > 0.9]
     named = [
         f"{name_parameter(a)} with {name_parameter(b)} ({format_fixed(r, 2, sign=True)})"
         for a, b, r in pairs[:SHOWN_PAIRS]
     ]
-    text = f"In {label_variant(results, best)} the most correlated pairs are {join_words(named)}." if named else ""
+    text = f"In {study.label(best)} the most correlated pairs are {join_words(named)}." if named else ""
     if strong:
         kinds = dict.fromkeys(" with ".join(write_symbol(split_name(x)[0]) for x in p[:2]) for p in strong)
         text += (
@@ -84,47 +82,91 @@ def state_ridges(results: StudyResults) -> list[Statement]:
         )
     else:
         text += f" None of the {len(pairs)} pairs exceeds 0.9 in size."
-    return [Statement(text), *_state_combinations(results, best)]
+    return [Statement(text), *_state_combinations(study, best)]
 
 
-def _state_combinations(results: StudyResults, variant: str) -> list[Statement]:
+def _state_combinations(study: StudyResults, variant: str) -> list[Statement]:
     """Say how many combinations of parameters keep their tolerance: ridges of three and more show in no pair."""
-    draws, rows = results.draws[variant], results.rows("parameters", variant)
+    draws, rows = study.draws[variant], study.rows("parameters", variant)
     prior = {row["parameter"]: row["prior_sd"] for row in rows if row["verdict"] != NOISE}
     names = [name for name in draws if name in prior]
     if len(names) < 2:
         return []
     left = np.linalg.eigvalsh(np.cov(np.stack([draws[name] / prior[name] for name in names])))
-    kept, lost = int((left > KEPT).sum()), int((left < LOST).sum())
+    retained, removed = int((left > RETAINED).sum()), int((left < REMOVED).sum())
     text = (
         f"Of the {len(left)} independent combinations of its geometry (principal axes of the draws in prior standard "
-        f"deviations) {kept or 'none'} retain more than half of their prior variance, {lost or 'none'} less than 1 %."
+        f"deviations) {retained or 'none'} retain more than half of their prior variance, {removed or 'none'} less "
+        "than 1 %."
     )
-    if kept and lost:
+    if retained and removed:
         text += " So a parameter may stay uncertain by itself while the poses fix a combination of several."
     return [Statement(text)]
 
 
-def illustrate_ridges(results: StudyResults) -> Figure:
+def _illustrate(study: StudyResults) -> Figure:
     """Return the correlations within a leg of the best variant."""
-    best, name = results.ranking[0], "ridges"
-    if best not in results.draws:
-        reason = f"it needs the draws of {label_variant(results, best)}, whose file is not there"
-        return Figure(name, NO_PAIRS, None, reason)
-    draws = {name: x for name, x in results.draws[best].items() if not FRAME.fullmatch(name)}
+    best, name = study.best_name, "ridges"
+    if best not in study.draws:
+        return Figure(name, NO_PAIRS, None, study.say_missing())
+    draws = {name: x for name, x in study.draws[best].items() if not FRAME.fullmatch(name)}
     leg, pairs = choose_leg(rank_pairs(draws))
     if not pairs:
         return Figure(name, NO_PAIRS, None, "no leg has two parameters")
     table = pd.DataFrame({split_name(n)[0]: x for n, x in draws.items() if split_name(n)[1] == leg})
     if len(table.columns.drop(MODEL_ERROR, errors="ignore")) < 2:
         return Figure(name, NO_PAIRS, None, "each leg has one parameter of its geometry")
-    frame = results.parameters[results.parameters["model_error"] == "free"]
-    one = frame[(frame["variant"] == best) & (frame["leg"] == leg)].set_index("symbol")
+    one = study.free[(study.free["variant"] == best) & (study.free["leg"] == leg)].set_index("symbol")
     nominal = one["nominal"].where(one.index != MODEL_ERROR, 0.0)
     caption = (
-        f"{label_variant(results, best)}, leg {leg} (the one with the most correlated pair): correlation of its "
+        f"{study.label(best)}, leg {leg} (the one with the most correlated pair): correlation of its "
         "parameters (red +1, blue −1), and the draws of its most correlated pairs as offsets from nominal. A thin "
         "slanting cloud is a ridge: the measurements fix only what lies across it."
     )
-    scales = {str(symbol): results.scale_of(str(symbol), str(unit)) for symbol, unit in one["unit"].items()}
-    return Figure(name, caption, partial(draw_ridges, table, nominal, scales, pairs))
+    scales = {str(symbol): study.scale_of(str(symbol), str(unit)) for symbol, unit in one["unit"].items()}
+    return Figure(name, caption, partial(_draw, table, nominal, scales, pairs))
+
+
+def _draw(
+    draws: pd.DataFrame,
+    nominal: pd.Series,
+    scales: Mapping[str, tuple[float, str]],
+    pairs: Sequence[tuple[str, str]],
+) -> Drawing:
+    """Return the correlations of one leg's parameters, a column of draws each, and the draws of chosen pairs.
+
+    Offsets from nominal are shown by factor and name of the unit, by symbol.
+    """
+    figure = Drawing(figsize=(9.4, 3.9))
+    grid = figure.add_gridspec(2, 4, width_ratios=(1.25, 1.25, 1.0, 1.0))
+    _draw_matrix(figure.add_subplot(grid[:, :2]), draws)
+    step = max(1, len(draws) // SHOWN_DRAWS)
+    shown = (draws - nominal).iloc[::step]
+    places = ((0, 2), (0, 3), (1, 2), (1, 3))
+    for pair, (row, column) in zip(pairs, places, strict=False):
+        axes = figure.add_subplot(grid[row, column])
+        x, y = (scales[symbol][0] * shown[symbol] for symbol in pair)
+        axes.plot(x, y, linestyle="none", marker=".", markersize=1.6, color=INK, alpha=0.45)
+        x_label, y_label = (f"{set_mathematics(symbol, 'Δ')} ({scales[symbol][1]})" for symbol in pair)
+        axes.set_xlabel(x_label)
+        axes.set_ylabel(y_label)
+        axes.locator_params(nbins=4)
+        axes.grid()
+    return figure
+
+
+def _draw_matrix(axes: Axes, draws: pd.DataFrame) -> None:
+    symbols = list(draws.columns)
+    matrix = draws.corr().to_numpy()
+    axes.imshow(matrix, cmap="RdBu_r", vmin=-1, vmax=1)
+    labels = [set_mathematics(symbol) for symbol in symbols]
+    axes.set_xticks(range(len(symbols)), labels)
+    axes.set_yticks(range(len(symbols)), labels)
+    axes.tick_params(length=0)
+    for i, j in np.ndindex(*matrix.shape):
+        if i != j and len(symbols) <= FEW:
+            colour = "white" if abs(matrix[i, j]) > 0.6 else INK
+            text = format_fixed(float(matrix[i, j]), 2)
+            axes.text(j, i, text, ha="center", va="center", fontsize=8, color=colour)
+    axes.spines[:].set_visible(False)
+    axes.set_title("Correlation")

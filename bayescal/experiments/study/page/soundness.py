@@ -1,4 +1,4 @@
-"""Whether stated noise, tolerances and bounds fit the measurements: said first, with the likely cause.
+"""Whether numbers may be relied on: stated noise, tolerances and bounds, convergence, coverage, with the likely cause.
 
 Each is a test that may fail on either side; several are made, so that each has to be clear by itself.
 """
@@ -6,155 +6,144 @@ Each is a test that may fail on either side; several are made, so that each has 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from scipy import stats
 
 from bayescal.experiments.shared.chi_square import ChiSquare, format_chance
-from bayescal.experiments.shared.judgement_page import rate, state_misfit, state_pulls
 from bayescal.experiments.shared.slips import state_slip
 from bayescal.experiments.study.page.results import NOISE, SETTINGS, StudyResults, get_number
-from bayescal.experiments.study.page.variants import label_variant
-from bayescal.report.blocks import Statement
-from bayescal.report.numbers import format_fixed, format_percent, format_significant
+from bayescal.limits import AGREEMENT, ESS_BULK_LIMIT, RHAT_LIMIT
+from bayescal.report.blocks import Level, Statement
+from bayescal.report.numbers import format_fixed, format_percent, format_significant, join_words
 
+SERIOUS = 1.5
+"""Factor on stated noise or tolerances from which on it is bad."""
 REJECTED_SHARE = 0.01
 """Of targets that normal noise leaves alone, robust fits reject fewer."""
-BOUND = 0.95
+COVERAGE, BOUND = 0.90, 0.95
+"""What intervals and bounds should hold."""
 RARE_BOUND = 0.01
 """A coarser test than those of χ²: with few poses none beyond a bound is rarely out of the question."""
 FAR = 2.5  # prior standard deviations of a single parameter that are named
+FEW = 3  # variants to name one by one
 
 
-def has_doubts(results: StudyResults) -> bool:
+def has_warnings(study: StudyResults) -> bool:
     """Whether something speaks against the stated noise, tolerances or bounds; tolerances too wide cost little."""
-    return any(statement.level in ("warning", "bad") for statement in state_soundness(results))
+    return any(statement.level in ("warning", "bad") for statement in state_soundness(study))
 
 
-def state_soundness(results: StudyResults) -> list[Statement]:
+def state_soundness(study: StudyResults) -> list[Statement]:
     """Return what contradicts the stated noise and tolerances; nothing where nothing does."""
     return [
-        *state_slip(results.summary),
-        *_state_target_noise(results),
-        *_state_rejected(results),
-        *_state_misfit(results),
-        *_state_tolerances(results),
-        *_state_bounds(results),
+        *state_slip(study.summary),
+        *_state_targets(study),
+        *_state_misfit(study),
+        *_state_tolerances(study),
+        *_state_bounds(study),
     ]
+
+
+def _rate(factor: float) -> Level:
+    """Return how bad deviations are that many times as large as stated."""
+    return "bad" if max(factor, 1 / factor) >= SERIOUS else "warning"
 
 
 # --- noise -----------------------------------------------------------------------------------------------------------
 
 
-def read_misfit(results: StudyResults, name: str) -> ChiSquare:
-    """Return χ² of a variant at its mode, without model error where that was computed: of the stated noise alone."""
-    setting = results.settings[-1]
-    one = results.fit(name, setting)
-    return ChiSquare(float(one["misfit_chi2"]), float(one["misfit_dof"]))
-
-
-def find_noise_fault(results: StudyResults) -> ChiSquare | None:
-    """Return the misfit of the best variant where it lies far from what the stated noise lets expect."""
-    found = read_misfit(results, results.ranking[0])
-    return found if found.is_off else None
-
-
-def _state_target_noise(results: StudyResults) -> list[Statement]:
-    """Say where targets scatter about their rigid bodies by another noise than stated."""
-    extraction = results.summary.get("pose_extraction", {})
+def _state_targets(study: StudyResults) -> list[Statement]:
+    """Say where targets scatter about their bodies by another noise than stated, or too many were rejected."""
+    extraction = study.summary.get("pose_extraction", {})
     per_dof, dof = get_number(extraction, "chi2_per_dof"), get_number(extraction, "dof")
-    if not (math.isfinite(per_dof) and math.isfinite(dof)):
-        return []
-    found = ChiSquare(per_dof * dof, dof)
+    found, statements = ChiSquare(per_dof * dof, dof), []
+    if math.isfinite(found.value) and found.is_off:
+        size = "small" if found.factor > 1 else "large"
+        text = (
+            f"The targets scatter about their rigid bodies {format_significant(found.factor, 2)} times as much as the "
+            f"stated noise (χ² per degree of freedom {format_significant(per_dof, 3)}, {format_chance(found.chance)}): "
+            f"the target noise is stated too {size}, or targets moved on their bodies."
+        )
+        statements.append(Statement(text, _rate(found.factor), "Noise"))
+    total, rejected = get_number(extraction, "n_targets"), len(extraction.get("rejected_targets", []))
+    if total > 0 and rejected / total > REJECTED_SHARE:
+        text = (
+            f"{rejected} of {format_fixed(total, 0)} measured targets ({format_percent(rejected / total, 1)}) were "
+            "rejected as outliers: single blunders, or a target noise that is stated too small."
+        )
+        statements.append(Statement(text, "bad" if rejected / total > 0.05 else "warning", "Noise"))
+    return statements
+
+
+def _state_misfit(study: StudyResults) -> list[Statement]:
+    """Say where the best variant's residuals are larger or smaller than the stated noise."""
+    one = study.fit(study.best_name, study.settings[-1])  # without model error where computed: of the noise alone
+    found = ChiSquare(float(one["misfit_chi2"]), float(one["misfit_dof"]))
     if not found.is_off:
         return []
-    size = "small" if found.factor > 1 else "large"
+    without, why = "", "the noise is stated too small, or every variant lacks something real."
+    if "zero" in study.settings:
+        without = " without model error"
+        why += " With model error τ the intervals are widened accordingly, without it they are too narrow."
+    if found.factor < 1:
+        why = "the noise is stated too large, and all intervals are wider than they need be."
     text = (
-        f"The targets scatter about their rigid bodies {format_significant(found.factor, 2)} times as much as the "
-        f"stated noise (χ² per degree of freedom {format_significant(per_dof, 3)}, {format_chance(found.chance)}): "
-        f"the target noise is stated too {size}, or targets moved on their bodies."
+        f"{study.label(study.best_name)} leaves residuals {format_significant(found.factor, 2)} times as large as the "
+        f"stated noise (χ² per degree of freedom {format_significant(found.value / found.dof, 3)}{without}, "
+        f"{format_fixed(found.dof, 0)} degrees, {format_chance(found.chance)}): {why}"
     )
-    return [Statement(text, rate(found.factor), "Noise")]
-
-
-def _state_rejected(results: StudyResults) -> list[Statement]:
-    """Say where robust fits rejected more targets than normal noise explains."""
-    extraction = results.summary.get("pose_extraction", {})
-    total, rejected = get_number(extraction, "n_targets"), len(extraction.get("rejected_targets", []))
-    if not total > 0 or rejected / total <= REJECTED_SHARE:
-        return []
-    text = (
-        f"{rejected} of {format_fixed(total, 0)} measured targets ({format_percent(rejected / total, 1)}) were "
-        "rejected as outliers: single blunders, or a target noise that is stated too small."
-    )
-    return [Statement(text, "bad" if rejected / total > 0.05 else "warning", "Noise")]
-
-
-def _state_misfit(results: StudyResults) -> list[Statement]:
-    """Say where the best variant's residuals are larger or smaller than the stated noise."""
-    best, found = results.ranking[0], find_noise_fault(results)
-    if found is None:
-        return []
-    too_small = "the noise is stated too small, or every variant lacks something real."
-    if "zero" not in results.settings:
-        return [state_misfit(label_variant(results, best), found, "", too_small)]
-    too_small += " With model error τ the intervals are widened accordingly, without it they are too narrow."
-    return [state_misfit(label_variant(results, best), found, " without model error", too_small)]
+    return [Statement(text, _rate(found.factor), "Noise")]
 
 
 # --- tolerances ------------------------------------------------------------------------------------------------------
 
 
-def read_pulls(results: StudyResults, name: str) -> ChiSquare:
-    """Return χ² of how far a variant's machine lies from nominal along what was learnt, in units of the priors."""
-    one = results.fit(name)
-    return ChiSquare(float(one["pulls_chi2"]), float(one["pulls_dof"]))
+def _state_tolerances(study: StudyResults) -> list[Statement]:
+    """Say where the identified machine lies farther from nominal than the tolerances let expect, or much closer.
 
-
-def _state_tolerances(results: StudyResults) -> list[Statement]:
-    """Say where the identified machine lies farther from nominal than the tolerances let expect, or much closer."""
-    best = results.ranking[0]
-    found, far = read_pulls(results, best), _describe_farthest(results, best)
+    χ² is of how far it lies from nominal along what was learnt, in units of the priors.
+    """
+    best, fit = study.best_name, study.fit(study.best_name)
+    found = ChiSquare(float(fit["pulls_chi2"]), float(fit["pulls_dof"]))
     if not found.is_off:
         return []
-    return [state_pulls(label_variant(results, best), found, far, _name_held(results, best))]
-
-
-def _name_held(results: StudyResults, name: str) -> str:
-    """Return which dimensions of a variant's model nothing frees: what is held as drawn, others err for."""
-    held = results.summary.get("not_free", {}).get(name, [])
-    if not held:
-        return ""
-    return f" Not free in this study: {', '.join(map(str, held))}. Give them tolerances and free them first."
-
-
-def _describe_farthest(results: StudyResults, name: str) -> str:
-    rows = [row for row in results.rows("parameters", name) if row["model_error"] == "free" and row["verdict"] != NOISE]
+    rows = [row for row in study.rows("parameters", best) if row["model_error"] == "free" and row["verdict"] != NOISE]
     pulls = {str(row["parameter"]): (row["mean"] - row["nominal"]) / row["prior_sd"] for row in rows}
     far = max(pulls, key=lambda key: abs(pulls[key]), default=None)
-    if far is None or abs(pulls[far]) < FAR:
-        return ""
-    return f", farthest {far} by {format_significant(pulls[far], 2)}"
+    text = (
+        f"{study.label(best)}: deviations from nominal are {format_significant(found.factor, 2)} times the stated "
+        f"tolerances (rms over the {format_fixed(found.dof, 0)} directions that the data determine)"
+    )
+    if far is not None and abs(pulls[far]) >= FAR:
+        text += f", farthest {far} by {format_significant(pulls[far], 2)}"
+    text += f" ({format_chance(found.chance)}): "
+    if found.factor <= 1:
+        return [Statement(f"{text}the tolerances are wider than this machine needs.", "plain", "Tolerances")]
+    text += "the tolerances are stated too tight, a nominal value is wrong, or the model makes up for what it lacks."
+    held = study.summary.get("not_free", {}).get(best, [])
+    if held:  # as drawn: other parameters err for it
+        text += f" Not free in this study: {', '.join(map(str, held))}. Give them tolerances and free them first."
+    return [Statement(text, _rate(found.factor), "Tolerances")]
 
 
-# --- bounds ----------------------------------------------------------------------------------------------------------
+# --- bounds and coverage ---------------------------------------------------------------------------------------------
 
 
-def choose_setting(results: StudyResults, name: str) -> str:
-    """Return the setting of the model error that the evidence prefers: one that is not needed widens all bounds."""
-    return max(("free", "zero"), key=lambda setting: results.fit(name, setting)["log_evidence"])
+def _count_beyond(study: StudyResults) -> tuple[str, int, int]:
+    """Return of the best variant a setting, how many errors of unseen poses lie beyond their 95 % bounds, of how many.
 
-
-def count_beyond(results: StudyResults, name: str, setting: str) -> tuple[int, int]:
-    """Return how many of the errors of unseen poses lie beyond their 95 % bounds, and of how many, both kinds.
-
-    Calibration poses are left out for it: a posterior that has seen a pose fits it too well.
+    The setting of the model error is what the evidence prefers: one that is not needed widens all bounds. Calibration
+    poses are left out for it: a posterior that has seen a pose fits it too well.
     """
-    table = results.table("poses")
-    chosen = table[(table["variant"] == name) & (table["model_error"] == setting)]
+    setting = max(("free", "zero"), key=lambda setting: study.evidence(study.best_name, setting))
+    table = study.table("poses", study.best_name)
+    chosen = table[table["model_error"] == setting]
     pits = chosen[["position_pit", "orientation_pit"]].to_numpy(dtype=float).ravel()
     known = pits[np.isfinite(pits)]
-    return int((known > BOUND).sum()), len(known)
+    return setting, int((known > BOUND).sum()), len(known)
 
 
 def judge_bounds(beyond: int, total: int) -> float:
@@ -165,27 +154,24 @@ def judge_bounds(beyond: int, total: int) -> float:
     return float(stats.binomtest(beyond, total, 1 - BOUND, "less" if few else "greater").pvalue)
 
 
-def describe_bounds(results: StudyResults, name: str, setting: str) -> str:
+def _describe_bounds(study: StudyResults) -> str:
     """Return how many errors lie beyond their bounds, how many are expected, and with what probability."""
-    beyond, total = count_beyond(results, name, setting)
-    expected = format_fixed((1 - BOUND) * total, 1)
-    chance = format_chance(judge_bounds(beyond, total))
+    setting, beyond, total = _count_beyond(study)
     return (
-        f"{SETTINGS[setting]}, {beyond} of {total} position and orientation errors of poses left out or held back lie "
-        f"beyond their 95 % bounds, where {expected} are expected ({chance})"
+        f"{study.label(study.best_name)}: {SETTINGS[setting]}, {beyond} of {total} position and orientation errors of "
+        f"poses left out or held back lie beyond their 95 % bounds, where {format_fixed((1 - BOUND) * total, 1)} are "
+        f"expected ({format_chance(judge_bounds(beyond, total))})"
     )
 
 
-def _state_bounds(results: StudyResults) -> list[Statement]:
+def _state_bounds(study: StudyResults) -> list[Statement]:
     """Say where too few or too many errors of the best variant lie beyond their bounds."""
-    if not results.has("pose_errors"):
+    if not study.has("pose_errors"):
         return []
-    best = results.ranking[0]
-    setting = choose_setting(results, best)
-    beyond, total = count_beyond(results, best, setting)
+    _, beyond, total = _count_beyond(study)
     if judge_bounds(beyond, total) >= RARE_BOUND:
         return []
-    text = f"{label_variant(results, best)}: {describe_bounds(results, best, setting)}"
+    text = _describe_bounds(study)
     if beyond < (1 - BOUND) * total:
         text += (
             ": the bounds are too wide, as from a noise stated too large, or from errors that poses share, as those "
@@ -194,3 +180,101 @@ def _state_bounds(results: StudyResults) -> list[Statement]:
         return [Statement(text, "warning", "Bounds")]
     text += ": the bounds claim too much, as from a noise stated too small or a model that lacks something real."
     return [Statement(text, "bad", "Bounds")]
+
+
+def state_coverage(study: StudyResults) -> list[Statement]:
+    """Say how often the 90 % predictive intervals hold the measurements, in both settings."""
+    if not study.has("pose_errors"):
+        return []
+    statements = []
+    n_poses = study.summary["n_poses"]["calibration"]
+    for setting, words in SETTINGS.items():
+        fits = {name: study.fit(name, setting) for name in study.ranking}
+        coverage = {name: fit["calibration"]["interval_90_coverage"] for name, fit in fits.items()}
+        narrow = [name for name, share in coverage.items() if is_too_narrow(share, n_poses)]
+        span = " to ".join(dict.fromkeys(format_percent(x) for x in (min(coverage.values()), max(coverage.values()))))
+        text = (
+            f"{words[0].upper()}{words[1:]}, the 90 % predictive intervals hold {span} of the calibration measurements"
+        )
+        if narrow:
+            shares = [f"{study.label(name)} ({_cover_both(fits[name])})" for name in narrow]
+            text += f": intervals too narrow for {name_or_count(shares, len(coverage))}"
+        statements.append(Statement(f"{text}.", "warning" if narrow else "plain", "Coverage"))
+    if _state_bounds(study):
+        return statements
+    return [*statements, Statement(f"{_describe_bounds(study)}.", lead="Coverage")]
+
+
+def _cover_both(fit: Mapping[str, Any]) -> str:
+    text = format_percent(fit["calibration"]["interval_90_coverage"])
+    if fit.get("verification"):
+        text += f", verification {format_percent(fit['verification']['interval_90_coverage'])}"
+    return text
+
+
+def is_too_narrow(coverage: float, n_poses: int) -> bool:
+    """Whether a coverage lies two standard errors below 90 %, counting a pose's six components as one trial."""
+    return bool(coverage < COVERAGE - 2 * math.sqrt(COVERAGE * (1 - COVERAGE) / max(n_poses, 1)))
+
+
+def name_or_count(words: list[str], total: int) -> str:
+    """Return a few variants by name, many as a count."""
+    return join_words(words) if len(words) <= FEW else f"{len(words)} of {total} variants (tables below)"
+
+
+# --- convergence -----------------------------------------------------------------------------------------------------
+
+
+def list_failures(study: StudyResults) -> list[Statement]:
+    """Return everything that speaks against relying on the numbers, posterior by posterior."""
+    failures = []
+    for variant, setting, fit in study.fits():
+        where = study.label(variant)
+        where += f", {SETTINGS[setting]}" if len(study.settings) > 1 else ""
+        problems = [one for one in fit["problems"].split("; ") if one]
+        if not problems and measure_gap(fit) > AGREEMENT:
+            problems = [f"the two log-evidences differ by {format_fixed(measure_gap(fit), 2)} nat, limit {AGREEMENT}"]
+        if not problems and not fit["converged"]:
+            problems = ["not converged"]
+        failures += [Statement(f"{where}: {problem}", "bad") for problem in problems]
+    return failures
+
+
+def title_failures(study: StudyResults) -> str:
+    """Return how far the failures reach: to the ranking, or only to posteriors without model error."""
+    if len(study.settings) > 1 and all(_passed(fit) for _, setting, fit in study.fits() if setting == "free"):
+        return (
+            "Do not rely yet on the posteriors listed here, all without model error; the ranking with model error does "
+            "not use them."
+        )
+    return "Do not rely on these numbers yet. What speaks against them:"
+
+
+def _passed(fit: Mapping[str, Any]) -> bool:
+    return bool(fit["converged"] and measure_gap(fit) <= AGREEMENT and not fit["problems"])
+
+
+def measure_gap(fit: Mapping[str, Any]) -> float:
+    """Return how far the two log-evidences of a posterior lie apart."""
+    return abs(float(fit["log_evidence_importance"] - fit["log_evidence_bridge"]))
+
+
+def state_convergence(study: StudyResults) -> list[Statement]:
+    """Say whether all posteriors passed their checks, and by what margin."""
+    fits = [fit for _, _, fit in study.fits()]
+    failed = sum(not _passed(fit) for fit in fits)
+    if failed:
+        text = f"{failed} of {len(fits)} posteriors did not pass their checks (listed above)."
+        return [Statement(text, "bad", "Checks")]
+    gap = max(measure_gap(fit) for fit in fits)
+    rhat = max(fit["rhat_max"] for fit in fits)
+    bulk = min(fit["ess_bulk_min"] for fit in fits)
+    text = (
+        f"All {len(fits)} posteriors converged: R-hat at most {format_fixed(rhat, 4)} (limit {RHAT_LIMIT}), bulk ESS "
+        f"at least {format_fixed(bulk, 0)} (limit {format_fixed(ESS_BULK_LIMIT, 0)}). Both evidence estimators agree "
+        f"to {format_fixed(gap, 3)} nat or better (limit {AGREEMENT})."
+    )
+    if has_warnings(study):
+        caveat = "That follows from what was stated of noise and tolerances; what speaks against it stands above."
+        return [Statement(f"{text} {caveat}", "plain", "Checks")]
+    return [Statement(text, "good", "Checks")]

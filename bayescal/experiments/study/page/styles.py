@@ -7,16 +7,11 @@ from dataclasses import dataclass
 from itertools import cycle
 from typing import Any
 
+from matplotlib.artist import Artist
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from bayescal.experiments.study.page.results import StudyResults
-from bayescal.experiments.study.page.variants import (
-    label_model,
-    label_variant,
-    list_deformations,
-    list_models,
-    split_variant,
-)
 from bayescal.report.style import INK, MARKERS, OTHER_COLOURS
 from bayescal.report.symbols import quote
 
@@ -40,34 +35,35 @@ class VariantStyle:
 type Styles = Mapping[str, VariantStyle]
 
 
-def assign_styles(results: StudyResults) -> dict[str, VariantStyle]:
+def assign_styles(study: StudyResults) -> dict[str, VariantStyle]:
     """Return the style of each variant of a study, the same in all figures."""
-    kinds = {name: _kind_of(results, name) for name in results.summary["variants"]}
-    models = [label_model(results, model) for model in list_models(results)]
+    pairs = {name: study.split(name) for name in study.summary["variants"]}
+    own = study.own_names
+    kinds = {name: name if name in own else study.label_model(model) for name, (model, _) in pairs.items()}
+    models = [study.label_model(model) for model in study.models]
     marker = dict(zip(dict.fromkeys([*models, *kinds.values()]), cycle(MARKERS), strict=False))
     others = cycle(OTHER_COLOURS)
-    colour = {name: DEFORMATION_COLOURS.get(name) or next(others) for name in list_deformations(results)}
+    colour = {name: DEFORMATION_COLOURS.get(name) or next(others) for name in study.deformations}
     return {
         name: VariantStyle(
             colour[deformation],
-            marker[kind],
-            quote(label_variant(results, name)),
-            quote(kind),
+            marker[kinds[name]],
+            quote(study.label(name)),
+            quote(kinds[name]),
             quote(deformation),
-            name in results.own_names,
+            name in own,
         )
-        for name, kind, deformation in ((n, kind, split_variant(results, n)[1]) for n, kind in kinds.items())
+        for name, (_, deformation) in pairs.items()
     }
 
 
-def _kind_of(results: StudyResults, name: str) -> str:
-    """Return the title of a variant's model, with whose variants it shares its marker; its own name if it has one."""
-    return name if name in results.own_names else label_model(results, split_variant(results, name)[0])
-
-
-def count_columns(styles: Styles, most: int) -> int:
-    """Return how many entries of `list_keys` a line of a legend holds, at most so many."""
-    return FEW_COLUMNS if any(len(style.model) > LONG for style in styles.values()) else most
+def add_legend(
+    figure: Figure, styles: Styles, linewidth: float, *others: Artist, most: int = 8, **spacing: float
+) -> None:
+    """Write the legend of variants and what else is drawn above a figure, at most so many entries in a line."""
+    columns = FEW_COLUMNS if any(len(style.model) > LONG for style in styles.values()) else most
+    handles = [*list_keys(styles, linewidth), *others]
+    figure.legend(handles=handles, loc="outside upper left", ncols=columns, borderaxespad=0.2, **spacing)
 
 
 def list_keys(styles: Styles, linewidth: float = 0.0) -> list[Line2D]:

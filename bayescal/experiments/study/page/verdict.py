@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from itertools import combinations
 
+import numpy as np
+import pandas as pd
+
+from bayescal.experiments.shared import knowledge_page
 from bayescal.experiments.shared.headline import (
     DECISIVE,
     NOT_DISTINGUISHABLE,
@@ -15,161 +20,178 @@ from bayescal.experiments.shared.headline import (
     state_ruled_out,
     write_headline,
 )
-from bayescal.experiments.study.page import checks, claims
-from bayescal.experiments.study.page.outliers import state_outliers
-from bayescal.experiments.study.page.prediction import state_prediction
-from bayescal.experiments.study.page.readings import (
-    state_comparison,
-    state_data,
-    state_functions,
-    state_held_back,
-    state_next,
-    state_undetermined,
+from bayescal.experiments.study.page.data import state_claims, state_comparison, state_data
+from bayescal.experiments.study.page.errors import state_held_back, state_outliers
+from bayescal.experiments.study.page.model_error import state_functions
+from bayescal.experiments.study.page.parameters import state_undetermined
+from bayescal.experiments.study.page.results import StudyResults, get_number
+from bayescal.experiments.study.page.soundness import (
+    has_warnings,
+    name_or_count,
+    state_convergence,
+    state_coverage,
+    state_soundness,
 )
-from bayescal.experiments.study.page.results import StudyResults
-from bayescal.experiments.study.page.soundness import has_doubts, state_soundness
-from bayescal.experiments.study.page.variants import (
-    find_best,
-    find_free_sets,
-    find_leaders,
-    group_variants,
-    label_model,
-    label_variant,
-    list_best,
-    list_deformations,
-    list_models,
-    measure_spread,
-    name_variants,
-    read_evidence,
-    split_pairs,
-    split_variant,
-)
+from bayescal.limits import OUT_OF_QUESTION, PARETO_K_LIMIT
 from bayescal.report.blocks import Statement
-from bayescal.report.numbers import format_fixed, format_significant, format_span, join_words
+from bayescal.report.numbers import (
+    format_estimate,
+    format_fixed,
+    format_plain,
+    format_significant,
+    format_span,
+    join_words,
+)
 from bayescal.report.symbols import describe_deformation, format_amount
 
 BEYOND_BELIEF = 15.0  # nats from which odds rest on the assumptions, no longer on the data
+CLEAR = 2.0  # standard errors of a difference of elpd from which on it says something
+NOTHING_GAINED = 0.1  # difference of log-evidences, nats, that is no reason for anything
+SCORES = {
+    "calibration": ("Leave-one-out cross-validation (elpd LOO)", "agrees"),
+    "verification": ("The poses held back for verification (elpd, all together)", "agree"),
+}
 
 
 # --- the headline ----------------------------------------------------------------------------------------------------
 
 
-def state_headline(results: StudyResults) -> str:
+def state_headline(study: StudyResults) -> str:
     """Return which variant to use and how accurate it is."""
-    model, deformation = split_variant(results, results.chosen)
-    named = model and results.chosen not in results.own_names
-    label = f"{label_model(results, model)} {describe_deformation(deformation)}" if named else ""
-    choice = say_choice(results.candidates(), label, has_doubts(results))
+    model, deformation = study.split(study.chosen)
+    named = model and study.chosen not in study.own_names
+    label = f"{study.label_model(model)} {describe_deformation(deformation)}" if named else ""
+    choice = say_choice(study.candidates(), label, has_warnings(study))
     required = f"{say_requirements({})}; to judge them run an audit of this study"
-    return write_headline([f"{choice}; {_say_accuracy(results)}", required])
+    accuracy = _say_uncertainty(study) if study.has("accuracy") else _say_errors(study)
+    return write_headline([f"{choice}; {accuracy}", required])
 
 
-def _say_accuracy(results: StudyResults) -> str:
-    """Return the tool's uncertainty over the workspace, or errors of measured poses and the measurement's noise."""
-    if results.has("accuracy"):
-        return _say_uncertainty(results)
-    n, held = int(results.summary["n_poses"][results.use]), results.n_verification > 0
-    scale = next((one for one in results.error_scales if one.what == "position"), None)
+def _say_errors(study: StudyResults) -> str:
+    """Return errors of measured poses and the measurement's noise."""
+    n, held = int(study.summary["n_poses"][study.use]), study.n_verification > 0
+    scale = next((one for one in study.error_scales if one.what == "position"), None)
     poses = f"{n} {'held-back' if held else 'fitted'} pose{'s' if n != 1 else ''}"
     if scale is None:
         return f"no position was measured whole on its {poses}"
-    errors = results.fit(results.chosen)[results.use]
+    errors = study.fit(study.chosen)[study.use]
     largest, mean = (format_significant(scale.read(errors, which), 2) for which in ("max", "mean"))
-    noise = results.summary.get("measurement_noise_um", {}).get(results.use)
+    noise = study.summary.get("measurement_noise_um", {}).get(study.use)
     measured = "" if noise is None else f"; the measurement's own noise is {format_significant(noise, 2)} µm rms"
     return f"largest error on {poses} {largest} {scale.unit}, mean {mean} {scale.unit}{measured}"
 
 
-def _say_uncertainty(results: StudyResults) -> str:
-    known = [row for row in results.rows("accuracy", results.chosen) if math.isfinite(row["after"])]
+def _say_uncertainty(study: StudyResults) -> str:
+    """Return the tool's uncertainty over the workspace."""
+    known = [row for row in study.rows("accuracy", study.chosen) if math.isfinite(row["after"])]
     if not known:
         return "its own sensors do not determine where the machine is"
-    what = "tool" if results.summary.get("states_tool", True) else "coordinates"
-    amounts = {row["coordinate"]: format_amount(row["after"], row["unit"], 2, results.units) for row in known}
+    what = "tool" if study.summary.get("states_tool", True) else "coordinates"
+    amounts = {row["coordinate"]: format_amount(row["after"], row["unit"], 2, study.units) for row in known}
     said = f"{what} {say_accuracy(amounts)}, rms over the workspace"
     lengths = [row for row in known if row["unit"] == "mm"] or known[:1]
     worst = max(lengths, key=lambda row: row.get("worst", 0.0))
     if "worst" not in worst:
         return said
-    largest = format_amount(worst["worst"], worst["unit"], 2, results.units)
+    largest = format_amount(worst["worst"], worst["unit"], 2, study.units)
     return f"{said}; largest {worst['coordinate']} {largest}, at {worst['worst_at']}"
 
 
 # --- the verdict -----------------------------------------------------------------------------------------------------
 
 
-def state_verdict(results: StudyResults) -> list[Statement]:
+def state_verdict(study: StudyResults) -> list[Statement]:
     """Return the sentences below the headline, the most important first."""
     return [
-        *state_soundness(results),
-        *state_data(results),
-        *state_outliers(results),
-        *_state_accuracy(results),
-        *state_ruled_out(results.candidates(), "largest position error"),
-        checks.state_convergence(results),
-        *state_held_back(results),
-        *state_prediction(results),
-        *_state_lead(results),
-        *_state_deformations(results),
-        *_state_models(results),
-        *_state_free_sets(results),
-        *_state_pairs(results),
-        *state_undetermined(results),
-        *state_functions(results),
-        *claims.state_claims(results),
-        *checks.state_stability(results),
-        *checks.state_model_error(results),
-        *checks.state_coverage(results),
-        *_state_odds(results),
-        *state_comparison(results),
-        *state_next(results),
+        *state_soundness(study),
+        *state_data(study),
+        *state_outliers(study),
+        *_state_accuracy(study),
+        *state_ruled_out(study.candidates(), "largest position error"),
+        *state_convergence(study),
+        *state_held_back(study),
+        *state_prediction(study),
+        *_state_lead(study),
+        *_state_deformations(study),
+        *_state_models(study),
+        *_state_free_sets(study),
+        *_state_pairs(study),
+        *state_undetermined(study),
+        *state_functions(study),
+        *state_claims(study),
+        *_state_stability(study),
+        *_state_model_error(study),
+        *state_coverage(study),
+        *_state_odds(study),
+        *state_comparison(study),
+        *knowledge_page.state_next(study.tables, study.chosen, study.units),
     ]
 
 
-def _state_lead(results: StudyResults) -> list[Statement]:
-    """Say which variant fits best and by how much; nothing of a single one."""
-    if len(results.ranking) == 1:
+def _state_accuracy(study: StudyResults) -> list[Statement]:
+    """Say how large the errors of measured poses are, of all variants that fit equally well."""
+    leaders, use = study.find_leaders(), study.use
+    errors = []
+    for scale in study.error_scales:
+        sizes = {}
+        for which in ("mean", "max"):
+            values = [scale.read(study.fit(name)[use], which) for name in leaders]
+            sizes[which] = " to ".join(dict.fromkeys(format_significant(x, 2) for x in (min(values), max(values))))
+        mean, largest = (f"{sizes[which]} {scale.unit}".replace(" °", "°") for which in ("mean", "max"))
+        errors.append(f"{mean} mean and {largest} largest {scale.what} error")
+    if not errors:
         return []
-    error = 2.0 * max(one.se for one in results.candidates())
+    held = "held back from the fit" if study.n_verification else "used in the fit; none were held back"
+    n = study.summary["n_poses"][use]
+    text = f"{study.name_variants(leaders)}: {', '.join(errors)} on the {n} {use} poses ({held})."
+    return [Statement(text, lead="Accuracy")]
+
+
+# --- evidence --------------------------------------------------------------------------------------------------------
+
+
+def _state_lead(study: StudyResults) -> list[Statement]:
+    """Say which variant fits best and by how much; nothing of a single one."""
+    if len(study.ranking) == 1:
+        return []
+    error = 2.0 * max(one.se for one in study.candidates())
     if error > DECISIVE:
         text = f"The evidence is uncertain by {format_fixed(error, 0)} nat, too much to compare the variants."
         return [Statement(text, "warning", "Evidence")]
-    return [Statement(describe_lead(results), lead="Evidence")]
+    return [Statement(describe_lead(study), lead="Evidence")]
 
 
-def describe_lead(results: StudyResults) -> str:
+def describe_lead(study: StudyResults) -> str:
     """Return which variant fits best and by how much, or which fit equally well."""
-    best, leaders = results.best_name, find_leaders(results)
-    others = [name for name in results.ranking if name not in leaders]
+    best, leaders = study.best_name, study.find_leaders()
+    others = [name for name in study.ranking if name not in leaders]
     if len(leaders) > 1:
-        within = f"{format_fixed(measure_spread(results, leaders), 2)} nat of log-evidence between them"
+        within = f"{format_fixed(study.spread(leaders), 2)} nat of log-evidence between them"
         if not others:
-            return f"{name_variants(results, leaders)} fit equally well: {within}."
-        behind = measure_spread(results, (best, others[0]))
+            return f"{study.name_variants(leaders)} fit equally well: {within}."
+        behind = study.spread((best, others[0]))
         words = "fit the measurements best and equally well" if behind > DECISIVE else "fit equally well"
-        follows = f"{label_variant(results, others[0])} follows {format_fixed(behind, 1)} nat behind"
-        return f"{name_variants(results, leaders)} {words}: {within}; {follows}."
-    lead = measure_spread(results, results.ranking[:2])
+        follows = f"{study.label(others[0])} follows {format_fixed(behind, 1)} nat behind"
+        return f"{study.name_variants(leaders)} {words}: {within}; {follows}."
+    lead = study.spread(study.ranking[:2])
     word = "explains the measurements best" if lead > DECISIVE else "is preferred, not decisively"
-    return (
-        f"{label_variant(results, best)} {word}, by {format_fixed(lead, 1)} nat over "
-        f"{label_variant(results, results.ranking[1])} ({say_odds(lead)})."
-    )
+    second = study.label(study.ranking[1])
+    return f"{study.label(best)} {word}, by {format_fixed(lead, 1)} nat over {second} ({say_odds(lead)})."
 
 
-def _state_deformations(results: StudyResults) -> list[Statement]:
+def _state_deformations(study: StudyResults) -> list[Statement]:
     """Say what the best variant's deformation adds against the others, model by model."""
-    best = split_variant(results, results.ranking[0])[1]
+    best = study.split(study.best_name)[1]
     parts = {}
-    for other in (d for d in list_deformations(results) if d != best):
+    for other in (d for d in study.deformations if d != best):
         gaps = {}
-        for model in list_models(results):
-            one, two = (find_best(results, model, deformation) for deformation in (best, other))
+        for model in study.models:
+            one, two = (study.find_best(model, deformation) for deformation in (best, other))
             if one is not None and two is not None:
-                gaps[label_model(results, model)] = read_evidence(results, one) - read_evidence(results, two)
+                gaps[study.label_model(model)] = study.evidence(one) - study.evidence(two)
         if gaps:
             parts[other] = (max(gaps.values()), f"of {other} by {_describe_gaps(gaps)}")
-    if not parts or len(results.ranking) < 3:
+    if not parts or len(study.ranking) < 3:
         return []
     nearest_first = "; ".join(text for _, text in sorted(parts.values()))
     first = "no deformation" if best == "none" else best
@@ -192,86 +214,281 @@ def _describe_gaps(gaps: Mapping[str, float]) -> str:
     return join_words(words)
 
 
-def _state_models(results: StudyResults) -> list[Statement]:
+def _describe_groups(study: StudyResults, labels: Mapping[str, str], against_first: bool) -> str:
+    """Return which variants fit equally well and how far below them the others lie, group by group.
+
+    ``labels`` say what to call each; several that lead are represented by their first, by name, or by their best.
+    """
+    first, *rest = study.group(list(labels))
+    lead = join_words([labels[name] for name in first])
+    words, below = [f"{lead} leads"], ""
+    if len(first) > 1:
+        words = [f"{lead} fit equally well ({format_fixed(study.spread(first), 1)} nat)"]
+        below = f" {labels[first[0]]}" if against_first else ""
+    reference = study.evidence(first[0]) if against_first else max(study.evidence(name) for name in first)
+    for group in rest:
+        gaps = format_span([reference - study.evidence(name) for name in group])
+        words.append(f"{join_words([labels[name] for name in group])} {gaps} nat below{below}")
+    return ", ".join(words)
+
+
+def _state_models(study: StudyResults) -> list[Statement]:
     """Say which models the evidence distinguishes, deformation by deformation, the best first."""
     parts = []
-    for deformation in dict.fromkeys(split_variant(results, name)[1] for name in results.ranking):
-        names = list_best(results, deformation)
-        if len(names) > 1:
-            groups = group_variants(results, names)
-            parts.append(f"{describe_deformation(deformation)}, {_describe_groups(results, groups)}")
-    if not parts or len(results.ranking) < 3:
+    for deformation in dict.fromkeys(study.split(name)[1] for name in study.ranking):
+        best = {model: study.find_best(model, deformation) for model in study.models}
+        labels = {name: study.label_model(model) for model, name in best.items() if name is not None}
+        if len(labels) > 1:
+            described = _describe_groups(study, labels, True)
+            parts.append(f"{describe_deformation(deformation)}, {described}")
+    if not parts or len(study.ranking) < 3:
         return []
     text = "; ".join(parts)
     return [Statement(f"{text[0].upper()}{text[1:]}.", lead="Model")]
 
 
-def _state_free_sets(results: StudyResults) -> list[Statement]:
+def _state_free_sets(study: StudyResults) -> list[Statement]:
     """Say which free sets of one model and deformation the evidence distinguishes."""
     parts = []
-    for (model, deformation), names in find_free_sets(results).items():
-        first, *rest = group_variants(results, names)
-        lead = join_words([label_variant(results, name) for name in first])
-        spread = format_fixed(measure_spread(results, first), 1)
-        words = [f"{lead} fit equally well ({spread} nat)" if len(first) > 1 else f"{lead} leads"]
-        best = max(read_evidence(results, name) for name in first)
-        for group in rest:
-            below = format_span([best - read_evidence(results, name) for name in group])
-            words.append(f"{join_words([label_variant(results, name) for name in group])} {below} nat below")
-        parts.append(f"{label_model(results, model)} {describe_deformation(deformation)}: {', '.join(words)}")
+    for (model, deformation), names in study.free_sets.items():
+        described = _describe_groups(study, {name: study.label(name) for name in names}, False)
+        parts.append(f"{study.label_model(model)} {describe_deformation(deformation)}: {described}")
     return [Statement(f"{'; '.join(parts)}.", lead="Free parameters")] if parts else []
 
 
-def _describe_groups(results: StudyResults, groups: Sequence[Sequence[str]]) -> str:
-    first, *rest = groups
-    lead = join_words([label_model(results, split_variant(results, name)[0]) for name in first])
-    spread = format_fixed(measure_spread(results, first), 1)
-    words = [f"{lead} fit equally well ({spread} nat)" if len(first) > 1 else f"{lead} leads"]
-    reference = read_evidence(results, first[0])
-    for group in rest:
-        models = join_words([label_model(results, split_variant(results, name)[0]) for name in group])
-        below = format_span([reference - read_evidence(results, name) for name in group])
-        of = f" {label_model(results, split_variant(results, first[0])[0])}" if len(first) > 1 else ""
-        words.append(f"{models} {below} nat below{of}")
-    return ", ".join(words)
-
-
-def _state_pairs(results: StudyResults) -> list[Statement]:
-    apart, tied = split_pairs(results)
-    if not apart or not tied or len(results.ranking) < 3:
+def _state_pairs(study: StudyResults) -> list[Statement]:
+    gaps = {pair: study.spread(pair) for pair in combinations(study.ranking, 2)}
+    apart = [gap for pair, gap in gaps.items() if study.distinguishes(*pair)]
+    tied = [gap for pair, gap in gaps.items() if not study.distinguishes(*pair)]
+    if not apart or not tied or len(study.ranking) < 3:
         return []
     text = (
-        f"Of {len(apart) + len(tied)} pairs of variants {len(apart)} are distinguishable, by "
+        f"Of {len(gaps)} pairs of variants {len(apart)} are distinguishable, by "
         f"{format_fixed(min(apart), 1)} nat or more; the other {len(tied)} lie within {format_fixed(max(tied), 1)} nat."
     )
     return [Statement(text, lead="Pairs")]
 
 
-def _state_accuracy(results: StudyResults) -> list[Statement]:
-    """Say how large the errors of measured poses are, of all variants that fit equally well."""
-    leaders, use = find_leaders(results), results.use
-    errors = []
-    for scale in results.error_scales:
-        sizes = {}
-        for which in ("mean", "max"):
-            values = [scale.read(results.fit(name)[use], which) for name in leaders]
-            sizes[which] = " to ".join(dict.fromkeys(format_significant(x, 2) for x in (min(values), max(values))))
-        mean, largest = (f"{sizes[which]} {scale.unit}".replace(" °", "°") for which in ("mean", "max"))
-        errors.append(f"{mean} mean and {largest} largest {scale.what} error")
-    if not errors:
-        return []
-    held = "held back from the fit" if results.n_verification else "used in the fit; none were held back"
-    n = results.summary["n_poses"][use]
-    text = f"{name_variants(results, leaders)}: {', '.join(errors)} on the {n} {use} poses ({held})."
-    return [Statement(text, lead="Accuracy")]
-
-
-def _state_odds(results: StudyResults) -> list[Statement]:
-    others = [name for name in results.ranking if name not in find_leaders(results)]
-    if not others or not measure_spread(results, (results.best_name, others[0])) > BEYOND_BELIEF:
+def _state_odds(study: StudyResults) -> list[Statement]:
+    others = [name for name in study.ranking if name not in study.find_leaders()]
+    if not others or not study.spread((study.best_name, others[0])) > BEYOND_BELIEF:
         return []
     text = (
         "Odds of this size mean that the measurements rule the other variants out as far as the assumptions hold "
         "(noise model, priors, tolerances); they say nothing about the assumptions."
     )
     return [Statement(text, lead="Odds")]
+
+
+# --- prediction: poses left out one by one, or held back from the fit ------------------------------------------------
+
+
+def _read_elpd(study: StudyResults, name: str, use: str) -> float:
+    """Return the elpd of a variant: of all calibration poses left out in turn, or of the verification poses jointly."""
+    return get_number(study.fit(name), "elpd_loo" if use == "calibration" else "elpd")
+
+
+def measure_error(study: StudyResults, one: str, other: str, use: str) -> float:
+    """Return the standard error of the difference of two variants' elpd, from the differences pose by pose."""
+    table = study.table("poses")
+    chosen = table[(table["model_error"] == "free") & (table["use"] == use)]
+    pointwise = chosen.pivot(index="pose", columns="variant", values="elpd_loo")
+    difference = (pointwise[one] - pointwise[other]).to_numpy()
+    return float(np.sqrt(len(difference) * np.var(difference)))
+
+
+def _compare(study: StudyResults, one: str, other: str, use: str) -> tuple[str, bool]:
+    """Return how far one variant's elpd lies above another's, with the standard error, and whether that is clear."""
+    gap = _read_elpd(study, one, use) - _read_elpd(study, other, use)
+    error = measure_error(study, one, other, use)
+    return format_estimate(gap, error, 1), bool(gap > CLEAR * error)
+
+
+def state_prediction(study: StudyResults) -> list[Statement]:
+    """Say whether cross-validation and the poses held back name the same variants as the evidence."""
+    if len(study.ranking) == 1:
+        return []
+    by_pose = study.n_verification and study.has("pose_errors")
+    statements = [_compare_order(study, use) for use in SCORES if use == "calibration" or by_pose]
+    if not by_pose:
+        elpd = {name: get_number(study.fit(name), "elpd") for name in study.ranking}
+        first = max((name for name in elpd if math.isfinite(elpd[name])), key=lambda name: elpd[name], default=None)
+        if first is not None and first not in study.find_leaders():
+            text = f"Held-back readings are predicted best by {study.label(first)}, which the evidence ranks lower."
+            statements.append(Statement(text, "warning", "Prediction"))
+    refitted = sum(int(study.fit(name)["loo_refitted"]) for name in study.ranking)
+    bad = {name: int(study.fit(name)["loo_unreliable"]) for name in study.ranking}
+    unreliable = [f"{study.label(name)} ({n} {'pose' if n == 1 else 'poses'})" for name, n in bad.items() if n]
+    if unreliable:
+        named = name_or_count(unreliable, len(bad))
+        text = f"elpd LOO is approximate where Pareto k exceeds {PARETO_K_LIMIT} and no run left the pose out: {named}."
+        statements.append(Statement(text, "warning", "Prediction"))
+    elif refitted:
+        were = "1 pose was" if refitted == 1 else f"{refitted} poses were"
+        text = f"{were} left out by runs of their own, since Pareto k exceeded {PARETO_K_LIMIT} there."
+        statements.append(Statement(text, lead="Prediction"))
+    return statements
+
+
+def _compare_order(study: StudyResults, use: str) -> Statement:
+    name, verb = SCORES[use]
+    values = {variant: _read_elpd(study, variant, use) for variant in study.ranking}
+    order = sorted(values, key=lambda variant: -values[variant] if values[variant] == values[variant] else math.inf)
+    leaders = study.find_leaders()
+    others = [variant for variant in order if variant not in leaders]
+    first = order[0]
+    if not others or first not in leaders:
+        rival = order[1] if first in leaders else max(leaders, key=values.__getitem__)
+        gap, clear = _compare(study, first, rival, use)
+        lead = f"{study.label(first)} first, {gap} nat ahead of {study.label(rival)}"
+    else:
+        last = min(leaders, key=values.__getitem__)
+        gap, clear = _compare(study, last, others[0], use)
+        among = f"{study.label(first)} first"
+        if len(leaders) > 1:
+            spread = format_fixed(max(values.values()) - values[last], 1)
+            among = f"the same {len(leaders)} lead with {spread} nat between them"
+        lead = f"{among}, {gap} nat ahead of {study.label(others[0])}"
+        lead += _describe_rest(study, use) if clear else ""
+    if not clear:
+        word = "separates" if verb == "agrees" else "separate"
+        return Statement(f"{name} hardly {word} the best: {lead}.", lead="Prediction")
+    if first not in leaders:
+        return Statement(f"{name} dis{verb}: {lead}.", "bad", "Prediction")
+    return Statement(f"{name} {verb}: {lead}.", "good", "Prediction")
+
+
+def _describe_rest(study: StudyResults, use: str) -> str:
+    """Say whether the order further down contradicts the evidence by more than two standard errors."""
+    if len(study.ranking) < 3:
+        return ""
+    pairs = [(low, high) for high, low in combinations(study.ranking, 2) if study.distinguishes(low, high)]
+    n = sum(_compare(study, low, high, use)[1] for low, high in pairs)
+    if not n:
+        return "; no pair that the evidence distinguishes is reversed by more than two standard errors"
+    return f"; further down {n} {'pair comes' if n == 1 else 'pairs come'} clearly in the other order"
+
+
+# --- stability with other priors -------------------------------------------------------------------------------------
+
+
+def _state_stability(study: StudyResults) -> list[Statement]:
+    """Say whether the same variants lead with wider and narrower priors."""
+    if not study.has("sensitivity"):
+        return []
+    wide = study.sensitivity_grid
+    if len(study.ranking) == 1 or len(wide) == 1:
+        return []
+    statements = [_compare_widths(study, wide)]
+    found = study.table("sensitivity")
+    best = found.groupby("factor")["log_evidence"].transform("max")
+    matter = found[found["log_evidence"] > best - OUT_OF_QUESTION]
+    unreliable = int((matter["pareto_k"] > PARETO_K_LIMIT).sum())
+    if unreliable:
+        verb = "is" if unreliable == 1 else "are"
+        text = f"{unreliable} of {len(matter)} evidences near the best {verb} unreliable (Pareto k)."
+        statements.append(Statement(text, "warning", "Stability"))
+    return statements
+
+
+def _compare_widths(study: StudyResults, wide: pd.DataFrame) -> Statement:
+    leaders = study.find_leaders()
+    names = study.name_variants(leaders)
+    span = f"priors {format_plain(wide.index[0])} to {format_plain(wide.index[-1])} times as wide as the study's"
+    rivals = wide.drop(columns=leaders)
+    if rivals.empty:
+        largest = format_fixed(float((wide.max(axis=1) - wide.min(axis=1)).max()), 1)
+        return Statement(f"Over {span} the variants lie within {largest} nat of each other.", lead="Stability")
+    lead = wide[leaders].min(axis=1) - rivals.max(axis=1)
+    lost = lead[lead < -NOT_DISTINGUISHABLE].index
+    if len(lost):
+        where = [f"{study.label(str(rivals.loc[t].idxmax()))} at {format_plain(t)} ×" for t in lost]
+        text = f"The ranking is not stable over {span}: not {study.name_variants(leaders, 'or')} comes first but "
+        return Statement(f"{text}{join_words(where)}.", "bad", "Stability")
+    if lead.min() > NOT_DISTINGUISHABLE:
+        verb, where_least = "stays" if len(leaders) == 1 else "stay", float(lead.index[int(lead.argmin())])
+        least = f"never by less than {format_fixed(lead.min(), 1)} nat (at {format_plain(where_least)} ×)"
+        text = f"{names} {verb} first, {least}"
+    else:
+        text = f"no other variant gets ahead of {names} by more than {format_plain(NOT_DISTINGUISHABLE)} nat"
+    if len(leaders) > 1:
+        within = (wide[leaders].max(axis=1) - wide[leaders].min(axis=1)).max()
+        text += f", with {format_fixed(float(within), 1)} nat or less between them"
+    text = f"The ranking is stable over {span}: {text}; {_describe_reversals(study, wide)}."
+    return Statement(text, "good", "Stability")
+
+
+def _describe_reversals(study: StudyResults, wide: pd.DataFrame) -> str:
+    """Name who passes whom at which factor on the priors, beyond what is not distinguishable anyway."""
+    ranking = study.ranking
+    pairs = [(low, high) for k, low in enumerate(ranking) for high in ranking[:k] if study.distinguishes(low, high)]
+    passes: dict[str, list[str]] = {}
+    for factor, row in zip(wide.index, wide.to_dict("records"), strict=True):
+        passing = [low for low, high in pairs if row[low] - row[high] > NOT_DISTINGUISHABLE]
+        for low in dict.fromkeys(passing):
+            n = passing.count(low)
+            said = f"{n} {'variant' if n == 1 else 'variants'} at {format_plain(factor)} ×"
+            passes.setdefault(low, []).append(said)
+    if not passes:
+        return "the whole order stays"
+    words = [f"{study.label(name)} passes {join_words(where)}" for name, where in passes.items()]
+    return f"further down the order changes ({name_or_count(words, len(wide.columns))})"
+
+
+# --- model error -----------------------------------------------------------------------------------------------------
+
+
+def _state_model_error(study: StudyResults) -> list[Statement]:
+    """Say which variants the data want a model error for, and who leads without it."""
+    if "zero" not in study.settings:
+        return []
+    gain = {name: study.gain(name) for name in study.ranking}
+    leaders = study.find_leaders()
+    names, gains = study.name_variants(leaders), [gain[name] for name in leaders]
+    change = format_span([abs(one) for one in gains])
+    need, their = ("needs", "its") if len(leaders) == 1 else ("need", "their")
+    if all(abs(one) < NOTHING_GAINED for one in gains):
+        text = (
+            f"To {names} the model error τ makes no difference: without it "
+            f"log-evidence changes by less than {format_fixed(NOTHING_GAINED, 1)} nat"
+        )
+    elif all(one < 0 for one in gains):
+        text = f"{names} {need} no model error τ: setting it to zero raises {their} log-evidence by {change} nat"
+    elif all(one >= 0 for one in gains):
+        text = f"{names} {need} the model error τ: without it {their} log-evidence falls by {change} nat"
+    else:
+        wanting = study.name_variants([name for name in leaders if gain[name] >= 0])
+        text = f"Of {names} only {wanting} would do worse without the model error τ"
+    others = [name for name in study.ranking if name not in leaders]
+    needing = [name for name in others if gain[name] >= NOTHING_GAINED]
+    if needing:
+        least = format_fixed(min(gain[name] for name in needing), 1)
+        which = [study.label(name) for name in needing]
+        if len(needing) == 1:
+            text += f"; {which[0]} falls by {least} nat"
+        else:
+            all_others = len(needing) == len(others)
+            some = "the other variants" if all_others else name_or_count(which, len(others))
+            text += f"; without it {some} fall by {least} nat or more"
+    return [_compare_without(study, leaders, text)]
+
+
+def _compare_without(study: StudyResults, leaders: list[str], text: str) -> Statement:
+    """Add who leads with the model error set to zero; a warning where it is another variant."""
+    if len(study.ranking) == 1:
+        return Statement(f"{text}.", lead="Model error")
+    without = study.find_leaders("zero")
+    others = [study.evidence(name, "zero") for name in study.ranking if name not in without]
+    lead = ""
+    if others:
+        least = min(study.evidence(name, "zero") for name in without)
+        lead = f" by {format_fixed(least - max(others), 1)} nat"
+    if set(without) == set(leaders) and len(leaders) > 1:
+        spread = format_fixed(study.spread(without, "zero"), 1)
+        text = f"{text}. With τ = 0 everywhere the same {len(leaders)} lead{lead}, within {spread} nat."
+        return Statement(text, lead="Model error")
+    verb = "leads" if len(without) == 1 else "lead"
+    text = f"{text}. With τ = 0 everywhere, {study.name_variants(without)} {verb}{lead}"
+    if not set(without) & set(leaders):
+        return Statement(f"{text}: not the variant that leads with model error.", "warning", "Model error")
+    return Statement(f"{text}.", lead="Model error")

@@ -8,7 +8,7 @@ import pytest
 from made_up_results import PUBLICATION, edit_table, read_study, render_text
 
 from bayescal.errors import InputError
-from bayescal.experiments.study.page.claims import list_counts, show_claims, state_claims, tabulate_claims
+from bayescal.experiments.study.page.data import list_counts, show_claims, state_claims, tabulate_claims
 from bayescal.experiments.study.page.verdict import state_verdict
 
 

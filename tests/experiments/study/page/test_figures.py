@@ -14,8 +14,13 @@ from matplotlib import rc_context
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_hex
 
-from bayescal.experiments.study.page.figures.flexure import choose_flexure, draw_flexure
-from bayescal.experiments.study.page.figures.joints import find_magnification, locate_joints, measure_moves
+from bayescal.experiments.study.page.machine import (
+    choose_flexure,
+    draw_flexure,
+    find_magnification,
+    locate_joints,
+    measure_moves,
+)
 from bayescal.experiments.study.page.styles import DEFORMATION_COLOURS, assign_styles, list_keys
 from bayescal.report.blocks import Table
 from bayescal.report.pictures import render_picture

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from made_up_results import TWELVE, edit_table, read_study, write_results
 
-from bayescal.experiments.study.page.prediction import measure_error, state_prediction, tabulate_stacking
-from bayescal.experiments.study.page.ranking import tabulate_ranking
+from bayescal.experiments.study.page.ranking import tabulate_ranking, tabulate_stacking
+from bayescal.experiments.study.page.verdict import measure_error, state_prediction
 
 
 @pytest.fixture

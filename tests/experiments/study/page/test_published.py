@@ -5,8 +5,14 @@ from __future__ import annotations
 import pytest
 from made_up_results import TWELVE, edit_config, edit_table, read_study
 
-from bayescal.experiments.study.page.parameters import fold_parameters, state_agreement, tabulate_parameters
-from bayescal.experiments.study.page.published import list_remarks, name_table, tabulate_published
+from bayescal.experiments.study.page.parameters import (
+    fold_parameters,
+    list_remarks,
+    name_table,
+    state_agreement,
+    tabulate_parameters,
+    tabulate_published,
+)
 
 
 def set_published(folder, variant, symbol, values) -> None:

@@ -10,8 +10,8 @@ from made_up_results import TWELVE, edit_table, read_study, render_text, write_r
 from scipy import stats
 
 from bayescal.experiments.shared.chi_square import ChiSquare
-from bayescal.experiments.shared.judgement_page import tabulate_power_scaling
-from bayescal.experiments.study.page.soundness import has_doubts, judge_bounds, state_soundness
+from bayescal.experiments.study.page.checks import tabulate_power_scaling
+from bayescal.experiments.study.page.soundness import has_warnings, judge_bounds, state_soundness
 from bayescal.experiments.study.page.verdict import state_verdict
 
 pytestmark = pytest.mark.runs
@@ -90,7 +90,7 @@ def test_tolerances_wider_than_needed_are_no_doubt(make_results):
     (statement,) = state_soundness(study)
     assert statement.level == "plain"
     assert "wider than this machine needs" in statement.text
-    assert not has_doubts(study)
+    assert not has_warnings(study)
 
 
 def test_residuals_of_half_the_noise_are_said(make_results):

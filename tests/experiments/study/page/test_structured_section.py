@@ -6,7 +6,7 @@ import pandas as pd
 import pytest
 from made_up_results import read_page, read_study
 
-from bayescal.experiments.study.page.structured import show_structured
+from bayescal.experiments.study.page.model_error import show_structured
 from bayescal.report.blocks import Figure, Fold, Statement, Table, find_figures
 
 ERROR = {

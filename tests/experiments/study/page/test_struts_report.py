@@ -9,8 +9,8 @@ import pandas as pd
 import pytest
 from made_up_results import PUBLICATION, read_page, read_study, render_text, write_draws
 
-from bayescal.experiments.study.page.figures.joints import _group_by_azimuth
-from bayescal.experiments.study.page.notation import list_symbols, show_notation
+from bayescal.experiments.study.page.data import list_symbols, show_notation
+from bayescal.experiments.study.page.machine import _group_by_azimuth
 from bayescal.experiments.study.page.ridges import state_ridges
 from bayescal.report.blocks import Page
 

@@ -11,7 +11,7 @@ from made_up_results import read_study
 
 from bayescal.experiments.frame import results as frame
 from bayescal.experiments.study.page.build import build_page
-from bayescal.experiments.study.page.tau_scale import show_tau_scale
+from bayescal.experiments.study.page.evidence import show_tau_scale
 from bayescal.report.blocks import Statement
 
 OWN, OTHER = "pus/linear", "pus/none"

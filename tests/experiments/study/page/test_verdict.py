@@ -7,15 +7,8 @@ import json
 import pytest
 from made_up_results import TWELVE, edit_table, read_study
 
-from bayescal.experiments.study.page.checks import title_failures
 from bayescal.experiments.study.page.ranking import tabulate_effects, tabulate_ranking
-from bayescal.experiments.study.page.variants import (
-    choose_model,
-    find_leaders,
-    group_variants,
-    label_variant,
-    name_variants,
-)
+from bayescal.experiments.study.page.soundness import title_failures
 from bayescal.experiments.study.page.verdict import describe_lead, state_headline, state_verdict
 
 
@@ -43,8 +36,8 @@ def test_a_tie_is_said_to_be_one(make_results):
         "6-PUS, beam and stiffness with the matrix deformation fit the measurements best and equally well: "
         "0.40 nat of log-evidence between them; Jacobian/matrix follows 150.0 nat behind."
     )
-    assert find_leaders(results) == ["six_pus/matrix", "beam/matrix", "stiffness/matrix"]
-    assert choose_model(results) == "six_pus"
+    assert results.find_leaders() == ["six_pus/matrix", "beam/matrix", "stiffness/matrix"]
+    assert results.split(results.chosen)[0] == "six_pus"
 
 
 def test_the_headline_says_what_to_use_and_how_good_it_is(make_results):
@@ -62,7 +55,7 @@ def test_the_headline_says_what_to_use_and_how_good_it_is(make_results):
 
     simple = read_study(make_results(simplify, variants=TWELVE, name="simple"))
     assert state_headline(simple).startswith("Use stiffness with the matrix deformation, the simplest of three")
-    assert choose_model(simple) == "stiffness"
+    assert simple.split(simple.chosen)[0] == "stiffness"
 
 
 def test_nothing_is_advised_where_what_may_be_best_did_not_converge(make_results):
@@ -76,7 +69,7 @@ def test_nothing_is_advised_where_what_may_be_best_did_not_converge(make_results
 def test_a_tie_ends_where_the_evidence_tells_apart(make_results):
     results = read_study(make_results(raise_evidence("beam/matrix", 1503.0), variants=TWELVE))
     assert describe_lead(results).startswith("beam/matrix is preferred, not decisively, by 3.0 nat over stiffness/mat")
-    assert choose_model(results) == "beam"
+    assert results.split(results.chosen)[0] == "beam"
 
 
 def test_an_uncertain_estimate_is_no_difference(make_results):
@@ -84,7 +77,7 @@ def test_an_uncertain_estimate_is_no_difference(make_results):
         raise_evidence("beam/matrix", 1503.0)(summary)
         summary["variants"]["beam/matrix"]["log_evidence_se"] = 2.0
 
-    assert len(find_leaders(read_study(make_results(change, variants=TWELVE)))) == 3
+    assert len(read_study(make_results(change, variants=TWELVE)).find_leaders()) == 3
 
 
 def test_deformation_and_model_are_named_by_themselves(make_results):
@@ -123,7 +116,7 @@ def test_names_of_the_files_are_said(make_results):
 def test_groups_hold_what_lies_within_a_nat_of_their_best(make_results):
     results = read_study(make_results(raise_evidence("beam/matrix", 1498.95), variants=TWELVE))
     names = ["six_pus/matrix", "beam/matrix", "stiffness/matrix"]
-    assert group_variants(results, names) == [["six_pus/matrix", "stiffness/matrix"], ["beam/matrix"]]
+    assert results.group(names) == [["six_pus/matrix", "stiffness/matrix"], ["beam/matrix"]]
 
 
 def test_the_same_leaders_in_prediction_agree(make_results):
@@ -198,9 +191,9 @@ def test_failures_say_whether_they_reach_the_ranking(make_results, free, words):
 
 def test_names_of_variants(make_results):
     results = read_study(make_results(variants=TWELVE))
-    assert label_variant(results, "six_pus/matrix") == "6-PUS/matrix"
-    assert name_variants(results, ["six_pus/none", "beam/none"]) == "6-PUS and beam without deformation"
-    assert name_variants(results, ["six_pus/none", "beam/matrix"], "or") == "6-PUS/none or beam/matrix"
+    assert results.label("six_pus/matrix") == "6-PUS/matrix"
+    assert results.name_variants(["six_pus/none", "beam/none"]) == "6-PUS and beam without deformation"
+    assert results.name_variants(["six_pus/none", "beam/matrix"], "or") == "6-PUS/none or beam/matrix"
 
 
 def test_a_model_has_the_title_that_the_study_gives_it(make_results):

@@ -1,4 +1,4 @@
-"""Deformation of the platform: a part that any kinematic model can take.
+"""Deformation of the platform: a part that any kinematic model can take, by the names that configs use.
 
 A deformation moves the joint b_i of each leg along the platform's z axis by a deflection that is linear in the
 actuator displacements and linear in its own parameters (RR-8096 eqs. 1 and 2):
@@ -15,6 +15,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from bayescal.config.sections import Section
+from bayescal.errors import InputError
 from bayescal.machines.parameters import ParameterBlock, ParameterLayout
 from bayescal.numerics.geometry import Array
 
@@ -107,3 +108,105 @@ class Deformation(ABC):
         unit_constant, unit_coefficients = self._parts(np.eye(n_legs))
         unit = DeformationBasis(np.eye(n_legs), unit_constant, unit_coefficients, np.zeros((n_legs, n_legs)))
         return DeformationBasis(displacement, constant, coefficients, unit.deflection(layout, layout.nominal).T)
+
+
+class NoDeformation(Deformation):
+    """No deformation: the platform is rigid, b* = b (RR-8096 section 7.1)."""
+
+    name: ClassVar[str] = "none"
+
+    def blocks(self, n_legs: int) -> tuple[ParameterBlock, ...]:
+        """Return no parameters."""
+        del n_legs
+        return ()
+
+    def _parts(self, displacement: Array) -> tuple[Array, Mapping[str, Array]]:
+        return np.zeros_like(displacement), {}
+
+
+@dataclass(frozen=True)
+class LinearDeformation(Deformation):
+    """Each joint follows its own actuator, Δb_z,i = κ_i Δρ_i (RR-8096 eq. 1); ``kappa`` is nominal."""
+
+    kappa: float
+    name: ClassVar[str] = "linear"
+
+    @classmethod
+    def from_nominal(cls, nominal: NominalDeformation) -> Self:
+        """Return the deformation with the nominal κ."""
+        return cls(nominal.kappa)
+
+    def blocks(self, n_legs: int) -> tuple[ParameterBlock, ...]:
+        """Return κ of each leg."""
+        return (ParameterBlock("kappa", (self.kappa,) * n_legs, unit="1"),)
+
+    def _parts(self, displacement: Array) -> tuple[Array, Mapping[str, Array]]:
+        return np.zeros_like(displacement), {"kappa": displacement}
+
+
+@dataclass(frozen=True, eq=False)
+class MatrixDeformation(Deformation):
+    """Every actuator moves every joint, Δb_z = K Δρ (RR-8096 eq. 2), K of shape (N, N) in mm per mm.
+
+    As in RR-8096 section 7.3 the calibration can move the diagonal of K, there called κ; the rest of K comes from the
+    targets on the platform (eqs. 3 and 4).
+    """
+
+    matrix: Array
+    name: ClassVar[str] = "matrix"
+    uses_matrix: ClassVar[bool] = True
+
+    @classmethod
+    def from_nominal(cls, nominal: NominalDeformation) -> Self:
+        """Return the deformation with the nominal K."""
+        return cls(nominal.matrix())
+
+    def blocks(self, n_legs: int) -> tuple[ParameterBlock, ...]:
+        """Return the diagonal of K as κ."""
+        if self.matrix.shape != (n_legs, n_legs):
+            raise InputError(f"deformation matrix: found shape {self.matrix.shape}, expected {(n_legs, n_legs)}")
+        return (ParameterBlock("kappa", tuple(float(k) for k in np.diagonal(self.matrix)), unit="1"),)
+
+    def _parts(self, displacement: Array) -> tuple[Array, Mapping[str, Array]]:
+        off_diagonal = self.matrix - np.diag(np.diagonal(self.matrix))
+        return displacement @ off_diagonal.T, {"kappa": displacement}
+
+
+@dataclass(frozen=True)
+class FreeMatrixDeformation(Deformation):
+    """Every actuator moves every joint, Δb_z = K Δρ, and nothing of K is known but a tolerance: nominally it is zero.
+
+    The entries of K are parameters like any other, K_j of a leg what actuator j does to it. With normal priors about
+    zero that is the structured model error that is linear in the travel, its coefficients explicit: what needs poses
+    that err independently of each other, blunders for instance, has them then.
+    """
+
+    name: ClassVar[str] = "free_matrix"
+    hides_joints: ClassVar[bool] = True
+
+    def blocks(self, n_legs: int) -> tuple[ParameterBlock, ...]:
+        """Return the columns of K."""
+        return tuple(ParameterBlock(f"K_{j + 1}", (0.0,) * n_legs, unit="1") for j in range(n_legs))
+
+    def _parts(self, displacement: Array) -> tuple[Array, Mapping[str, Array]]:
+        columns = np.broadcast_to(displacement[..., None, :], (*displacement.shape, displacement.shape[-1]))
+        return np.zeros_like(displacement), {
+            f"K_{j + 1}": columns[..., j].copy() for j in range(displacement.shape[-1])
+        }
+
+
+DEFORMATIONS: dict[str, type[Deformation]] = {
+    deformation.name: deformation
+    for deformation in (NoDeformation, LinearDeformation, MatrixDeformation, FreeMatrixDeformation)
+}
+
+__all__ = [
+    "DEFORMATIONS",
+    "Deformation",
+    "DeformationBasis",
+    "FreeMatrixDeformation",
+    "LinearDeformation",
+    "MatrixDeformation",
+    "NoDeformation",
+    "NominalDeformation",
+]

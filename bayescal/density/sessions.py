@@ -1,0 +1,438 @@
+"""Sessions of one machine, or of machines of one design: what they share, and what moves between them.
+
+Free parameters of session s are x_s = x_0 + Σ_k B_sk diag(σ) w_k, where x_0 has the priors of a study, w_k are standard
+normal, σ are drift scales, and B says how sessions hang together: steps of a random walk, √Δt_k for all sessions after
+it, or a deviation of each machine of a design by itself. Lengths at a temperature T are L (1 + α (T - T_0)); the
+coefficients α are part of the state z, which is standard normal under the prior.
+
+Rows of a session are what no pose explains of its readings: with H = ∂h/∂v white and Z an orthonormal complement of its
+columns, Zᵀ(s - h) has no pose to first order, whatever the covariance of the readings. Linearised at a state, the state
+is integrated in closed form. With rows r = c + J u of all poses, u the deviations of the sessions' parameters and the
+coefficients of expansion, and the state z standard normal, the density of the data given τ and σ is normal; A = 1 + Jᵀ
+C⁻¹ J, put together from one matrix of each session, is all that it takes. The states of all sessions are solved for at
+once: a chain of them would take turns of a smoother, but what is shared by all sessions joins every link, and A stays
+small, since only what may move stands in it more than once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from bayescal.density.calibration.likelihood import CalibrationPosterior
+from bayescal.density.calibration.poses import Stand
+from bayescal.density.priors import HalfNormalPrior
+from bayescal.errors import NumericalError
+from bayescal.numerics.geometry import Array
+
+
+class LinearRows(NamedTuple):
+    """Rows at one machine.
+
+    ``errors`` (P, R) and ``slope`` (P, R, D) by θ; ``constant`` (P,) of the log-density; ``covariance`` takes what is
+    unknown of the errors, in the posterior's coordinates, to (P, R, R). ``basis`` (P, K, R): the directions of white
+    readings that they are.
+    """
+
+    errors: Array
+    slope: Array
+    constant: Array
+    covariance: Callable[[Array], Array]
+    basis: Array
+
+
+@dataclass(frozen=True, eq=False)
+class ReadingRows:
+    """P rows of one session.
+
+    Attributes
+    ----------
+    posterior : CalibrationPosterior
+        Of the session by itself: its priors do not count.
+    """
+
+    posterior: CalibrationPosterior
+
+    @property
+    def n_poses(self) -> int:
+        """Number of rows."""
+        return self.posterior.likelihood.data.n_poses
+
+    @property
+    def width(self) -> int:
+        """Channels less coordinates."""
+        model = self.posterior.likelihood.model
+        return len(model.channels) - len(model.coordinates)
+
+    @property
+    def n_errors(self) -> int:
+        """What is unknown of the noise."""
+        return self.posterior.n_parameters - self.posterior.n_geometry
+
+    def linearise(self, theta: Array) -> LinearRows:
+        """Return what no pose explains of the readings at a machine (D,), white by the stated noise."""
+        likelihood = self.posterior.likelihood
+        own, tau = likelihood.noise(self.posterior.errors, np.zeros((1, self.n_errors)))
+        white = likelihood.whiten(np.broadcast_to(likelihood.sd, own.shape), np.zeros_like(tau))
+        with np.errstate(all="ignore"):
+            at = likelihood.stand(theta[None], white)
+            error, slope, by_parameters = likelihood.linearise(theta[None], at.pose, white, with_parameters=True)
+            volume = likelihood.log_volume(Stand(at.pose, error, slope), white)[0]
+        q = slope.shape[-1]
+        basis = np.linalg.qr(np.nan_to_num(slope[0]), mode="complete")[0][:, :, q:]
+        across = np.swapaxes(basis, 1, 2)
+        spare = likelihood.n_spare
+        constant = white.log_det[0] + volume - 0.5 * spare * np.log(2.0 * np.pi)
+        there, n = likelihood.data.present, own.shape[-1]
+        # of readings as they are to what no pose explains of white ones
+        left = across @ white.rows(np.eye(n)[None, None])[0] * there[:, None, :]
+        spread = left if likelihood.error_gain is None else left @ likelihood.error_gain
+        absent = across * ~there[:, None, :] @ basis
+
+        def covariance(zeta: Array) -> Array:
+            own, tau = (one[0] for one in likelihood.noise(self.posterior.errors, zeta[None]))
+            stated, added = left * own[:, None, :], spread * tau[:, None, :]
+            found = stated @ likelihood.correlation @ np.swapaxes(stated, 1, 2) + added @ np.swapaxes(added, 1, 2)
+            return np.asarray(found + absent)
+
+        errors = (across @ error[0][..., None])[..., 0]
+        return LinearRows(errors, -(across @ by_parameters[0]), constant, covariance, basis)
+
+    def evaluate(self, theta: Array, errors: Array) -> Array:
+        """Return the log-likelihood of machines (B, D) with errors (B, n), poses eliminated, (B,)."""
+        with np.errstate(all="ignore"):
+            return self.posterior.likelihood.density(theta, self.posterior.errors, errors)
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """Rows of one session at one temperature.
+
+    Attributes
+    ----------
+    rows : ReadingRows
+    session : int
+        Counted from zero.
+    warmth : float
+        T - T_0, K.
+    """
+
+    rows: ReadingRows
+    session: int
+    warmth: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Expansion:
+    """Lengths that grow with the temperature by a common coefficient α, normal under the prior.
+
+    Attributes
+    ----------
+    name : str
+        Of the body.
+    index : ndarray of int
+        Where they stand in θ.
+    mean, sd : float
+        Of α, 1/K.
+    """
+
+    name: str
+    index: np.ndarray
+    mean: float
+    sd: float
+
+
+@dataclass(frozen=True, eq=False)
+class Drift:
+    """Which parameters may move between sessions, and how.
+
+    Attributes
+    ----------
+    loadings : ndarray, shape (S, K)
+        B; of a random walk in √month.
+    index : ndarray of int, shape (d,)
+        The parameters, by their places among the free ones.
+    unit : ndarray of int, shape (d,)
+        Which of the U scales each has.
+    units : tuple of str, length U
+        Their names.
+    scale : ndarray, shape (U,)
+        Of the half-normal prior of each scale σ, mm or rad, of a random walk per √month.
+    """
+
+    loadings: Array
+    index: np.ndarray
+    unit: np.ndarray
+    units: tuple[str, ...]
+    scale: Array
+
+    def keep(self, units: Sequence[str]) -> Drift:
+        """Return the same where some units alone may move."""
+        chosen = [k for k, name in enumerate(self.units) if name in units]
+        place = {old: new for new, old in enumerate(chosen)}
+        there = np.isin(self.unit, chosen)
+        unit = np.array([place[int(k)] for k in self.unit[there]], dtype=int)
+        return replace(
+            self,
+            index=self.index[there],
+            unit=unit,
+            units=tuple(self.units[k] for k in chosen),
+            scale=self.scale[chosen],
+        )
+
+
+def walk_loadings(days: Array) -> Array:
+    """Return B of a random walk over sessions at days (S,), shape (S, S - 1)."""
+    steps = np.sqrt(np.diff(days) / DAYS_IN_MONTH)
+    return np.tril(np.ones((len(days), len(days) - 1)), k=-1) * steps
+
+
+DAYS_IN_MONTH = 365.25 / 12
+
+
+@dataclass(frozen=True, eq=False)
+class SessionModel:
+    """Sessions of one machine, or of machines of one design.
+
+    Attributes
+    ----------
+    parts : tuple of Part
+        Of all sessions, in their order.
+    start : ndarray, shape (D,)
+        θ with all free parameters at their priors' means.
+    moves : ndarray, shape (m, D)
+        Which parameters go with each free one, ones and zeros.
+    names, units : tuple of str, length m
+        Of the free parameters.
+    mean, sd : ndarray, shape (m,)
+        Of their normal priors.
+    drift : Drift
+    expansions : tuple of Expansion, length A
+    """
+
+    parts: tuple[Part, ...]
+    start: Array
+    moves: Array
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    mean: Array
+    sd: Array
+    drift: Drift
+    expansions: tuple[Expansion, ...]
+
+    @property
+    def n_sessions(self) -> int:
+        """Number of sessions S."""
+        return len(self.drift.loadings)
+
+    @property
+    def n_steps(self) -> int:
+        """Number of steps or deviations K."""
+        return self.drift.loadings.shape[1]
+
+    @property
+    def size(self) -> int:
+        """Length of the state z: m parameters, A coefficients, d times K steps."""
+        return len(self.mean) + len(self.expansions) + self.n_steps * len(self.drift.index)
+
+    @property
+    def n_errors(self) -> int:
+        """How many numbers are unknown of the errors, the same in all sessions."""
+        return self.parts[0].rows.n_errors
+
+    @property
+    def n_scales(self) -> int:
+        """Number of what is unknown of the errors and of drift scales together."""
+        return self.n_errors + len(self.drift.units)
+
+    def keep(self, units: Sequence[str]) -> SessionModel:
+        """Return the same sessions where some units alone may move."""
+        return replace(self, drift=self.drift.keep(units))
+
+    def read_scales(self, zeta: Array) -> tuple[Array, Array]:
+        """Return what is unknown of the errors and drift scales σ (..., U), of standard normal coordinates (..., n)."""
+        n = self.n_errors
+        return zeta[..., :n], HalfNormalPrior(1.0).value(zeta[..., n:]) * self.drift.scale
+
+    def split(self, z: Array, scales: Array) -> tuple[Array, Array]:
+        """Return deviations of x_s from the priors' means (..., S, m), mm, and α (..., A), of states (..., n).
+
+        Drift scales σ have shape (..., U).
+        """
+        m, a = len(self.mean), len(self.expansions)
+        common = self.sd * z[..., :m]
+        steps = z[..., m + a :].reshape(*z.shape[:-1], self.n_steps, len(self.drift.index))
+        moved = np.einsum("sk,...kd->...sd", self.drift.loadings, steps) * scales[..., None, self.drift.unit]
+        x = np.repeat(common[..., None, :], self.n_sessions, axis=-2)
+        x[..., self.drift.index] += moved
+        means = np.array([one.mean for one in self.expansions])
+        sds = np.array([one.sd for one in self.expansions])
+        return x, means + sds * z[..., m : m + a]
+
+    def theta(self, part: Part, x: Array, alpha: Array) -> Array:
+        """Return θ (..., D) of a part's machine at its temperature; x (..., S, m), α (..., A) as `split` returns."""
+        theta = self.start + x[..., part.session, :] @ self.moves
+        for k, one in enumerate(self.expansions):
+            theta[..., one.index] *= 1.0 + alpha[..., k, None] * part.warmth
+        return theta
+
+    def slopes(self, part: Part, x: Array, alpha: Array) -> tuple[Array, Array]:
+        """Return dθ/dx (D, m) and dθ/dα (D, A) of a part's machine at one x (S, m) and α (A,)."""
+        cold = self.theta(Part(part.rows, part.session), x, alpha)
+        factor = np.ones(len(cold))
+        by_alpha = np.zeros((len(cold), len(self.expansions)))
+        for k, one in enumerate(self.expansions):
+            factor[one.index] = 1.0 + alpha[k] * part.warmth
+            by_alpha[one.index, k] = cold[one.index] * part.warmth
+        return (self.moves * factor).T, by_alpha
+
+    def log_likelihood(self, z: Array, zeta: Array) -> Array:
+        """Return the log-likelihood as it is, shape (B,), of states (B, n) at scales ζ (B, n_scales)."""
+        errors, scales = self.read_scales(zeta)
+        x, alpha = self.split(z, scales)
+        return np.sum([one.rows.evaluate(self.theta(one, x, alpha), errors) for one in self.parts], axis=0)
+
+
+STEPS = 30
+SMALL = 1e-7  # of a state in prior standard deviations, below which a step no longer matters
+
+
+@dataclass(frozen=True, eq=False)
+class Conditional:
+    """The state given model errors and drift scales: normal.
+
+    Attributes
+    ----------
+    mean : ndarray, shape (n,)
+    factor : ndarray, shape (n, n)
+        Lower Cholesky factor of its precision A.
+    log_marginal : float
+        Log-density of the data, the state integrated.
+    """
+
+    mean: Array
+    factor: Array
+    log_marginal: float
+
+    def draw(self, normal: Array) -> Array:
+        """Return states (n,) or (n, B) for standard normal numbers of that shape."""
+        moved = np.linalg.solve(self.factor.T, normal)
+        return moved + (self.mean if moved.ndim == 1 else self.mean[:, None])
+
+
+@dataclass(frozen=True, eq=False)
+class LinearSessions:
+    """Sessions linearised at a state.
+
+    Attributes
+    ----------
+    model : SessionModel
+    rows : ndarray, shape (P, R, m + A + 1)
+        J by the deviations of the session's parameters and by the coefficients less their means, and c.
+    covariance : callable
+        Takes what is unknown of the errors to the covariances of the rows, (P, R, R).
+    constant : ndarray, shape (P,)
+    first : ndarray of int, shape (S,)
+        First pose of each session.
+    """
+
+    model: SessionModel
+    rows: Array
+    covariance: Callable[[Array], Array]
+    constant: Array
+    first: np.ndarray
+
+    def gather(self, errors: Array) -> tuple[Array, float]:
+        """Return XᵀC⁻¹X of the rows X of each session, shape (S, M, M), and what else the log-density has."""
+        factor = np.linalg.cholesky(self.covariance(errors))
+        white = np.linalg.inv(factor) @ self.rows
+        log_det = np.log(np.diagonal(factor, axis1=1, axis2=2)).sum()
+        of_sessions = [one.reshape(-1, one.shape[-1]) for one in np.split(white, self.first[1:])]
+        return np.stack([one.T @ one for one in of_sessions]), float(self.constant.sum() - log_det)
+
+    def condition(self, errors: Array, scales: Array) -> Conditional:
+        """Return the state's density given what is unknown of the errors, and σ (U,)."""
+        gram, rest = self.gather(errors)
+        precision, slope, square = self._assemble(gram, scales)
+        precision[np.diag_indices_from(precision)] += 1.0
+        try:
+            factor, _ = cho_factor(precision, lower=True)
+        except np.linalg.LinAlgError as error:
+            raise NumericalError("sessions: found no joint density at these drift scales") from error
+        mean = -cho_solve((factor, True), slope)
+        marginal = rest - 0.5 * (square + slope @ mean) - np.log(np.diag(factor)).sum()
+        return Conditional(mean, np.tril(factor), float(marginal))
+
+    def _assemble(self, gram: Array, scales: Array) -> tuple[Array, Array, float]:
+        """Return JᵀC⁻¹J and JᵀC⁻¹c by the state, and cᵀC⁻¹c."""
+        model, n = self.model, len(self.model.mean) + len(self.model.expansions)
+        size = np.concatenate([model.sd, [one.sd for one in model.expansions]])
+        moves, scale, loadings = model.drift.index, scales[model.drift.unit], model.drift.loadings
+        total = gram.sum(axis=0)
+        precision, slope = np.empty((model.size, model.size)), np.empty(model.size)
+        precision[:n, :n] = total[:n, :n] * np.outer(size, size)
+        slope[:n] = total[:n, n] * size
+        by_step = np.tensordot(loadings, gram[:, moves], axes=(0, 0)) * scale[:, None]  # (K, d, M)
+        precision[n:, :n] = (by_step[..., :n] * size).reshape(-1, n)
+        precision[:n, n:] = precision[n:, :n].T
+        slope[n:] = by_step[..., n].ravel()
+        among = gram[:, moves[:, None], moves] * np.outer(scale, scale)
+        pairs = np.einsum("sk,sl->skl", loadings, loadings)
+        steps = np.tensordot(pairs, among, axes=(0, 0))  # (K, K, d, d)
+        precision[n:, n:] = steps.transpose(0, 2, 1, 3).reshape(model.size - n, model.size - n)
+        return precision, slope, float(total[n, n])
+
+    def log_likelihood(self, z: Array, errors: Array, scales: Array) -> float:
+        """Return the linearised log-likelihood of one state (n,)."""
+        x, alpha = self.model.split(z, scales)
+        means = np.array([one.mean for one in self.model.expansions])
+        u = np.concatenate([x, np.broadcast_to(alpha - means, (len(x), len(means))), np.ones((len(x), 1))], axis=1)
+        gram, rest = self.gather(errors)
+        return rest - 0.5 * float(np.einsum("si,sij,sj->", u, gram, u))
+
+
+def linearise_sessions(model: SessionModel, z: Array, scales: Array) -> LinearSessions:
+    """Return sessions linearised at a state (n,) and drift scales (U,)."""
+    x, alpha = model.split(z, scales)
+    found = [one.rows.linearise(model.theta(one, x, alpha)) for one in model.parts]
+    rows = np.concatenate([_combine(model, *both, x, alpha) for both in zip(model.parts, found, strict=True)])
+    counts = np.bincount([one.session for one in model.parts], [one.rows.n_poses for one in model.parts])
+    first = np.concatenate([[0], np.cumsum(counts)[:-1]]).astype(int)
+
+    def covariance(errors: Array) -> Array:
+        return np.concatenate([one.covariance(errors) for one in found])
+
+    return LinearSessions(model, rows, covariance, np.concatenate([one.constant for one in found]), first)
+
+
+def _combine(model: SessionModel, part: Part, found: LinearRows, x: Array, alpha: Array) -> Array:
+    """Return the rows of a part, shape (P, R, m + A + 1)."""
+    errors, slope = found.errors, found.slope
+    by_x, by_alpha = model.slopes(part, x, alpha)
+    jacobian = slope @ np.concatenate([by_x, by_alpha], axis=1)
+    means = np.array([one.mean for one in model.expansions])
+    constant = errors - jacobian @ np.concatenate([x[part.session], alpha - means])
+    if not np.isfinite(jacobian).all():
+        raise NumericalError(f"sessions: session {part.session + 1} has no machine near the priors' centres")
+    return np.concatenate([jacobian, constant[..., None]], axis=2)
+
+
+def find_state(model: SessionModel, errors: Array, scales: Array, z: Array) -> tuple[LinearSessions, Array]:
+    """Return sessions linearised at the most probable state given errors and σ, and that state; from z, shape (n,).
+
+    Raises
+    ------
+    NumericalError
+        Where Gauss and Newton's steps do not settle.
+    """
+    for _ in range(STEPS):
+        linear = linearise_sessions(model, z, scales)
+        found = linear.condition(errors, scales).mean
+        if np.abs(found - z).max() < SMALL:
+            return linear, found
+        z = found
+    raise NumericalError(f"sessions: Gauss-Newton did not settle in {STEPS} steps")
