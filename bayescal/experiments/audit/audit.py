@@ -222,24 +222,18 @@ def evaluate_plan(name: str, changed: Planned, forecast: Forecast | None) -> Cha
     return ChangeEffect(name, changed.n_poses, information, beyond, required)
 
 
-def list_sweeps(inputs: Planned) -> list[tuple[str, float, WhatIfConfig]]:
-    """Return sweep, value and change of all points: factors on noise and on displacements, and numbers of poses."""
-    n, config = inputs.n_poses, inputs.config.sweep
-    changes = [("noise", value, WhatIfConfig(name="", noise_factor=value)) for value in config.noise]
-    changes += [("poses", float(value), WhatIfConfig(name="", poses_factor=value / n)) for value in config.poses]
-    changes += [("workspace", value, WhatIfConfig(name="", workspace_factor=value)) for value in config.workspace]
-    return changes
-
-
 def evaluate_changes(inputs: Planned, forecast: Forecast, run: Run) -> tuple[list[ChangeEffect], list[SweepPoint]]:
     """Return what changed plans would tell, the last with poses that are proposed, and all points of the sweeps."""
-    changes, points = list_changes(inputs), list_sweeps(inputs)
+    changes, n, swept = list_changes(inputs), inputs.n_poses, inputs.config.sweep
+    points = [("noise", value, WhatIfConfig(name="", noise_factor=value)) for value in swept.noise]
+    points += [("poses", float(value), WhatIfConfig(name="", poses_factor=value / n)) for value in swept.poses]
+    points += [("workspace", value, WhatIfConfig(name="", workspace_factor=value)) for value in swept.workspace]
     tasks: dict[str, WhatIfConfig | None] = {f"{k} {change.name}": change for k, change in enumerate(changes)}
     tasks["I-optimal poses"] = None
     tasks |= {f"{sweep} {k}": change for k, (sweep, _, change) in enumerate(points)}
     found = list(run.map("other plans", _evaluate, (inputs, forecast), tasks, (ChangeEffect,)).values())
-    what_ifs, swept = found[: len(changes) + 1], found[len(changes) + 1 :]
-    sweeps = [(sweep, value, one) for (sweep, value, _), one in zip(points, swept, strict=True) if one]
+    what_ifs, others = found[: len(changes) + 1], found[len(changes) + 1 :]
+    sweeps = [(sweep, value, one) for (sweep, value, _), one in zip(points, others, strict=True) if one]
     return [one for one in what_ifs if one is not None], sweeps
 
 
