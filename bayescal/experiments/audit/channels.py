@@ -429,12 +429,12 @@ def read_channels(config: AuditConfig, folder: Path) -> tuple[dict[str, ChannelP
     """
     assert config.machine is not None
     assert isinstance(config.workspace, dict)
-    machine, models = folder / config.machine, dict[str | None, ReadingModel]()
+    machine, models = folder / config.machine, dict[tuple[str | None, str], ReadingModel]()
     for one in config.variants:
         with name_faults("" if one is config.variants[0] else f"variant {one.name!r}"):
-            if one.model not in models:
-                models[one.model] = place(read_model(config, one, machine, folder), read_instruments(config, folder))
-    model = models[config.variants[0].model]
+            if (key := (one.model, one.deformation)) not in models:
+                models[key] = place(read_model(config, one, machine, folder), read_instruments(config, folder))
+    model = next(iter(models.values()))
     if config.aligned and not model.places_tool:
         raise InputError(
             f"aligned: machine {getattr(model, 'name', '')!r} does not say where its tool is; expected tool_channels "
@@ -448,7 +448,7 @@ def read_channels(config: AuditConfig, folder: Path) -> tuple[dict[str, ChannelP
     plans = dict[str, ChannelPlan]()
     for one in config.variants:
         with name_faults(f"variant {one.name!r}"):
-            own = replace(maker, model=models[one.model])
+            own = replace(maker, model=models[one.model, one.deformation])
             plans[one.name] = ChannelPlan(config, one, name, own.build(one, planned), required, units, own)
             check_changes(plans[one.name])
     if (asked := config.sensor_choice) is None:
