@@ -11,7 +11,7 @@ from bayescal.config.classes import choose, name_failures
 from bayescal.config.load import look_up
 from bayescal.density.schema import FixedConfig, NormalConfig, PriorConfig
 from bayescal.errors import InputError
-from bayescal.experiments.shared.readings.priors import spread_over_legs, spread_widths
+from bayescal.experiments.shared.per_leg import spread_over_legs, spread_widths
 from bayescal.experiments.shared.schema import (
     ActuatorNoiseConfig,
     DeformationConfig,

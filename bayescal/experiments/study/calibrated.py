@@ -30,7 +30,7 @@ from bayescal.experiments.frame.results import Results
 from bayescal.experiments.shared.calibrating import KEPT, list_problems, read_draws_of, read_means, read_parameters
 from bayescal.experiments.shared.headline import choose_best
 from bayescal.experiments.shared.origin import name_origin
-from bayescal.experiments.shared.readings.priors import spread_over_legs
+from bayescal.experiments.shared.per_leg import spread_over_legs
 from bayescal.experiments.shared.study_schema import StudyConfig, VariantConfig, stem_of
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.load import load_inputs
