@@ -292,13 +292,6 @@ def describe_noise(
     return found
 
 
-def _describe_data(data: Data | Mapping[str, Any], folder: Path, channels: Sequence[Channel]) -> dict[str, Any]:
-    """Return the sections of a config that tell of data, whose tables are written into a folder."""
-    if isinstance(data, Data):
-        return data.write(folder, channels)
-    return {"origin": UNSTATED, "data": _plain(data, folder)}
-
-
 def _plain(value: Any, folder: Path = Path(), name: str = "") -> Any:
     """Return a value with Python's own numbers, lists and mappings; files and tables as names of their copies."""
     if isinstance(value, Mapping):
@@ -488,13 +481,15 @@ def calibrate(
     """
     found = load_machine(machine)
     project = _Project(found)
+    folder = project.folder
     content = {
         "kind": "study",
         "name": name,
         "title": title or f"{found.name}: calibration",
         "seed": seed,
         "machine": found.entry,
-        **_describe_data(data, project.folder, found.channels),
+        "origin": UNSTATED,
+        **(data.write(folder, found.channels) if isinstance(data, Data) else {"data": _plain(data, folder)}),
         "parameters": _describe_widths(tolerances),
         "variants": _describe_variants(variants),
         **_plain(sections, project.folder),

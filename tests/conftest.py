@@ -74,7 +74,10 @@ def pictures(monkeypatch):
 @pytest.fixture
 def no_pictures(monkeypatch):
     """Leave a page's pictures undrawn, which take most of its time; text and files' names are what they are."""
-    monkeypatch.setattr("bayescal.report.page.render_picture", lambda draw, stacked=True: Picture(b"not drawn"))
+    for module in ("page", "pictures"):  # of reports, and of certificates
+        monkeypatch.setattr(
+            f"bayescal.report.{module}.render_picture", lambda draw, stacked=True: Picture(b"not drawn")
+        )
 
 
 @pytest.fixture

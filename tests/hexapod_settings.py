@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import re
-import shutil
 from pathlib import Path
 
 import numpy as np
-import studies
+import tiny_experiments
 from papers import YU as HEXAPOD
 
 from bayescal.experiments.frame.load import load_experiment
@@ -16,18 +14,6 @@ from yu2023.setup import Setup, read_setup
 
 SHIPPED = ("table4", "table8", "figure10")
 SCALE = np.repeat([1e-3, np.radians(1e-4)], 3)
-SMALL = {
-    "candidates": "150",
-    "list_length": "5",
-    "iterations": "3",
-    "verification_poses": "7",
-    "repeats": "4",
-    "selections": "2",
-    "parameter_sets": "3",
-    "noise_draws": "4",
-}
-
-USUAL = ("candidates", "list_length", "iterations")
 
 
 def load_setting(name: str = "table8") -> Setup:
@@ -38,15 +24,5 @@ def load_setting(name: str = "table8") -> Setup:
 
 
 def copy_tiny(name: str, folder: Path) -> Path:
-    """Copy the shipped experiments to a folder, one of them with little to do; return its config."""
-    shutil.copytree(HEXAPOD, folder / "yu2023")
-    shutil.copytree(studies.EXPERIMENTS / "audit", folder / "audit")
-    path = folder / "yu2023" / f"{name}.toml"
-    text = path.read_text()
-    for key, value in SMALL.items():
-        text = re.sub(rf"^{key} = .*$", f"{key} = {value}", text, flags=re.MULTILINE)
-    text = text.replace("poses = [20, 25, 30, 35, 40, 45, 50, 60, 80]", "poses = [12, 24]")
-    if "[selection]" not in text:  # then it would be the usual, long one
-        text += "\n[selection]\n" + "".join(f"{key} = {SMALL[key]}\n" for key in USUAL)
-    path.write_text(text)
-    return path
+    """Copy the shipped experiments to a folder, each with little to do; return the config of one."""
+    return tiny_experiments.copy_tiny(folder, "yu2023", "audit") / "yu2023" / f"{name}.toml"

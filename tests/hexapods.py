@@ -59,30 +59,17 @@ angle_deg = 60.0
 """
 
 
-STUDY = """
+STUDY = f"""
 kind = "study"
 name = "hexapod"
 title = "Tiny study of a hexapod"
 seed = 11
-machine = "mechanism.toml"
-
-[origin]
-status = "simulated"
-text = "for the tests"
-
-[data]
-targets = "data/targets.csv"
-actuators = "data/actuators.csv"
-reference = "data/target_reference.csv"
-target_noise_um = 3.0
-actuator_noise_um = 1.0
-
-[deformation]
+{studies.DATA}
 kappa = 0.01
 
 [parameters]
-a_x = { prior = "normal", sd = 1.0 }
-l = { prior = "normal", sd = 1.0 }
+a_x = {{ prior = "normal", sd = 1.0 }}
+l = {{ prior = "normal", sd = 1.0 }}
 
 [model_error]
 per_leg = false

@@ -15,30 +15,17 @@ WARM = (15.0, 20.0, 25.0)
 PPM = 12.0
 OFFSETS = np.array([0.37, -0.45, 1.02, 0.25, 0.43, 0.58])
 
-STUDY = """
+STUDY = f"""
 kind = "study"
 name = "lengths"
 title = "Lengths alone"
 seed = 11
-machine = "mechanism.toml"
-
-[origin]
-status = "simulated"
-text = "for the tests"
-
-[data]
-targets = "data/1/targets.csv"
-actuators = "data/1/actuators.csv"
-reference = "data/1/target_reference.csv"
-target_noise_um = 3.0
-actuator_noise_um = 1.0
-
-[deformation]
+{studies.DATA.replace("data/", "data/1/")}
 kappa = 0.0
 matrix = "deformation_matrix.csv"
 
 [parameters]
-l = { prior = "normal", sd = 2.0 }
+l = {{ prior = "normal", sd = 2.0 }}
 
 [model_error]
 scale_um = 10.0

@@ -65,12 +65,7 @@ distance_mm = 1500.0
 angle_deg = 60.0
 """
 
-STUDY = """
-kind = "study"
-name = "tiny"
-title = "Tiny study"
-seed = 11
-machine = "mechanism.toml"
+DATA = """machine = "mechanism.toml"
 
 [origin]
 status = "simulated"
@@ -83,14 +78,22 @@ reference = "data/target_reference.csv"
 target_noise_um = 3.0
 actuator_noise_um = 1.0
 
-[deformation]
+[deformation]"""
+"""What studies of targets on disk have in common."""
+
+STUDY = f"""
+kind = "study"
+name = "tiny"
+title = "Tiny study"
+seed = 11
+{DATA}
 kappa = 0.011
 matrix = "targets"
 
 [parameters]
-l = { prior = "normal", sd = 2.0 }
-kappa = { prior = "normal", sd = 0.01 }
-b_z = { prior = "fixed", offset = 0.0 }
+l = {{ prior = "normal", sd = 2.0 }}
+kappa = {{ prior = "normal", sd = 0.01 }}
+b_z = {{ prior = "fixed", offset = 0.0 }}
 
 [model_error]
 scale_um = 10.0

@@ -1,4 +1,4 @@
-"""Slips that everybody makes are told with what to do about them."""
+"""Slips that everybody makes are said with what to do about them; `bayescal validate` says all faults at once."""
 
 from __future__ import annotations
 
@@ -79,12 +79,6 @@ def test_a_wrong_model_is_told_with_its_line(call, project, edit):
     assert f"study.toml, line {line}: variants.0.model: found 'six_usp', did you mean 'six_ups'?" in complaint
 
 
-def test_another_kind_is_told_what_takes_it(call, project):
-    code, _, complaint = call("audit", project / "study.toml")
-    assert code == 2
-    assert "kind: found 'study', expected 'audit'; bayescal run takes any kind" in complaint
-
-
 def test_a_file_that_is_no_experiment_is_told_what_it_is(call, project):
     assert "none in a machine's file" in call("run", project / "machine.toml")[2]
     assert "found a CSV table, expected a TOML config" in call("run", project / "data" / "poses.csv")[2]
@@ -113,3 +107,57 @@ def test_a_pose_that_is_not_found_is_told_with_its_row_and_name(call, project, e
     assert "calibration_configurations.csv: row 3 below the header, pose 'C03': found displacements 390" in complaint
     assert "expected ones that the machine can take: smaller ones" in complaint
     assert not (tmp_path / "data").exists()
+
+
+# --- all at once ------------------------------------------------------------------------------------------------------
+
+
+def test_faults_of_config_machine_and_tables_come_in_one_go(call, project, edit):
+    edit("study.toml", "^seed = 1", "sed = 1")
+    edit("study.toml", "scale_um = 10.0", 'scale_um = "ten"')
+    edit("machine.toml", "actuator_range_mm", "range_mm")
+    edit("data/actuators.csv", "C02,calibration,", "C02,calibrated,")
+    edit("data/poses.csv", r"(?s)\A.*?^pose,.*?$", "pose;x;y_mm;z;rx_deg;ry_deg;rz_deg")
+    code, said, complaint = call("validate", project / "study.toml")
+    assert (code, said) == (2, "")
+    told = complaint.splitlines()
+    expected = (
+        "study.toml, line 5: sed: unknown key, did you mean 'seed'?",
+        "study.toml: seed: missing",
+        "scale_um: found 'ten'",
+        "range_mm: unknown key, did you mean 'actuator_range_mm'?",
+        "legs.actuator_range_mm: missing",
+        "found 'calibrated', expected one of calibration, verification",
+        "found cells separated by semicolons",
+        "found column 'x', did you mean 'x_mm'?",
+        "found column 'z', did you mean 'z_mm'?",
+        "found no noise, expected the columns",
+    )
+    for part in expected:
+        assert sum(part in line for line in told) == 1, (part, complaint)
+    assert len(told) == len(expected), complaint
+    assert all(line.startswith("bayescal: ") for line in told)
+
+
+def test_actuators_out_of_range_are_told_beside_a_fault_of_the_config(call, project, edit):
+    edit("study.toml", "walkers = 96", "walkers = 0")
+    edit("machine.toml", "initial_actuator_position_mm = 450.0", "initial_actuator_position_mm = 700.0")
+    code, _, complaint = call("validate", project / "study.toml")
+    assert code == 2
+    assert "sampler.walkers" in complaint.splitlines()[0]
+    assert "expected at most the actuator range of 40 mm" in complaint.splitlines()[1]
+
+
+def test_one_fault_is_told_once_and_other_commands_stay_with_one_line(call, project, edit):
+    edit("data/actuators.csv", "C02,calibration,", "C02,calibrated,")
+    assert len(call("validate", project / "study.toml")[2].splitlines()) == 1
+    edit("study.toml", "^seed = 1", "sed = 1")
+    assert len(call("run", project / "study.toml")[2].splitlines()) == 1
+
+
+def test_the_machine_of_an_audit_is_looked_at_beside_its_config(call, project, edit):
+    edit("audit.toml", "^seed = 1", "sed = 1")
+    edit("machine.toml", "actuator_range_mm", "range_mm")
+    told = call("validate", project / "audit.toml")[2].splitlines()
+    assert "audit.toml" in told[0]
+    assert any("legs.range_mm: unknown key" in line for line in told)

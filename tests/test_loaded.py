@@ -87,8 +87,3 @@ def test_plots_return_axes(study, audit):
     assert isinstance(axes, matplotlib.axes.Axes)
     assert study.plot_parameters(axes=axes) is axes
     assert isinstance(audit.plot_contraction(), matplotlib.axes.Axes)
-
-
-def test_a_folder_without_results_is_told(tmp_path):
-    with pytest.raises(InputError, match=r"provenance\.json"):
-        bayescal.load_results(tmp_path)

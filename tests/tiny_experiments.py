@@ -46,10 +46,11 @@ ADDED = {
 """Sections that are shorter than what holds without them."""
 
 
-def copy_tiny(folder: Path) -> Path:
-    """Copy all shipped experiments to a folder, each with little to do; return where they stand."""
+def copy_tiny(folder: Path, *names: str) -> Path:
+    """Copy shipped experiments, all unless folders are named, each with little to do; return where they stand."""
     target = folder / "experiments"
-    shutil.copytree(SHIPPED, target)
+    for name in names or (".",):
+        shutil.copytree(SHIPPED / name, target / name)
     for path in target.glob("*/*.toml"):
         text = path.read_text(encoding="utf-8")
         kind = read_kind(path)

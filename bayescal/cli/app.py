@@ -10,7 +10,7 @@ import os
 import sys
 import traceback
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Annotated, Any, get_type_hints
 
@@ -104,20 +104,18 @@ class RunOptions:
 
 
 def spread_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Return a command whose parameter of RunOptions is given option by option."""
-    names = [field.name for field in fields(RunOptions)]
-    hints = get_type_hints(RunOptions, include_extras=True)
-    kind = inspect.Parameter.KEYWORD_ONLY
-    spread = [
-        inspect.Parameter(field.name, kind, default=field.default, annotation=hints[field.name])
-        for field in fields(RunOptions)
-    ]
+    """Return a command whose parameter of a dataclass, such as RunOptions, is given option by option."""
     own = list(inspect.signature(command, eval_str=True).parameters.values())
-    options = next(one for one in own if one.annotation is RunOptions)
+    options = next(one for one in own if is_dataclass(one.annotation))
+    kind, hints = inspect.Parameter.KEYWORD_ONLY, get_type_hints(options.annotation, include_extras=True)
+    spread = [
+        inspect.Parameter(one.name, kind, default=one.default, annotation=hints[one.name])
+        for one in fields(options.annotation)
+    ]
 
     @functools.wraps(command)
     def take(**given: Any) -> None:
-        command(**{options.name: RunOptions(**{name: given.pop(name) for name in names})}, **given)
+        command(**{options.name: options.annotation(**{one.name: given.pop(one.name) for one in spread})}, **given)
 
     take.__signature__ = inspect.Signature([*(one.replace(kind=kind) for one in own if one is not options), *spread])  # type: ignore[attr-defined]
     return take

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import typer
 
-from bayescal.cli.app import Trust, app, check_out, put
+from bayescal.cli.app import Trust, app, check_out, put, spread_options
 from bayescal.errors import InputError, name_faults
 from bayescal.limits import LARGEST_SEED
 
@@ -26,11 +26,6 @@ if TYPE_CHECKING:
 Calibrated = Annotated[
     Path, typer.Argument(metavar="RESULTS", help="Results of a study or calibration, or a machine that export wrote.")
 ]
-Variant = Annotated[str | None, typer.Option(help="Variant by its name; default the best.")]
-Config = Annotated[
-    Path | None, typer.Option("--experiment", help="Config of results that do not hold the nominal machine.")
-]
-Force = Annotated[bool, typer.Option("--force", help="Take a posterior that did not converge; files say so.")]
 COPIES, OF_A_DRAW = 6, 120
 """How often a pose's covariance is there, text among it, and doubles of a draw's pose and its text."""
 Table = Annotated[Path | None, typer.Option(help="CSV file; default standard output.")]
@@ -38,25 +33,44 @@ Table = Annotated[Path | None, typer.Option(help="CSV file; default standard out
 DEFAULT_UM, DEFAULT_ARCSEC, DEFAULT_SD = 20.0, 20.0, 10.0
 
 
+@dataclass(frozen=True)
+class MachineOptions:
+    """Which machine of some results is taken, and whether it may be."""
+
+    variant: Annotated[str | None, typer.Option(help="Variant by its name; default the best.")] = None
+    experiment: Annotated[
+        Path | None,
+        typer.Option(help="Config of results that do not hold the nominal machine."),
+    ] = None
+    force: Annotated[
+        bool,
+        typer.Option("--force", help="Take a posterior that did not converge; files say so."),
+    ] = False
+    trust: Trust = False
+
+    def load(self, results: Path) -> CalibratedMachine:
+        """Return the machine; see `load_calibrated`."""
+        from bayescal.experiments.shared.calibrating import load_calibrated
+
+        return load_calibrated(results, self.variant, self.experiment, self.force, self.trust)
+
+
 @app.command(epilog="Example: bayescal export results/m2_hexapod --format urdf --out machines/m2")
+@spread_options
 def export(
     results: Calibrated,
-    variant: Variant = None,
+    options: MachineOptions,
     name: Annotated[
         str | None,
         typer.Option("--format", help="mechanism or parameters (taken again), toml, json, csv, urdf, genhexkins."),
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Directory; default machines/NAME-VARIANT.")] = None,
-    experiment: Config = None,
-    force: Force = False,
-    trust: Trust = False,
 ) -> None:
     """Write the machine as calibrated, with covariance and draws, as files for the next tool."""
     from bayescal.calibrated.formats import export_machine
-    from bayescal.experiments.shared.calibrating import load_calibrated
     from bayescal.files.atomic import check_writable
 
-    calibrated = load_calibrated(results, variant, experiment, force, trust)
+    calibrated = options.load(results)
     where = out or Path("machines") / calibrated.source.stem
     check_writable(where)
     for path in export_machine(calibrated, where, name):
@@ -65,24 +79,21 @@ def export(
 
 
 @app.command(epilog="Example: bayescal command results/m2_hexapod poses.csv --out actuators.csv")
+@spread_options
 def command(
     results: Calibrated,
     poses: Annotated[
         Path, typer.Argument(metavar="POSES.csv", help="pose, x_mm ... rz_deg, or a tool's tool_x_mm ...")
     ],
-    variant: Variant = None,
+    options: MachineOptions,
     out: Table = None,
     mark: Annotated[bool, typer.Option("--mark", help="Mark poses out of reach instead of refusing them.")] = False,
-    experiment: Config = None,
-    force: Force = False,
-    trust: Trust = False,
 ) -> None:
     """Compute the commands (actuator positions) that hold poses, and their uncertainty."""
     from bayescal.calibrated.predict import command_poses
     from bayescal.calibrated.tables import check_reached, format_command, read_commanded
-    from bayescal.experiments.shared.calibrating import load_calibrated
 
-    calibrated = load_calibrated(results, variant, experiment, force, trust)
+    calibrated = options.load(results)
     check_out(out)
     commanded = read_commanded(poses, calibrated)
     _check_many(len(commanded.names), 1, calibrated)
@@ -94,26 +105,21 @@ def command(
 
 
 @app.command(epilog="Example: bayescal predict results/m2_hexapod actuators.csv --out poses.csv")
+@spread_options
 def predict(
     results: Calibrated,
     commands: Annotated[Path, typer.Argument(metavar="COMMANDS.csv", help="pose, rho_1_mm, rho_2_mm ...")],
-    variant: Variant = None,
+    options: MachineOptions,
     out: Table = None,
     draws: Annotated[Path | None, typer.Option(help="CSV file for poses by draws of the posterior.")] = None,
     n_draws: Annotated[int, typer.Option(min=1, max=100_000, help="How many of them.")] = 100,
     seed: Annotated[int, typer.Option(min=0, max=LARGEST_SEED, help="Of the draws' errors.")] = 0,
-    experiment: Config = None,
-    force: Force = False,
-    trust: Trust = False,
 ) -> None:
     """Predict where the machine and its tool are at commands (actuator positions), with their covariance."""
-    import numpy as np
-
     from bayescal.calibrated.predict import draw_poses, predict_poses
     from bayescal.calibrated.tables import check_found, format_draws, format_prediction, read_commands
-    from bayescal.experiments.shared.calibrating import load_calibrated
 
-    calibrated = load_calibrated(results, variant, experiment, force, trust)
+    calibrated = options.load(results)
     check_out(out)
     check_out(draws)
     names, positions, given = read_commands(commands, calibrated)
@@ -144,9 +150,10 @@ def _tell_missing(results: Path, calibrated: CalibratedMachine) -> None:
 
 
 @app.command(epilog="Example: bayescal certificate results/m2_hexapod --out certificate.html")
+@spread_options
 def certificate(
     results: Calibrated,
-    variant: Variant = None,
+    options: MachineOptions,
     out: Annotated[
         Path | None, typer.Option(help="HTML file, its numbers beside it as JSON; default certificate-...html.")
     ] = None,
@@ -166,18 +173,14 @@ def certificate(
     ] = False,
     poses: Annotated[int, typer.Option(min=16, max=100_000, help="Poses of the workspace.")] = 512,
     seed: Annotated[int, typer.Option(min=0, max=LARGEST_SEED - 2, help="Of poses and draws.")] = 0,
-    experiment: Config = None,
-    force: Force = False,
-    trust: Trust = False,
 ) -> None:
     """Certify how sure the poses of a calibrated machine are: budget, expanded uncertainty, ISO figures."""
-    from bayescal.experiments.shared.calibrating import load_calibrated
     from bayescal.experiments.shared.certificate_page import build_certificate, state_headline
     from bayescal.experiments.shared.certify import Wishes, certify
     from bayescal.report.page import render_page
     from bayescal.report.pictures import render_picture
 
-    calibrated = load_calibrated(results, variant, experiment, force, trust)
+    calibrated = options.load(results)
     if out is not None and out.suffix != ".html":
         raise InputError(f"--out: found {out.name!r}, expected a name that ends with .html; the numbers go beside it")
     where = out or Path(f"certificate-{calibrated.source.stem}.html")
@@ -200,8 +203,6 @@ def _read_region(
 ) -> Region | None:
     """Return the box that the options state; None for the default, or for the actuators' range."""
     from math import isfinite
-
-    import numpy as np
 
     from bayescal.calibrated.accuracy import box_about_home
 
@@ -231,9 +232,10 @@ def _read_region(
 
 
 @app.command(epilog="Example: bayescal recheck results/m2 --position-um 10 --orientation-arcsec 1 --out plan.csv")
+@spread_options
 def recheck(
     results: Calibrated,
-    variant: Variant = None,
+    options: MachineOptions,
     measured: Annotated[
         list[Path] | None, typer.Option(help="CSV file of readings, of poses for legs, once per session: judge them.")
     ] = None,
@@ -270,20 +272,16 @@ def recheck(
     ] = None,
     share: Annotated[float, typer.Option(min=0.01, max=1.0, help="Of the commands' range, without one.")] = 0.9,
     out: Table = None,
-    experiment: Config = None,
-    force: Force = False,
-    trust: Trust = False,
 ) -> None:
     """Name the fewest poses that show whether a calibration still holds, or judge what was read at them."""
     from bayescal.calibrated.recheck.plan import list_candidates, plan_recheck
     from bayescal.calibrated.recheck.statistics import choose_suspects, judge_recheck
     from bayescal.calibrated.recheck.tables import describe_plan, describe_recheck, expect_readings, format_plan
     from bayescal.calibrated.tables import read_commands
-    from bayescal.experiments.shared.calibrating import load_calibrated
     from bayescal.machines.readings import Legs
 
     orientation_arcsec = _choose_arcseconds(orientation_arcsec, orientation_urad)
-    calibrated = load_calibrated(results, variant, experiment, force, trust)
+    calibrated = options.load(results)
     if calibrated.covariance is None:
         raise InputError(f"{results}: found no draws of the posterior (posterior/*.nc), expected those of a run")
     check_out(out)

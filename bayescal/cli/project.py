@@ -94,15 +94,10 @@ def init(
 
 def _ask(option: str, choices: list[str]) -> str:
     """Return what is chosen at the terminal; InputError where nobody can be asked."""
-    if not _is_terminal():
+    if not sys.stdin.isatty():
         raise InputError(f"init: {option}: missing, expected one of {', '.join(choices)}")
     answer: str = typer.prompt(f"{option.removeprefix('--')} ({', '.join(choices)})", default=choices[0])
     return answer.strip()
-
-
-def _is_terminal() -> bool:
-    """Whether somebody can be asked."""
-    return sys.stdin.isatty()
 
 
 @app.command("list", epilog="Example: bayescal list models")

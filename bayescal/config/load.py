@@ -66,13 +66,12 @@ def merge(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
     result = dict(below)
     for key, value in above.items():
         old = below.get(key)
-        both = isinstance(old, dict) and isinstance(value, dict) and not _differ(old, value)
-        result[key] = merge(old, value) if both and isinstance(old, dict) else value
+        if isinstance(old, dict) and isinstance(value, dict):
+            another = any(tag in value and old.get(tag) != value[tag] for tag in ("kind", "plan", "prior", "class"))
+            result[key] = value if another else merge(old, value)
+        else:
+            result[key] = value
     return result
-
-
-def _differ(old: dict[str, Any], new: dict[str, Any]) -> bool:
-    return any(tag in new and old.get(tag) != new[tag] for tag in ("kind", "plan", "prior", "class"))
 
 
 def check_section[S: Section](schema: type[S], content: dict[str, Any], path: Path, text: str) -> S:

@@ -10,7 +10,7 @@ import ast
 import contextlib
 import copyreg
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import is_dataclass
 from functools import lru_cache
@@ -129,7 +129,7 @@ def send_by_value(module: ModuleType) -> None:
                     if name in found.__annotations__
                 }
     for one in (SchemaSerializer, SchemaValidator):
-        copyreg.pickle(one, cast("Any", _reduce_built))
+        copyreg.pickle(one, cast("Any", lambda built: (_BuiltLater, (), {"recipe": built.__reduce__()[:2]})))
 
 
 class _BuiltLater:
@@ -142,7 +142,3 @@ class _BuiltLater:
             build, given = self.__dict__["recipe"]
             self.__dict__["built"] = build(*given)
         return getattr(self.__dict__["built"], name)
-
-
-def _reduce_built(built: Any) -> tuple[Callable[..., object], tuple[()], dict[str, Any]]:
-    return _BuiltLater, (), {"recipe": built.__reduce__()[:2]}

@@ -7,7 +7,6 @@ it.
 
 from __future__ import annotations
 
-import hashlib
 import importlib
 import importlib.util
 import re
@@ -25,7 +24,7 @@ import cloudpickle
 
 from bayescal.config.load import describe_unknown
 from bayescal.config.local_imports import find_local_imports, import_from, send_by_value
-from bayescal.config.trust import are_own_classes_allowed
+from bayescal.config.trust import are_own_classes_allowed, hash_file
 from bayescal.errors import InputError
 
 
@@ -85,10 +84,6 @@ def list_references(what: str) -> Mapping[str, str]:
     """Return ``module:Class`` by name, built-in ones and those of installed packages."""
     built_in = {name: one if isinstance(one, str) else _refer(one) for name, one in _list_built_in(what).items()}
     return _list_entry_points(REGISTRIES[what].group) | built_in
-
-
-def _one_of(names: Iterable[str]) -> str:
-    return "one of " + ", ".join(sorted(names))
 
 
 def _list_built_in(what: str) -> dict[str, Any]:
@@ -152,7 +147,8 @@ def load_class(what: str, name: str, folder: Path | None) -> type:
         )
     location, _, attribute = references.get(name, name).partition(":")
     if name not in built_in and not are_own_classes_allowed():
-        raise InputError(f"found {name!r}, which is no built-in one, and --no-plugins; expected {_one_of(built_in)}")
+        known = ", ".join(sorted(built_in))
+        raise InputError(f"found {name!r}, which is no built-in one, and --no-plugins; expected one of {known}")
     try:
         module = _import(location, folder)
     except InputError as error:
@@ -163,17 +159,12 @@ def load_class(what: str, name: str, folder: Path | None) -> type:
             "expected one that can be imported"
         ) from error
     found = getattr(module, attribute, None)
-    base = _load_base(what)
+    place, _, base_name = REGISTRIES[what].base.partition(":")
+    base: type = getattr(importlib.import_module(place), base_name)
     if not (isinstance(found, type) and issubclass(found, base)):
         raise InputError(f"found {name!r}, which is no {base.__name__}, expected a subclass of it")
     _check_members(what, name, found, built_in)
     return found
-
-
-def _load_base(what: str) -> type:
-    module, _, attribute = REGISTRIES[what].base.partition(":")
-    base: type = getattr(importlib.import_module(module), attribute)
-    return base
 
 
 def _check_members(what: str, name: str, found: type, built_in: Mapping[str, Any]) -> None:
@@ -217,26 +208,22 @@ def hash_modules(classes: Iterable[type]) -> dict[str, str]:
     InputError
         Where a module is no file.
     """
-    names = {base.__module__ for found in classes for base in found.__mro__}
-    return {name: _hash_module(name) for name in sorted(names) if _is_foreign(name)}
+    found = {}
+    for name in sorted({base.__module__ for one in classes for base in one.__mro__}):
+        top = name.partition(".")[0]
+        beside = top.startswith(_FILE_MODULE) or name in cloudpickle.list_registry_pickle_by_value()
+        if beside or top == "bayescal" or top in sys.stdlib_module_names:
+            continue
+        file = getattr(sys.modules.get(name), "__file__", None)
+        if file is None or not Path(file).is_file():
+            raise InputError(f"module {name}: found no file of it, expected one, for results depend on it")
+        found[name] = hash_file(Path(file).read_bytes())
+    return found
 
 
 def is_own(found: type) -> bool:
     """Whether a class is somebody else's, and not the library's."""
     return found.__module__.partition(".")[0] != "bayescal"
-
-
-def _is_foreign(module: str) -> bool:
-    top = module.partition(".")[0]
-    beside = top.startswith(_FILE_MODULE) or module in cloudpickle.list_registry_pickle_by_value()
-    return not (top == "bayescal" or top in sys.stdlib_module_names or beside)
-
-
-def _hash_module(name: str) -> str:
-    file = getattr(sys.modules.get(name), "__file__", None)
-    if file is None or not Path(file).is_file():
-        raise InputError(f"module {name}: found no file of it, expected one, for results depend on it")
-    return hashlib.sha256(Path(file).read_bytes()).hexdigest()
 
 
 def _import(location: str, folder: Path | None) -> ModuleType:

@@ -57,6 +57,8 @@ def estimate_by_bridge(
     modes : MixtureProposal, optional
         Says which draws belong together: those for which the same component is the most likely.
     """
+    from arviz_stats.base import array_stats  # seconds to import, for those who sample
+
     half = draws.shape[1] // 2
     proposal = _fit_proposal(draws[:, :half].reshape(-1, draws.shape[-1]), modes)
     kept, density = draws[:, half:], densities[:, half:]
@@ -65,7 +67,8 @@ def estimate_by_bridge(
     log_l1 = density.ravel() - proposal.log_density(flat)
     with stage("bridge", n_proposal):
         log_l2 = evaluate_in_batches(log_density, proposed) - proposal.log_density(proposed)
-    effective = _effective_size(density)
+    chains = density.reshape(len(density), -1)  # ensembles
+    effective = float(min(array_stats.ess(chains, method="mean"), chains.size))
     offset = float(np.median(log_l1))
     log_r, converged = iterate_bridge(log_l1 - offset, log_l2 - offset, effective)
     if not np.isfinite(log_r):
@@ -93,14 +96,6 @@ def _fit_proposal(draws: Array, modes: MixtureProposal | None) -> MixtureProposa
         factors.append(part.factors[0])
         weights.append(len(own) / len(draws))
     return MixtureProposal(np.array(weights), np.stack(means), np.stack(factors), BRIDGE_DOF)
-
-
-def _effective_size(density: Array) -> float:
-    """Return the effective number of draws of the log-density, chains are ensembles."""
-    from arviz_stats.base import array_stats  # seconds to import, for those who sample
-
-    chains = density.reshape(len(density), -1)
-    return float(min(array_stats.ess(chains, method="mean"), chains.size))
 
 
 def iterate_bridge(log_l1: Array, log_l2: Array, effective: float) -> tuple[float, bool]:

@@ -175,7 +175,8 @@ def correct(
     """
     n = draws.shape[1]
     n_first = min(max(n_weights // 2, per_coordinate * n), len(draws) // 2)
-    centred = draws - _find_centres(draws, modes)
+    labels, which = np.unique(modes, return_inverse=True)
+    centred = draws - np.stack([draws[which == k].mean(axis=0) for k in range(len(labels))])[which]
     excess = density.excess(draws[:n_first])
     found = [_summarise(Move(np.zeros(n), np.zeros(n), np.eye(n)), excess)]
     if found[0].is_known_to(enough):
@@ -204,12 +205,6 @@ def _weigh(density: CostlyDensity, move: Move, draws: Array, enough: float) -> A
         block = draws[len(log_weights) : len(log_weights) + BLOCK]
         log_weights = np.concatenate([log_weights, density.weigh(move, block)])
     return log_weights
-
-
-def _find_centres(x: Array, modes: np.ndarray) -> Array:
-    """Return for each draw (B, n) the mean of its mode's, shape (B, n)."""
-    labels, which = np.unique(modes, return_inverse=True)
-    return np.stack([x[which == k].mean(axis=0) for k in range(len(labels))])[which]
 
 
 def _fit_move(

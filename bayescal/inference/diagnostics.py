@@ -22,8 +22,6 @@ from bayescal.limits import (
 from bayescal.numerics.geometry import Array
 
 LEAST_ERROR = 0.01  # nats; a few runs tell no smaller standard error
-LEAST_LACKING = 0.01  # of a posterior: a smaller share moves no interval that matters
-TAIL_LIMIT = 2.5  # standard errors; of one posterior in two hundred with such tails that lacks nothing
 APART = 100.0  # R-hat of ensembles that stand still at different places
 
 BLOM = 3.0 / 8.0
@@ -93,33 +91,6 @@ def list_stand_problems(longest_stand: int, n_steps: int) -> list[str]:
     return [f"a walker stood still for {longest_stand} of {n_steps} steps, limit {limit}"]
 
 
-def list_scout_problems(n_apart: int, n_walkers: int, limit: int) -> list[str]:
-    """Return in words whether walkers that started far out stayed there; empty where hardly any did."""
-    if n_apart < limit:
-        return []
-    return [f"{n_apart} of {n_walkers} walkers that started far out stayed where hardly any draw is, limit {limit}"]
-
-
-def list_tail_problems(expected: float, found: float, error: float) -> list[str]:
-    """Return in words whether draws lack what of the posterior lies where the proposal seldom leads.
-
-    Parameters
-    ----------
-    expected, found : float
-        Share of the posterior there, and of the draws.
-    error : float
-        Standard error of their difference.
-    """
-    lacking = expected - found
-    if lacking <= max(LEAST_LACKING, TAIL_LIMIT * error):  # not so where weights are no numbers
-        return []
-    return [
-        f"{100 * expected:.1f} % of the posterior, but {100 * found:.1f} % of the draws lie in tails where the "
-        f"proposal seldom leads ({lacking / error:.1f} standard errors apart, limit {TAIL_LIMIT:g}); more steps get "
-        "there"
-    ]
-
-
 def list_importance_problems(pareto_k: float, n_effective: float) -> list[str]:
     """Return in words what speaks against the weights of importance sampling; empty where nothing does.
 
@@ -176,7 +147,7 @@ def judge_draws(draws: Array) -> tuple[Array, Array, Array]:
     found = np.empty((3, n))
     for k, values in enumerate(by_walker):
         scores, folded, low, high = _rank(values)
-        in_time = np.stack([_halve(_in_time(one)) for one in (scores, folded)])
+        in_time = np.stack([_halve(np.swapaxes(one, 1, 2)) for one in (scores, folded)])
         with np.errstate(divide="ignore", invalid="ignore"):  # ensembles that stand still
             rhat = array_stats.rhat(in_time, method="identity")
         walking = np.stack([_halve(one) for one in (scores, values <= low, values <= high)])
@@ -194,11 +165,6 @@ def _judge_plainly(by_walker: Array) -> tuple[Array, Array, Array]:
     found = array_stats.rhat(in_time), array_stats.ess(chains), array_stats.ess(chains, method="tail", prob=TAILS)
     rhat, bulk, tail = (np.asarray(one, dtype=np.float64) for one in found)
     return rhat, bulk, tail
-
-
-def _in_time(values: Array) -> Array:
-    """Return values (E, W, S) step by step."""
-    return np.swapaxes(values, 1, 2)
 
 
 def _halve(values: Array) -> Array:

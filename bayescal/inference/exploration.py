@@ -13,11 +13,12 @@ import numpy as np
 
 from bayescal.errors import NumericalError
 from bayescal.inference.ensemble import run_ensemble
-from bayescal.inference.importance import estimate_by_importance
+from bayescal.inference.importance import ImportanceEvidence, estimate_by_importance
 from bayescal.inference.mode import Mode, find_modes, revisit_modes
 from bayescal.inference.peaks import Peak, bend_at, curve_at, proposal_from_peaks, refine_peak
 from bayescal.inference.proposal import MixtureProposal, fit_mixture, proposal_from_draws
 from bayescal.inference.ridges import trace_ridges
+from bayescal.inference.schema import EvidenceConfig
 from bayescal.inference.stages import stage
 from bayescal.inference.straightening import Straightening, straighten
 from bayescal.inference.target import Target
@@ -217,6 +218,36 @@ def add_clusters(found: Exploration, seed: np.random.SeedSequence, n_walkers: in
         CLUSTER_DOF,
     )
     return Exploration(straight, proposal, found.modes, _try_out(straight, proposal, rng))
+
+
+def weigh_proposal(found: Exploration, seed: np.random.SeedSequence, effort: EvidenceConfig) -> ImportanceEvidence:
+    """Return the log-evidence by importance sampling from an exploration's proposal."""
+    density, rng = found.straight.log_density, np.random.default_rng(seed)
+    return estimate_by_importance(density, found.proposal, rng, effort.draws, effort.target_error, effort.max_draws)
+
+
+def integrate_posterior(
+    posterior: Target,
+    explore_seed: np.random.SeedSequence,
+    importance_seed: np.random.SeedSequence,
+    n_walkers: int,
+    effort: EvidenceConfig,
+) -> tuple[Exploration, ImportanceEvidence]:
+    """Return what a search from the beginning finds, and its log-evidence: by clusters where weights are doubtful.
+
+    Raises
+    ------
+    NumericalError
+        As `explore`.
+    """
+    found = explore(posterior, explore_seed, n_walkers, anew=True)
+    importance = weigh_proposal(found, importance_seed, effort)
+    if importance.is_doubtful:
+        other = add_clusters(found, explore_seed, n_walkers)
+        again = weigh_proposal(other, importance_seed, effort)
+        if again.is_better_than(importance):
+            return other, again
+    return found, importance
 
 
 def _peak_in(straight: Straightening, mode: Mode, *, follow: bool = True) -> Peak:

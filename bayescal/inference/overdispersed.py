@@ -12,12 +12,12 @@ from functools import cached_property
 import numpy as np
 from scipy.special import logsumexp
 
-from bayescal.inference.diagnostics import LEAST_LACKING
 from bayescal.inference.ensemble import run_ensemble
-from bayescal.inference.exploration import Exploration
-from bayescal.inference.importance import evaluate_in_batches
+from bayescal.inference.exploration import Exploration, weigh_proposal
+from bayescal.inference.importance import ImportanceEvidence, evaluate_in_batches
 from bayescal.inference.proposal import MixtureProposal
 from bayescal.inference.sampling import Sample
+from bayescal.inference.schema import EvidenceConfig
 from bayescal.inference.stages import stage
 from bayescal.numerics.geometry import Array
 
@@ -30,6 +30,8 @@ SELDOM = 20.0
 CERTAIN = 2.0  # standard errors by which there have to be tails
 HEAVIER = (20.0, 10.0, 6.0, 4.0)  # degrees of freedom
 
+LEAST_LACKING = 0.01  # of a posterior: a smaller share moves no interval that matters
+TAIL_LIMIT = 2.5  # standard errors; of one posterior in two hundred with such tails that lacks nothing
 N_STEPS = 20
 RARE, FEWEST = 1e-3, 20  # share of the other draws beyond the quantiles, and how many these are at least
 FALSE_ALARM = 1e-4  # of a posterior with all its coordinates
@@ -98,6 +100,24 @@ def fit_tails(found: Exploration, far: FarDraws) -> Exploration:
     return replace(found, proposal=best, efficiency=rate(best))
 
 
+def widen_tails(
+    found: Exploration,
+    importance: ImportanceEvidence,
+    far: FarDraws,
+    importance_seed: np.random.SeedSequence,
+    effort: EvidenceConfig,
+) -> tuple[Exploration, ImportanceEvidence]:
+    """Return exploration and evidence with a proposal of heavier tails where draws from farther out ask for them.
+
+    Not so where its own weights would be doubtful, and those before were not.
+    """
+    wider = fit_tails(found, far)
+    if wider is found:
+        return found, importance
+    again = weigh_proposal(wider, importance_seed, effort)
+    return (found, importance) if again.is_doubtful and not importance.is_doubtful else (wider, again)
+
+
 class Stretched:
     """A mixture of normal densities, each stretched along one of its principal axes: as many as there are axes."""
 
@@ -151,6 +171,15 @@ class Tails:
     found: float
     error: float
 
+    def list_problems(self) -> list[str]:
+        """Return in words whether draws lack what of the posterior lies there."""
+        lacking = self.expected - self.found
+        if lacking <= max(LEAST_LACKING, TAIL_LIMIT * self.error):  # not so where weights are no numbers
+            return []
+        apart = f"{lacking / self.error:.1f} standard errors apart, limit {TAIL_LIMIT:g}"
+        shares = f"{100 * self.expected:.1f} % of the posterior, but {100 * self.found:.1f} % of the draws"
+        return [f"{shares} lie in tails where the proposal seldom leads ({apart}); more steps get there"]
+
 
 def compare_tails(exploration: Exploration, sample: Sample, far: FarDraws) -> Tails:
     """Return how much of the posterior lies where the proposal seldom leads, and how many of the draws.
@@ -183,6 +212,13 @@ class Scouts:
     n_apart: int
     n_walkers: int
     limit: int
+
+    def list_problems(self) -> list[str]:
+        """Return in words whether they did; empty where hardly any did."""
+        if self.n_apart < self.limit:
+            return []
+        said = f"{self.n_apart} of {self.n_walkers} walkers that started far out stayed where hardly any draw is"
+        return [f"{said}, limit {self.limit}"]
 
 
 def send_scouts(exploration: Exploration, sample: Sample, far: FarDraws, seed: np.random.SeedSequence) -> Scouts:

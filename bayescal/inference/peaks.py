@@ -102,16 +102,12 @@ def bend_at(straight: Straightening, peak: Peak) -> tuple[Straightening, Peak]:
     centre = bent.x_from_y(y)[0]
     scale = np.ones(len(centre))
     scale[n:] = _bend_slope(straight.bend, peak.centre[n:]) / _bend_slope(bent.bend, centre[n:])
-    return bent, Peak(centre, np.linalg.cholesky(_scaled(peak.factor, scale)), peak.log_density)
+    scaled = scale[:, None] * peak.factor
+    return bent, Peak(centre, np.linalg.cholesky(scaled @ scaled.T), peak.log_density)
 
 
 def _bend_slope(bend: Bend | None, eta: Array) -> Array:
     return np.ones_like(eta) if bend is None else bend.slope(eta)
-
-
-def _scaled(factor: Array, scale: Array) -> Array:
-    scaled = scale[:, None] * factor
-    return scaled @ scaled.T
 
 
 def curve_at(straight: Straightening, peak: Peak) -> tuple[Straightening, Peak]:

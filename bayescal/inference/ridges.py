@@ -43,14 +43,6 @@ class _Points:
     following: Array
     log_mass: Array
 
-    def spans(self, u: float) -> bool:
-        """Whether a value lies between the ends."""
-        return bool(self.along[0] <= u <= self.along[-1])
-
-    def overlaps(self, other: _Points) -> bool:
-        """Whether two ridges share values of the coordinate along them."""
-        return bool(self.along[0] <= other.along[-1] and other.along[0] <= self.along[-1])
-
 
 def trace_ridges(straight: Straightening, modes: Sequence[Mode]) -> Straightening:
     """Return the straightening with every curved ridge traced from the modes, best first, and bent by its mass.
@@ -75,8 +67,10 @@ def _trace_all(posterior: Target, modes: Sequence[Mode], ridges: Mapping[int, np
         for base, points in _trace(posterior, mode, new).items():
             if points is None and not found[base]:
                 del found[base]
-            elif points is not None and not any(one.overlaps(points) for one in found[base]):
-                found[base].append(points)
+            elif points is not None:
+                low, high = points.along[[0, -1]]
+                if not any(one.along[0] <= high and low <= one.along[-1] for one in found[base]):
+                    found[base].append(points)
     return found
 
 
@@ -84,7 +78,7 @@ def _is_known(found: Sequence[_Points], mode: Mode, base: int, others: np.ndarra
     """Return whether a mode lies on a ridge that was traced from another."""
     precision = np.linalg.inv(mode.covariance)[np.ix_(others, others)]
     for points in found:
-        if points.spans(mode.y[base]):
+        if points.along[0] <= mode.y[base] <= points.along[-1]:
             off = mode.y[others] - CubicSpline(points.along, points.following)(mode.y[base])
             return bool(off @ precision @ off < ON_RIDGE**2)
     return False
@@ -229,8 +223,11 @@ def _fit_series(place: Array, following: Array, inner: Array, origin: float) -> 
 def _fit_skew(mode: Mode, n_geometry: int, traced: Mapping[int, _Points]) -> Skew:
     """Return the bend of coordinates by the mass along them; what leans on them at the mode follows."""
     bases = list(traced)
-    parts = [(points, _until_valleys(points.log_mass)) for points in traced.values()]
-    found = [find_quantiles(points.along[part], points.log_mass[part]) for points, part in parts]
+    found = []
+    for points in traced.values():  # around the largest mass, as far as no deep valley parts others from it
+        mass, peak = points.log_mass, int(np.argmax(points.log_mass))
+        part = slice(peak - _reach(mass[peak::-1]), peak + _reach(mass[peak:]) + 1)
+        found.append(find_quantiles(points.along[part], mass[part]))
     quantiles = Quantiles(*(np.stack(one) for one in zip(*found, strict=True)))
     followers = np.setdiff1d(np.arange(n_geometry), bases)
     lean = np.zeros((len(bases), len(mode.y)))
@@ -239,12 +236,6 @@ def _fit_skew(mode: Mode, n_geometry: int, traced: Mapping[int, _Points]) -> Ske
         mode.covariance[np.ix_(bases, bases)], mode.covariance[np.ix_(bases, followers)]
     )
     return Skew(np.array(bases), mode.y[bases], quantiles, lean)
-
-
-def _until_valleys(log_mass: Array) -> slice:
-    """Return which points belong to the mass around the largest: as far as no deep valley parts them from it."""
-    peak = int(np.argmax(log_mass))
-    return slice(peak - _reach(log_mass[peak::-1]), peak + _reach(log_mass[peak:]) + 1)
 
 
 def _reach(log_mass: Array) -> int:

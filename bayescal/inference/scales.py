@@ -82,35 +82,21 @@ def sample_scales(log_density: LogDensity, mode: Array, n_draws: int, n_kept: in
     for _ in range(ROUNDS):
         draws = proposal.draw(max(n_draws // 4, 20 * len(mode)), rng)
         log_weights = _evaluate(log_density, draws) - proposal.log_density(draws)
-        proposal = _mend(draws, np.exp(log_weights - logsumexp(log_weights)), laplace)
-    return _weigh(log_density, proposal, mode, n_draws, n_kept, rng)
-
-
-def _propose(mean: Array, covariance: Array) -> MixtureProposal:
-    return MixtureProposal(np.ones(1), mean[None], _factor(covariance)[None], DOF)
-
-
-def _mend(draws: Array, weights: Array, laplace: Array) -> MixtureProposal:
-    """Return a proposal with the moments of weighted draws; few effective ones hardly change Laplace's covariance."""
-    mean, effective, few = weights @ draws, 1.0 / np.sum(weights**2), FEW * draws.shape[1]
-    spread = (draws - mean).T * weights @ (draws - mean)
-    return _propose(mean, (effective * spread + few * laplace) / (effective + few))
-
-
-def _weigh(
-    log_density: LogDensity,
-    proposal: MixtureProposal,
-    mode: Array,
-    n_draws: int,
-    n_kept: int,
-    rng: np.random.Generator,
-) -> Scales:
+        weights = np.exp(log_weights - logsumexp(log_weights))
+        mean, effective, few = weights @ draws, 1.0 / np.sum(weights**2), FEW * len(mode)
+        spread = (draws - mean).T * weights @ (draws - mean)  # few effective draws hardly change Laplace's covariance
+        proposal = _propose(mean, (effective * spread + few * laplace) / (effective + few))
     draws = proposal.draw(n_draws, rng)
     log_weights = _evaluate(log_density, draws) - proposal.log_density(draws)
     log_evidence = float(logsumexp(log_weights) - np.log(n_draws))
     error = np.std(np.exp(log_weights - log_evidence), ddof=1) / np.sqrt(n_draws)
     kept = keep_by_weight(draws, log_weights, n_kept, rng)
     return Scales(mode, kept.draws, log_evidence, float(error), kept.efficiency, kept.pareto_k)
+
+
+def _propose(mean: Array, covariance: Array) -> MixtureProposal:
+    factor = np.linalg.cholesky(covariance + 1e-9 * np.eye(len(covariance)))
+    return MixtureProposal(np.ones(1), mean[None], factor[None], DOF)
 
 
 def keep_by_weight(draws: Array, log_weights: Array, n_kept: int, rng: np.random.Generator) -> Resampled:
@@ -145,7 +131,3 @@ def _find_covariance(log_density: LogDensity, mode: Array) -> Array:
             hessian[i, j] = hessian[j, i] = (both - ahead[i] - ahead[j] + centre) / STEP**2
     values, vectors = np.linalg.eigh(-0.5 * (hessian + hessian.T))
     return np.asarray(vectors / np.maximum(values, LEAST_CURVATURE) @ vectors.T)
-
-
-def _factor(covariance: Array) -> Array:
-    return np.linalg.cholesky(covariance + 1e-9 * np.eye(len(covariance)))

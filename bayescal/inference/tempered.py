@@ -129,20 +129,16 @@ def estimate_by_tempering(
         runs = [_run(target, rng, n_chains) for rng in rngs]
         others = [runs[-1], *runs[:-1]]  # a mixture fitted to the draws themselves would be too dense right there
         bridges = [_bridge(target, r.cloud, o.mixture, n_chains, g) for r, o, g in zip(runs, others, rngs, strict=True)]
+    mean = float(logsumexp(bridges) - np.log(n_runs))
     return TemperedEvidence(
-        *_average(np.array(bridges)),
+        mean,
+        float(np.std(np.exp(np.array(bridges) - mean), ddof=1) / np.sqrt(n_runs)),
         np.concatenate([run.cloud.y for run in runs]),
         np.concatenate([np.full(len(run.cloud.y), 1.0 / (len(run.cloud.y) * n_runs)) for run in runs]),
         max(run.n_levels for run in runs),
         all(run.mixed for run in runs),
         sum(run.n_evaluations for run in runs),
     )
-
-
-def _average(log_values: Array) -> tuple[float, float]:
-    """Return the logarithm of the mean and its standard error."""
-    mean = float(logsumexp(log_values) - np.log(len(log_values)))
-    return mean, float(np.std(np.exp(log_values - mean), ddof=1) / np.sqrt(len(log_values)))
 
 
 def _run(target: Prospect, rng: np.random.Generator, n_chains: int) -> _Run:
@@ -205,7 +201,8 @@ def _choose_rise(log_likelihood: Array, left: float) -> float:
     """
 
     def excess(log_rise: float) -> float:
-        return _count_effective(np.exp(log_rise) * log_likelihood) - USEFUL * n_known
+        log_weights = np.exp(log_rise) * log_likelihood
+        return float(np.exp(2.0 * logsumexp(log_weights) - logsumexp(2.0 * log_weights))) - USEFUL * n_known
 
     n_known = int(np.isfinite(log_likelihood).sum())
     if n_known < 10:
@@ -216,11 +213,6 @@ def _choose_rise(log_likelihood: Array, left: float) -> float:
     while excess(low) < 0.0:
         low -= 10.0
     return float(np.exp(brentq(excess, low, np.log(left), xtol=1e-6)))
-
-
-def _count_effective(log_weights: Array) -> float:
-    """Return the effective number of draws."""
-    return float(np.exp(2.0 * logsumexp(log_weights) - logsumexp(2.0 * log_weights)))
 
 
 def _resample(weights: Array, n: int, rng: np.random.Generator) -> np.ndarray:

@@ -345,8 +345,8 @@ class Page:
 
     def figures(self) -> Iterator[Figure]:
         """Yield the figures of all sections, folded ones too."""
-        for section in self.sections:
-            yield from find_figures(section.blocks)
+        blocks = (block for section in self.sections for block in unfold(section.blocks))
+        return (block for block in blocks if isinstance(block, Figure))
 
     def shown_figures(self) -> set[str]:
         """Return the names of the figures that no fold hides at first sight."""
@@ -355,21 +355,12 @@ class Page:
         return {block.name for block in (*blocks, *opened) if isinstance(block, Figure)}
 
 
-def find_figures(blocks: Sequence[Block]) -> Iterator[Figure]:
-    """Yield the figures among blocks and inside their folds."""
-    return (block for block in _unfold(blocks) if isinstance(block, Figure))
-
-
-def find_scenes(blocks: Sequence[Block]) -> Iterator[Scene]:
-    """Yield the machines in space among blocks and inside their folds."""
-    return (block for block in _unfold(blocks) if isinstance(block, Scene))
-
-
-def _unfold(blocks: Sequence[Block]) -> Iterator[Block]:
+def unfold(blocks: Sequence[Block]) -> Iterator[Block]:
+    """Yield blocks, and those inside their folds."""
     for block in blocks:
         yield block
         if isinstance(block, Fold):
-            yield from _unfold(block.blocks)
+            yield from unfold(block.blocks)
 
 
 def choose_first(findings: Sequence[Statement]) -> tuple[list[Statement], list[Statement]]:

@@ -106,13 +106,11 @@ def _list_points(axes: Axes) -> Iterator[tuple[Any, Sequence[tuple[float, float]
             yield collection, _keep_finite(np.asarray(collection.get_offsets(), dtype=np.float64)), _name_of(collection)
     for container in axes.containers:
         if isinstance(container, BarContainer):
+            lies = container.orientation == "horizontal"
             for patch in container.patches:
-                yield patch, [_find_end(patch, container.orientation == "horizontal")], _name_of(container)
-
-
-def _find_end(patch: Any, lies: bool) -> tuple[float, float]:
-    x, y, width, height = patch.get_x(), patch.get_y(), patch.get_width(), patch.get_height()
-    return (x + width, y + height / 2) if lies else (x + width / 2, y + height)
+                x, y, width, height = patch.get_x(), patch.get_y(), patch.get_width(), patch.get_height()
+                end = (x + width, y + height / 2) if lies else (x + width / 2, y + height)
+                yield patch, [end], _name_of(container)
 
 
 def _keep_finite(points: np.ndarray) -> list[tuple[float, float]]:

@@ -129,9 +129,9 @@ TERMS = (
 def find_terms(markup: str) -> list[Term]:
     """Return the terms that a page's text uses, in the order of the alphabet."""
     text = re.sub(r"<svg.*?</svg>|<[^>]+>", " ", str(markup), flags=re.DOTALL).replace("\u00a0", " ").lower()
-    used = [term for term in TERMS if any(_uses(text, word.lower()) for word in term.words)]
+    used = [
+        term
+        for term in TERMS
+        if any(w in text and re.search(rf"(?<![\w-]){re.escape(w)}(?![\w-])", text) for w in map(str.lower, term.words))
+    ]
     return sorted(used, key=lambda term: term.words[0].lower())
-
-
-def _uses(text: str, word: str) -> bool:
-    return word in text and re.search(rf"(?<![\w-]){re.escape(word)}(?![\w-])", text) is not None

@@ -25,13 +25,14 @@ from bayescal.report.blocks import (
     Side,
     Table,
     choose_first,
-    find_scenes,
     make_pairs,
     make_table,
+    unfold,
 )
 from bayescal.report.glossary import find_terms
 from bayescal.report.numbers import NOTHING
 from bayescal.report.pictures import Picture, render_picture
+from bayescal.report.scene import Scene
 from bayescal.report.symbols import split_symbol
 
 PAGE = "report.html"
@@ -120,7 +121,7 @@ def render_page(page: Page, pictures: Mapping[str, Picture], more: Sequence[Sect
     environment.globals |= {"first_findings": choose_first, "find_terms": find_terms}
     style = Markup((here / "page.css").read_text(encoding="utf-8"))
     blocks = [block for section in (*page.sections, *more) for block in section.blocks]
-    scripts = ("page.js", "scene.js") if any(find_scenes(blocks)) else ("page.js",)
+    scripts = ("page.js", "scene.js") if any(isinstance(one, Scene) for one in unfold(blocks)) else ("page.js",)
     script = Markup("\n".join((here / name).read_text(encoding="utf-8") for name in scripts))
     sections = [(one.anchor or f"section-{k}", one) for k, one in enumerate((*page.sections, *more), start=1)]
     return environment.get_template("page.html").render(

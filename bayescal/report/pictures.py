@@ -48,12 +48,8 @@ class Picture:
     def place(self, name: str) -> Markup:
         """Return the markup with the ids of its parts made the figure's own."""
         forms = [(name, self.markup), (f"{name}-stacked", self.stacked)]
-        return Markup("\n").join(Markup(_own_ids(text, own)) for own, text in forms if text)
-
-
-def _own_ids(markup: str, name: str) -> str:
-    """Return markup, escaped already, with a name before its ids; names are letters, digits, _ and -."""
-    return re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{name}-", markup)
+        ids = r'(\bid="|href="#|url\(#)'  # before them a name, which is letters, digits, _ and -
+        return Markup("\n").join(Markup(re.sub(ids, rf"\g<1>{own}-", text)) for own, text in forms if text)
 
 
 def render_picture(draw: Callable[[], Figure], stacked: bool = True) -> Picture:

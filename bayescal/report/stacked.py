@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -224,7 +224,8 @@ def _settle(figure: Figure, panels: list[Axes], wanted: float) -> None:
         text.set_visible(False)  # each value stands in a table, or under the pointer
     if any(changed) or below or crowded:
         _lay_out(figure)
-    figure.set_size_inches(NARROW, figure.get_figheight() + wanted - sum(_row_heights(panels)))
+    rows = {axes.get_subplotspec().rowspan.start: axes for axes in panels}  # type: ignore[union-attr]  # all have one
+    figure.set_size_inches(NARROW, figure.get_figheight() + wanted - sum(map(_height_of, rows.values())))
 
 
 def _turn_names(axes: Axes) -> bool:
@@ -244,11 +245,6 @@ def _break_titles(axes: Axes) -> bool:
     titles = (axes.title, axes._left_title, axes._right_title)  # type: ignore[attr-defined]  # of matplotlib
     broken = [_wrap(title, NARROW * (1.0 - box.x0)) for title in titles]
     return any([*broken, _wrap(axes.xaxis.label, NARROW * box.width)])
-
-
-def _row_heights(panels: list[Axes]) -> Iterator[float]:
-    rows = {axes.get_subplotspec().rowspan.start: axes for axes in panels}  # type: ignore[union-attr]  # all have one
-    return (_height_of(axes) for axes in rows.values())
 
 
 def _extents(texts: Sequence[Text]) -> np.ndarray:

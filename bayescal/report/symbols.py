@@ -61,24 +61,19 @@ def quote(text: str) -> str:
     return text.replace("\\", "").replace("$", r"\$")
 
 
-def set_mathematics(symbol: str, before: str = "") -> str:
-    """Return a symbol as mathematical text for figures, ``before`` put in front of it."""
+def set_mathematics(symbol: str, before: str = "", leg: int = 0) -> str:
+    """Return a symbol as mathematical text for figures, ``before`` put in front of it and a leg, if one, below."""
     head, below, above = split_symbol(symbol)
     if not re.fullmatch(r"[^\W_]+", head):
-        return f"{before}{quote(symbol)}"
-    lower = f"_{{{below}}}" if below else ""
-    upper = f"^{{{above}}}" if above else ""
-    return f"${before}{head}{lower}{upper}$"
+        return f"{before}{quote(symbol)}{f'[{leg}]' if leg else ''}"
+    marks = ",".join(part for part in (below, str(leg) if leg else "") if part)
+    return f"${before}{head}{f'_{{{marks}}}' if marks else ''}{f'^{{{above}}}' if above else ''}$"
 
 
 def set_parameter(name: str) -> str:
-    """Return a parameter as mathematical text for figures, its leg below the symbol."""
+    """Return a parameter as mathematical text for figures."""
     symbol, leg = split_name(name)
-    head, below, above = split_symbol(symbol)
-    if not re.fullmatch(r"[^\W_]+", head):
-        return quote(name)
-    marks = ",".join(part for part in (below, str(leg) if leg else "") if part)
-    return f"${head}{f'_{{{marks}}}' if marks else ''}{f'^{{{above}}}' if above else ''}$"
+    return set_mathematics(symbol, leg=leg)
 
 
 def write_symbol(symbol: str) -> str:

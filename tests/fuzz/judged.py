@@ -79,6 +79,13 @@ def judge_call(arguments: list[object], *watched: Path) -> Outcome:
     return Outcome(code, out.getvalue(), err.getvalue(), tuple(found))
 
 
+def judge_refusal(arguments: list[object], *watched: Path) -> str:
+    """Call the command line, which has to refuse without a fault; return the line in which it does."""
+    outcome = judge_call(arguments, *watched)
+    assert (outcome.faults, outcome.code) == ((), 2)
+    return outcome.err
+
+
 def _find_faults(
     code: int, out: str, err: str, raised: str, shown: list[str], changed: bool, several: bool
 ) -> Iterator[str]:

@@ -11,23 +11,14 @@ from pathlib import Path
 import pytest
 import studies
 from fuzz.hostile import dump_toml
-from fuzz.judged import judge_call
-from fuzz.subjects import write_subjects
+from fuzz.judged import judge_call, judge_refusal
 
 from bayescal.errors import InputError
 from bayescal.experiments.frame import run as frame
 from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.study.load import load_inputs
-from bayescal.report.pictures import Picture
 
 RESULTS = Path(__file__).parents[2] / "results"
-
-
-@pytest.fixture(scope="module")
-def root(tmp_path_factory) -> Path:
-    folder = tmp_path_factory.mktemp("plausible")
-    write_subjects(folder)
-    return folder / "experiments"
 
 
 @pytest.fixture
@@ -49,29 +40,19 @@ def make_loop(folder: Path) -> Path:
     return folder / "one"
 
 
-def make_loop_above(folder: Path) -> Path:
-    return make_loop(folder) / "results"
-
-
-def make_file_above(folder: Path) -> Path:
-    (folder / "file").write_text("mine")
-    return folder / "file" / "results"
-
-
 def make_file(folder: Path) -> Path:
     (folder / "file").write_text("mine")
     return folder / "file"
 
 
-def make_long(folder: Path) -> Path:
-    return folder / ("x" * 300)
-
-
-def make_closed(folder: Path) -> Path:
-    return Path("/proc/none/results")
-
-
-OUTS = [make_loop, make_loop_above, make_file_above, make_file, make_long, make_closed]
+OUTS: dict[str, Callable[[Path], Path]] = {
+    "loop": make_loop,
+    "loop above": lambda folder: make_loop(folder) / "results",
+    "file": make_file,
+    "file above": lambda folder: make_file(folder) / "results",
+    "long": lambda folder: folder / ("x" * 300),
+    "closed": lambda folder: Path("/proc/none/results"),
+}
 COMMANDS = {
     "run": ("run", "telescope/short.toml"),
     "audit": ("audit", "audit/m2_hexapod.toml"),
@@ -82,23 +63,19 @@ COMMANDS = {
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-@pytest.mark.parametrize("make", OUTS)
+@pytest.mark.parametrize("out", OUTS)
 @pytest.mark.usefixtures("uncomputed")
-def test_out_is_checked_before_computing(root, tmp_path, make, command):
-    if make is make_file and command == "poses-from-targets":
+def test_out_is_checked_before_computing(root, tmp_path, out, command):
+    if out == "file" and command == "poses-from-targets":
         pytest.skip("its output is a file, which may be replaced")
     name, config = COMMANDS[command]
-    outcome = judge_call([name, root / config, "--out", make(tmp_path)], tmp_path)
-    assert outcome.faults == ()
-    assert outcome.code == 2
+    judge_refusal([name, root / config, "--out", OUTS[out](tmp_path)], tmp_path)
 
 
 @pytest.mark.skipif(not os.path.ismount("/proc"), reason="there is no file system known to be mounted")
 @pytest.mark.usefixtures("uncomputed")
 def test_mounted_file_system_is_not_replaced(root, tmp_path):
-    outcome = judge_call(["run", root / "telescope/short.toml", "--out", "/proc"], tmp_path)
-    assert outcome.faults == ()
-    assert outcome.code == 2
+    judge_refusal(["run", root / "telescope/short.toml", "--out", "/proc"], tmp_path)
 
 
 def test_directories_above_refused_results_are_not_left(root, tmp_path, monkeypatch):
@@ -106,9 +83,8 @@ def test_directories_above_refused_results_are_not_left(root, tmp_path, monkeypa
         raise InputError("found something late")
 
     monkeypatch.setattr(frame, "Run", refuse)
-    outcome = judge_call(["run", root / "telescope/short.toml", "--out", tmp_path / "a" / "b" / "c"], tmp_path)
-    assert outcome.faults == ()
-    assert (outcome.code, list(tmp_path.iterdir())) == (2, [])
+    judge_refusal(["run", root / "telescope/short.toml", "--out", tmp_path / "a" / "b" / "c"], tmp_path)
+    assert list(tmp_path.iterdir()) == []
 
 
 # --- what nobody uses ------------------------------------------------------------------------------------------------
@@ -146,28 +122,15 @@ def test_calibrations_that_all_fail_are_said(root, tmp_path):
 # --- damaged results -------------------------------------------------------------------------------------------------
 
 
-def cut(path: Path) -> None:
-    path.write_text("".join(path.read_text().splitlines(keepends=True)[:-1]))
-
-
-def empty(path: Path) -> None:
-    path.write_text(path.read_text().splitlines(keepends=True)[0])
-
-
-@pytest.mark.parametrize("damage", [cut, empty])
+@pytest.mark.parametrize("kept", [slice(-1), slice(1)], ids=["cut", "emptied"])
 @pytest.mark.parametrize("command", ["report", "compare"])
-def test_table_that_lacks_rows_is_named(tmp_path, monkeypatch, damage: Callable[[Path], None], command):
-    monkeypatch.setattr("bayescal.report.page.render_picture", lambda draw, stacked=True: Picture(b"not drawn"))
+@pytest.mark.usefixtures("no_pictures")
+def test_table_that_lacks_rows_is_named(tmp_path, kept, command):
     folder = Path(shutil.copytree(RESULTS / "hexapod_figure10", tmp_path / "results"))
     whole = frame.read_results(folder)
-    frame.write_json(folder / "provenance.json", whole.provenance | {"table_rows": count_rows(whole)})
+    rows = {name: len(whole.tables[Path(name).stem]) for name in whole.provenance["tables"]}
+    frame.write_json(folder / "provenance.json", whole.provenance | {"table_rows": rows})
     assert judge_call([command, folder, "--trust-code"], tmp_path).code == 0
-    damage(folder / "figure10.csv")
-    outcome = judge_call([command, folder, "--trust-code"], tmp_path)
-    assert outcome.faults == ()
-    assert outcome.code == 2
-    assert "figure10.csv: found" in outcome.err
-
-
-def count_rows(results) -> dict[str, int]:
-    return {name: len(results.tables[Path(name).stem]) for name in results.provenance["tables"]}
+    lines = (folder / "figure10.csv").read_text().splitlines(keepends=True)
+    (folder / "figure10.csv").write_text("".join(lines[kept]))
+    assert "figure10.csv: found" in judge_refusal([command, folder, "--trust-code"], tmp_path)

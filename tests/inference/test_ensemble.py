@@ -151,24 +151,15 @@ def test_walkers_that_span_too_little_are_an_error(proposal):
             run_ensemble(gaussian, proposal, np.random.SeedSequence(5), n_walkers, 0, 20, starts)
 
 
-def test_same_seed_gives_the_same_bits(proposal):
-    first, second = (run_ensemble(gaussian, proposal, np.random.SeedSequence(5), 20, 10, 15) for _ in range(2))
+def test_same_seed_gives_the_same_bits_whatever_runs_in_between(proposal):
+    first = run_ensemble(gaussian, proposal, np.random.SeedSequence(5), 20, 10, 15)
+    np.random.seed(1)  # noqa: NPY002, the legacy global state is what must not matter
+    other = run_ensemble(gaussian, proposal, np.random.SeedSequence(6), 20, 10, 15)
+    second = run_ensemble(gaussian, proposal, np.random.SeedSequence(5), 20, 10, 15)
     np.testing.assert_array_equal(first.draws, second.draws)
     np.testing.assert_array_equal(first.log_density, second.log_density)
     assert first.acceptance == second.acceptance
-
-
-def test_other_runs_in_between_change_nothing(proposal):
-    first = run_ensemble(gaussian, proposal, np.random.SeedSequence(5), 20, 10, 15)
-    np.random.seed(1)  # noqa: NPY002, the legacy global state is what must not matter
-    run_ensemble(gaussian, proposal, np.random.SeedSequence(6), 20, 3, 4)
-    second = run_ensemble(gaussian, proposal, np.random.SeedSequence(5), 20, 10, 15)
-    np.testing.assert_array_equal(first.draws, second.draws)
-
-
-def test_other_seeds_give_other_draws(proposal):
-    first, second = (run_ensemble(gaussian, proposal, s, 20, 10, 15) for s in np.random.SeedSequence(5).spawn(2))
-    assert not np.any(first.draws[:, 0] == second.draws[:, 0])
+    assert not np.any(first.draws[:, 0] == other.draws[:, 0])
 
 
 def test_draws_are_ordered_by_walker_and_then_time(proposal):

@@ -12,7 +12,7 @@ from scipy.special import loggamma
 from bayescal.errors import NumericalError
 from bayescal.inference.bridge import estimate_by_bridge
 from bayescal.inference.ensemble import run_ensemble
-from bayescal.inference.importance import estimate_by_importance, smooth_weights
+from bayescal.inference.importance import difference_twice, estimate_by_importance, smooth_weights
 from bayescal.inference.proposal import MixtureProposal, proposal_from_draws
 
 TOLERANCE = 0.02
@@ -261,3 +261,21 @@ def test_a_component_without_weight_adds_nothing():
     one = MixtureProposal(np.ones(1), np.zeros((1, 1)), np.ones((1, 1, 1)), 50.0)
     y = np.linspace(-3.0, 8.0, 12)[:, None]
     np.testing.assert_array_equal(two.log_density(y), one.log_density(y))
+
+
+@pytest.mark.parametrize("at_once", [2**14, 5])
+def test_differences_of_a_quartic(monkeypatch, at_once):
+    monkeypatch.setattr("bayescal.inference.importance.AT_ONCE", at_once)
+    rng = np.random.default_rng(0)
+    matrix, centre = rng.standard_normal((4, 4)), rng.standard_normal(4)
+    square = matrix @ matrix.T
+    factor = np.linalg.cholesky(np.linalg.inv(square + np.eye(4)))
+
+    def log_density(x):
+        return -0.5 * np.einsum("bi,ij,bj->b", x, square, x) - 1e-3 * np.sum(x**4, axis=1)
+
+    gradient, hessian = difference_twice(log_density, centre, factor, 1e-2)
+    slope = -square @ centre - 4e-3 * centre**3
+    curvature = -square - np.diag(12e-3 * centre**2)
+    np.testing.assert_allclose(gradient, factor.T @ slope, rtol=1e-5)
+    np.testing.assert_allclose(hessian, factor.T @ curvature @ factor, rtol=1e-4, atol=1e-6)

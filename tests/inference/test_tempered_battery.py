@@ -15,8 +15,9 @@ from bayescal.density.errors import ModelError
 from bayescal.density.legs import build_leg_posterior
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.priors import NormalPrior, UniformPrior
+from bayescal.inference.exploration import integrate_posterior
 from bayescal.inference.importance import evaluate_in_batches
-from bayescal.inference.integration import Effort, integrate_posterior
+from bayescal.inference.schema import EvidenceConfig
 from bayescal.inference.tempered import estimate_by_tempering
 
 pytestmark = pytest.mark.slow
@@ -140,7 +141,7 @@ def compare_runs(natural):
 def test_evidence_and_widths_are_those_of_tempering(case):
     posterior = case.posterior()
     search_seed, weigh_seed = np.random.SeedSequence(3), np.random.SeedSequence(5)
-    found, importance = integrate_posterior(posterior, search_seed, weigh_seed, 128, Effort(20_000, 0.01, 100_000))
+    found, importance = integrate_posterior(posterior, search_seed, weigh_seed, 128, EvidenceConfig())
     assert not importance.is_doubtful
     sd, error = measure_widths(posterior, found, np.random.default_rng(6))
     check = estimate_by_tempering(posterior, np.random.SeedSequence(1), case.n_chains, N_RUNS)

@@ -67,7 +67,7 @@ def test_from_the_command_line(call, tmp_path):
     ],
 )
 def test_what_is_wrong_is_told_and_nothing_written(call, tmp_path, monkeypatch, options, fault):
-    monkeypatch.setattr("bayescal.cli.project._is_terminal", lambda: False)
+    monkeypatch.setattr("sys.stdin.isatty", lambda: False)
     if options[:2] == ("--machine", "hexapd"):
         options = (*options, "--instrument", "poses")
     code, _, complaint = call("init", tmp_path / "mine", *options)
@@ -78,7 +78,7 @@ def test_what_is_wrong_is_told_and_nothing_written(call, tmp_path, monkeypatch, 
 
 def test_what_is_not_said_is_asked(call, tmp_path, monkeypatch):
     answers = iter(["carriages", "points"])
-    monkeypatch.setattr("bayescal.cli.project._is_terminal", lambda: True)
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True)
     monkeypatch.setattr("bayescal.cli.project.typer.prompt", lambda *_, **__: next(answers))
     assert call("init", tmp_path / "mine")[0] == 0
     assert (tmp_path / "mine" / "probe.csv").exists()

@@ -101,7 +101,9 @@ class Run:
             if failures:
                 said = "; ".join(f"{name}: {fault}" for name, fault in islice(failures.items(), SAID))
                 said += f"; and {len(failures) - SAID} more" if len(failures) > SAID else ""
-                raise NumericalError(said + self._say_kept(len(found), len(tasks)))
+                if self.store is not None:
+                    said += f"; {len(found)} of {len(tasks)} tasks are kept in {self.store.partial}"
+                raise NumericalError(said)
             return found
 
         return wait
@@ -189,9 +191,6 @@ class Run:
     def once[S, R](self, stage: str, function: Callable[[S], R], shared: S, returns: Iterable[Any] = ()) -> R:
         """Return what a function makes of its inputs, as one task."""
         return self.map(stage, _call, (function, shared), {"all": None}, returns)["all"]
-
-    def _say_kept(self, n: int, total: int) -> str:
-        return "" if self.store is None else f"; {n} of {total} tasks are kept in {self.store.partial}"
 
 
 def _sort[R](tasks: Iterable[str], outcomes: Iterable[tuple[str, R | Failed]]) -> tuple[dict[str, R], dict[str, str]]:

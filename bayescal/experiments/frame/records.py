@@ -49,7 +49,10 @@ def _encode(value: Any, arrays: Record) -> Any:
         if value.dtype == object:
             raise TypeError("found an array of objects, expected numbers or texts")
         name = f"a{len(arrays)}"
-        arrays[name] = _make_contiguous(np.asarray(value))
+        array = np.asarray(value)
+        # an array keeps its order of axes in a file: BLAS sums another order in other last digits
+        ordered = array.flags.c_contiguous or array.flags.f_contiguous
+        arrays[name] = array if ordered else np.ascontiguousarray(array)
         return {TAG: "array" if isinstance(value, np.ndarray) else "scalar", "at": name}
     if isinstance(value, pd.DataFrame):
         columns = {str(name): _encode_column(value[name], arrays) for name in value.columns}
@@ -68,12 +71,6 @@ def _encode(value: Any, arrays: Record) -> Any:
 
 def _name(kind: type) -> str:
     return f"{kind.__module__}:{kind.__qualname__}"
-
-
-def _make_contiguous(array: Array) -> Array:
-    """Return an array that keeps its order of axes in a file: BLAS sums another order in other last digits."""
-    flags = array.flags
-    return array if flags.c_contiguous or flags.f_contiguous else np.ascontiguousarray(array)
 
 
 def _encode_column(column: pd.Series, arrays: Record) -> Any:
@@ -102,6 +99,8 @@ def decode(record: Mapping[str, Array], classes: Iterable[type] = ()) -> Any:
 
 
 def _decode(tree: Any, record: Mapping[str, Array], known: Mapping[str, type]) -> Any:
+    if isinstance(tree, list):
+        return [_decode(one, record, known) for one in tree]
     if not isinstance(tree, dict):
         return tree
     match tree[TAG]:
@@ -110,7 +109,7 @@ def _decode(tree: Any, record: Mapping[str, Array], known: Mapping[str, type]) -
         case "scalar":
             return record[tree["at"]][()]
         case "table":
-            columns = {name: _decode_column(one, record, known) for name, one in tree["columns"].items()}
+            columns = {name: _decode(one, record, known) for name, one in tree["columns"].items()}
             return pd.DataFrame(columns, index=pd.RangeIndex(tree["length"]))
         case "dataclass":
             inner = {name: _decode(one, record, known) for name, one in tree["fields"].items()}
@@ -118,14 +117,10 @@ def _decode(tree: Any, record: Mapping[str, Array], known: Mapping[str, type]) -
         case "dict":
             return {_decode(key, record, known): _decode(one, record, known) for key, one in tree["items"]}
         case "list":
-            return [_decode(one, record, known) for one in tree["items"]]
+            return _decode(tree["items"], record, known)
         case "tuple":
-            return tuple(_decode(one, record, known) for one in tree["items"])
+            return tuple(_decode(tree["items"], record, known))
     raise ValueError(f"found {tree[TAG]!r} in a record")
-
-
-def _decode_column(tree: Any, record: Mapping[str, Array], known: Mapping[str, type]) -> Any:
-    return [_decode(one, record, known) for one in tree] if isinstance(tree, list) else _decode(tree, record, known)
 
 
 def find_dataclasses(classes: Iterable[Any]) -> set[type]:

@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import pandas as pd
 
@@ -32,6 +32,8 @@ KINDS: dict[str, Callable[[str], Any]] = {
 
 type ColumnKind = Literal["number", "integer", "flag", "text"]
 type Writer = Callable[[Path], None]
+
+NUMBER = (int, float)
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,7 +160,8 @@ def read_results(folder: Path, only: Collection[str] | None = None) -> Results:
     if not isinstance(kinds, dict) or not all(isinstance(columns, dict) for columns in kinds.values()):
         raise InputError(f"{folder / PROVENANCE_FILE}: found no tables, expected results of this version")
     empty = provenance.get("empty_tables", {})
-    if not isinstance(empty, dict) or not all(map(_are_names, empty.values())):
+    lists = empty.values() if isinstance(empty, dict) else [None]
+    if not all(isinstance(one, list) and all(isinstance(column, str) for column in one) for one in lists):
         raise InputError(f"{folder / PROVENANCE_FILE}: empty_tables: found {empty!r}, expected lists of columns")
     for name in kinds:
         if not TABLE_NAME.fullmatch(name):
@@ -171,10 +174,6 @@ def read_results(folder: Path, only: Collection[str] | None = None) -> Results:
     for name, columns in empty.items():
         tables[name] = pd.DataFrame(columns=columns)
     return Results(summary, tables, {}, provenance, folder)
-
-
-def _are_names(columns: object) -> bool:
-    return isinstance(columns, list) and all(isinstance(column, str) for column in columns)
 
 
 def _read_table(path: Path, kinds: Mapping[str, str]) -> pd.DataFrame:
@@ -203,3 +202,25 @@ def _read_column(path: Path, cells: pd.Series, kind: str) -> pd.Series:
                 f"{path}, line {row}: {cells.name}: found {cell!r}, expected {add_article(kind)}"
             ) from error
     return pd.Series(values, name=cells.name)
+
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+type Kinds = type | tuple[type, ...]
+type Row = dict[str, Any]
+
+
+def check_keys(content: Any, keys: Mapping[str, Kinds], path: Path, where: str) -> None:
+    """Raise InputError where a JSON object lacks a key or holds a value of another kind; ``where`` leads to it."""
+    for key, kind in keys.items():
+        value = content.get(key)
+        if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
+            found = "nothing" if value is None else type(value).__name__
+            wanted = "a number" if kind == NUMBER else getattr(kind, "__name__", str(kind))
+            raise InputError(f"{path}: {where}{key}: found {found}, expected {wanted}")
+
+
+def list_rows(table: pd.DataFrame) -> list[Row]:
+    """Return the rows of a table by the names of its columns."""
+    return [{str(key): value for key, value in row.items()} for row in table.to_dict("records")]

@@ -36,7 +36,7 @@ from bayescal.experiments.frame.results import (
 )
 from bayescal.experiments.frame.store import Store
 from bayescal.experiments.frame.terminal import Progress
-from bayescal.report.blocks import Page, Statement
+from bayescal.report.blocks import Page
 from bayescal.report.page import PAGE, show_provenance, write_page
 
 MANY_PICTURES = 10  # fewer are drawn before other processes have started
@@ -232,14 +232,10 @@ def _write(
     with start_ahead(workers, experiment.page_imports) as await_workers:
         write_results(replace(results, summary=summary), folder, experiment.tables_in, experiment.digits)
         page = _write_page(experiment, blocks, folder, workers, await_workers)
-    said = {"headline": page.headline, "verdict": [_say(one) for one in page.verdict]}
-    write_json(folder / SUMMARY_FILE, {**summary, **said})
+    verdict = [{"lead": one.lead, "text": one.text, "level": one.level} for one in page.verdict]
+    write_json(folder / SUMMARY_FILE, {**summary, "headline": page.headline, "verdict": verdict})
     list_written(folder)
     return page
-
-
-def _say(statement: Statement) -> dict[str, str]:
-    return {"lead": statement.lead, "text": statement.text, "level": statement.level}
 
 
 def _write_page(
@@ -281,22 +277,19 @@ def write_report(folder: Path, trust: bool = False, workers: int = 1) -> Path:
     """
     experiment = find_results_kind(folder, trust)
     try:
-        _write_page(experiment, _find_results_blocks(folder, trust), folder, workers)
+        results = read_results(folder)
+        names = [find_kept(folder, results, "BLOCKS", str(name), trust) for name in results.config.get("blocks", [])]
+        _write_page(experiment, find_blocks(names, folder, folder / CODE), folder, workers)
     except (KeyError, IndexError, TypeError, ValueError, AttributeError, ArithmeticError, AssertionError) as error:
         what = f"{type(error).__name__}: {' '.join(str(error).split())}"
-        written, here = _find_version(folder), version("bayescal")
+        versions, here = read_results(folder).provenance.get("versions"), version("bayescal")
+        written = versions.get("bayescal") if isinstance(versions, dict) else None
         if written not in (None, here):
             raise InputError(
                 f"{folder}: found results of bayescal {written} ({what}), expected those of {here}: run it again"
             ) from error
         raise InputError(f"{folder}: found damaged results ({what}), expected those of a finished run") from error
     return folder / PAGE
-
-
-def _find_version(folder: Path) -> str | None:
-    """Return the version of bayescal that wrote results, as their provenance has it; None where it does not say."""
-    found = read_results(folder).provenance.get("versions")
-    return found.get("bayescal") if isinstance(found, dict) else None
 
 
 def find_results_kind(folder: Path, trust: bool = False) -> AnyExperiment:
@@ -308,13 +301,6 @@ def find_results_kind(folder: Path, trust: bool = False) -> AnyExperiment:
     if ":" not in found:
         return find_kind(found, folder, None)
     return find_kind(find_kept(folder, results, "KINDS", found, trust), folder, folder / CODE)
-
-
-def _find_results_blocks(folder: Path, trust: bool) -> list[PageBlock]:
-    """Return the blocks of one's own of a results directory's page; see `write_report`."""
-    results = read_results(folder)
-    names = [find_kept(folder, results, "BLOCKS", str(name), trust) for name in results.config.get("blocks", [])]
-    return find_blocks(names, folder, folder / CODE)
 
 
 def compare_results(folders: Sequence[Path], trust: bool = False) -> tuple[AnyExperiment, pd.DataFrame]:

@@ -145,8 +145,9 @@ class Progress:
             with self._draw(stage):
                 yield stage
         else:
-            with self._print(stage):
+            with _repeat(lambda: self._say(stage.describe()), EVERY):
                 yield stage
+            self._say(stage.describe())
 
     @contextmanager
     def _draw(self, stage: Stage) -> Iterator[None]:
@@ -163,12 +164,6 @@ class Progress:
 
             with _repeat(draw, REDRAWN):
                 yield
-
-    @contextmanager
-    def _print(self, stage: Stage) -> Iterator[None]:
-        with _repeat(lambda: self._say(stage.describe()), EVERY):
-            yield
-        self._say(stage.describe())
 
     def _say(self, line: str) -> None:
         print(line, file=self.console.file, flush=True)

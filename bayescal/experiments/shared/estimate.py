@@ -25,17 +25,22 @@ from bayescal.inference.diagnostics import (
     Diagnostics,
     list_check_problems,
     list_importance_problems,
-    list_scout_problems,
     list_stand_problems,
-    list_tail_problems,
     measure_longest_stand,
     measure_sensitivity,
 )
-from bayescal.inference.exploration import Exploration
+from bayescal.inference.exploration import Exploration, integrate_posterior
 from bayescal.inference.importance import ImportanceEvidence
-from bayescal.inference.integration import Effort, integrate_posterior, widen_tails
 from bayescal.inference.leave_one_out import LeftOut, leave_out, refit_doubtful
-from bayescal.inference.overdispersed import N_DRAWS, Scouts, Tails, compare_tails, draw_far_out, send_scouts
+from bayescal.inference.overdispersed import (
+    N_DRAWS,
+    Scouts,
+    Tails,
+    compare_tails,
+    draw_far_out,
+    send_scouts,
+    widen_tails,
+)
 from bayescal.inference.sampling import sample_posterior
 from bayescal.inference.schema import EvidenceConfig, SamplerConfig
 from bayescal.inference.stages import expect
@@ -195,8 +200,7 @@ class Estimate:
             self.importance.pareto_k, self.importance.efficiency * self.importance.n_draws
         )
         problems += list_stand_problems(self.longest_stand, self.n_steps)
-        problems += list_scout_problems(**vars(self.scouts))
-        problems += list_tail_problems(**vars(self.tails))
+        problems += self.scouts.list_problems() + self.tails.list_problems()
         if self.check is not None:
             own, check = (self.log_evidence, self.log_evidence_se), self.check
             problems += list_check_problems(own, (check.log_evidence, check.standard_error), check.mixed)
@@ -329,12 +333,11 @@ def _estimate(
     subject: Subject | None = None,
 ) -> tuple[Estimate, Exploration]:
     explore_seed, importance_seed, ensemble_seed, bridge_seed, _, correct_seed, *_ = _spawn(seed, name)
-    price = Effort(effort.draws, effort.target_error, effort.max_draws)
     walks = sampler.ensembles * sampler.walkers * (sampler.burn_in + sampler.steps)
     expect({"evidence": effort.draws, "tails": N_DRAWS, "sampling": walks, "bridge": effort.draws})
-    found, importance = integrate_posterior(posterior, explore_seed, importance_seed, sampler.walkers, price)
+    found, importance = integrate_posterior(posterior, explore_seed, importance_seed, sampler.walkers, effort)
     far = draw_far_out(found, _seed_for(seed, name, "tails"))
-    found, importance = widen_tails(found, importance, far, importance_seed, price)
+    found, importance = widen_tails(found, importance, far, importance_seed, effort)
     sample = sample_posterior(found, ensemble_seed, sampler.ensembles, sampler.walkers, sampler.burn_in, sampler.steps)
     bridge = estimate_by_bridge(
         found.straight.log_density,

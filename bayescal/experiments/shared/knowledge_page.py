@@ -7,9 +7,9 @@ from collections.abc import Mapping
 
 import pandas as pd
 
+from bayescal.experiments.frame.results import list_rows
 from bayescal.report.blocks import Cell, Column, Level, Section, Statement, make_section, make_table
 from bayescal.report.numbers import NOTHING, format_fixed, format_percent, format_significant
-from bayescal.report.reading import list_rows
 from bayescal.report.symbols import Asked, format_place, name_unit, shown_in
 
 VERDICT_LEVELS: dict[str, Level] = {"identifiable": "good", "weak": "warning", "not": "bad", "noise": "plain"}

@@ -17,8 +17,8 @@ from bayescal.errors import NumericalError
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.shared.estimate import Fit, Subject, shift_evidence
 from bayescal.inference.correction import correct_evidence
-from bayescal.inference.exploration import ACCEPTABLE, GOOD_ENOUGH, Exploration, explore, explore_near
-from bayescal.inference.importance import ImportanceEvidence, estimate_by_importance
+from bayescal.inference.exploration import ACCEPTABLE, GOOD_ENOUGH, Exploration, explore, explore_near, weigh_proposal
+from bayescal.inference.importance import ImportanceEvidence
 from bayescal.inference.schema import EvidenceConfig, SamplerConfig
 from bayescal.inference.target import Fittable
 from bayescal.limits import OUT_OF_QUESTION
@@ -107,6 +107,8 @@ def weigh_widths(
     seeds = np.random.SeedSequence([seed, zlib.crc32(task.key.encode())]).spawn(3)
     posterior, n = subject.posterior, subject.posterior.n_geometry
     starts = posterior.adopt(known.theta(task.modes), task.modes[:, n:])
+    less = {"draws": min(DRAWS, effort.draws), "target_error": max(ERROR, effort.target_error)}
+    effort = effort.model_copy(update=less)
     exploration, importance = _weigh(task, posterior, starts, seeds[0], seeds[1], sampler.walkers, effort)
     costly = subject.find_costly(exploration)
     return shift_evidence(importance, None if costly is None else correct_evidence(costly, exploration, seeds[2]))
@@ -126,25 +128,14 @@ def _weigh(
     try:
         for enough in (ACCEPTABLE, GOOD_ENOUGH):
             exploration = explore_near(posterior, starts, explore_seed, walkers, search=search, enough=enough)
-            importance = _estimate(exploration, importance_seed, effort)
+            importance = weigh_proposal(exploration, importance_seed, effort)
             if not importance.is_doubtful or task.behind > OUT_OF_QUESTION:
                 return exploration, importance
             starts, search = np.stack([mode.y for mode in exploration.modes]), False
     except NumericalError:
         pass  # no start led to a mode: the search from the beginning finds one, or says why not
     exploration = explore(posterior, explore_seed, walkers, anew=True)
-    return exploration, _estimate(exploration, importance_seed, effort)
-
-
-def _estimate(exploration: Exploration, seed: np.random.SeedSequence, effort: EvidenceConfig) -> ImportanceEvidence:
-    return estimate_by_importance(
-        exploration.straight.log_density,
-        exploration.proposal,
-        np.random.default_rng(seed),
-        min(DRAWS, effort.draws),
-        max(ERROR, effort.target_error),
-        effort.max_draws,
-    )
+    return exploration, weigh_proposal(exploration, importance_seed, effort)
 
 
 def tabulate_widths(

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 from matplotlib import figure as mpl
 
+from bayescal.experiments.frame.results import list_rows
 from bayescal.experiments.shared.origin import name_origin
 from bayescal.experiments.shared.slips import state_slip
 from bayescal.numerics.units import ARCSECOND, MICROMETRE
@@ -25,7 +26,6 @@ from bayescal.report.blocks import (
     make_table,
 )
 from bayescal.report.numbers import format_estimate, format_percent, format_plain, format_significant, join_words
-from bayescal.report.reading import list_rows
 from bayescal.report.style import GREY, LEG_COLOURS
 from bayescal.report.symbols import quote
 

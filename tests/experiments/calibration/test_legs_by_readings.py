@@ -8,8 +8,9 @@ from eliminated_legs import list_coordinates
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.shared.readings.inputs import read_inputs
 from bayescal.experiments.study.load import load_inputs
+from bayescal.inference.exploration import integrate_posterior
 from bayescal.inference.importance import resample
-from bayescal.inference.integration import Effort, integrate_posterior
+from bayescal.inference.schema import EvidenceConfig
 from bayescal.machines.readings import POSE
 
 STUDY = studies.EXPERIMENTS / "m2_hexapod" / "lengths.toml"
@@ -148,7 +149,9 @@ def to_general(fast, general, y):
 def integrate(posterior):
     """Return the evidence with its standard error, draws (S, n) in the posterior's own coordinates."""
     seeds = np.random.SeedSequence(28).spawn(2)
-    explored, evidence = integrate_posterior(posterior, *seeds, 64, Effort(4000, 0.008, 12000))
+    explored, evidence = integrate_posterior(
+        posterior, *seeds, 64, EvidenceConfig(draws=4000, target_error=0.008, max_draws=12000)
+    )
     rng = np.random.default_rng(1)
     drawn = resample(explored.straight.log_density, explored.proposal, rng, 12000, 4000).draws
     return evidence, explored.straight.y_from_x(drawn)

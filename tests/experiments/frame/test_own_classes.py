@@ -148,13 +148,6 @@ def test_files_and_lines_are_named(folder, tmp_path):
         load_experiment(path)
 
 
-def test_a_module_that_raises_is_one_line(tmp_path):
-    path = own_classes.write_study(tmp_path)
-    (tmp_path / "own.py").write_text("raise RuntimeError('broken\\nin two lines')")
-    with pytest.raises(InputError, match=r"model: found .* fails to import \(RuntimeError: broken in two lines\)"):
-        load_experiment(path)
-
-
 def test_nothing_is_imported_that_is_not_named(tmp_path):
     path = studies.write_tiny_study(tmp_path)
     (tmp_path / "own.py").write_text("raise RuntimeError('imported')")

@@ -60,12 +60,3 @@ def test_only_named_dataclasses_are_made():
 def test_other_values_are_refused(value):
     with pytest.raises(TypeError, match="found a"):
         encode(value)
-
-
-def test_a_damaged_record_is_computed_anew(tmp_path):
-    store = Store(tmp_path / "out")
-    store.begin({}, resume=False)
-    store.save_task("task", encode([1.0]))
-    path = store.partial / "task.npz"
-    path.write_bytes(path.read_bytes()[:-20])
-    assert store.load_task("task") is None

@@ -12,8 +12,8 @@ import pandas as pd
 import pytest
 from papers import SIKA
 from rich.console import Console
-from sika_problems import copy_tiny
 from sliding_platforms import make_content
+from tiny_experiments import copy_tiny
 
 from bayescal.experiments.frame.identity import hash_identity, identify
 from bayescal.experiments.frame.load import load_experiment
@@ -57,7 +57,7 @@ FIGURES = {"errors", "machines", "parameters", "path", "predictors", "sweep"}
 @pytest.fixture
 def path(tmp_path):
     """Return the config of the shipped experiment, tiny."""
-    return copy_tiny(tmp_path)
+    return copy_tiny(tmp_path, "sika2008", "sliding_star") / "sika2008" / "calibrations.toml"
 
 
 @pytest.fixture

@@ -74,15 +74,6 @@ def leave_out_pictures(files):
     }
 
 
-@pytest.mark.slow  # the contract of all kinds has the same of this very experiment
-@pytest.mark.parametrize("tiny", ["figure10"], indirect=True)  # all three select their poses by the same function
-def test_two_workers_change_nothing(tiny, tmp_path):
-    _, path, out, _ = tiny
-    run_experiment(load_experiment(path), path.parent, tmp_path / "two", workers=2)
-    for table in out.glob("*.csv"):
-        assert table.read_bytes() == (tmp_path / "two" / table.name).read_bytes()
-
-
 @pytest.mark.parametrize("tiny", ["table4"], indirect=True)
 def test_table4_has_published_errors_and_workspaces(tiny):
     out = tiny[2]

@@ -15,9 +15,11 @@ from bayescal.numerics.geometry import matrix_from_rotation_vector
 from bayescal.pose_selection import candidates_at, even_candidates
 from bayescal.pose_selection.observability import angle_rates
 from yu2023.least_squares import (
+    PoseErrors,
     Weighting,
     calibrate,
     coordinates_from_pose,
+    evaluate,
     find_lengths,
     linearise,
     move,
@@ -162,3 +164,69 @@ def test_too_few_poses_are_named():
     with pytest.raises(InputError, match="poses: found 6, expected at least 7 for 42 parameters"):
         calibrate(MACHINE, poses.actuators, measured, WEIGHTINGS["unweighted"])
     assert calibrate(MACHINE, poses.actuators, measured, WEIGHTINGS["bayesian"]).converged.all()
+
+
+def test_integrated_error_by_hand():
+    errors = PoseErrors(np.array([[3.0, 4.0]]), np.array([[0.1, 0.2]]))
+    np.testing.assert_allclose(errors.integrated("rad"), np.sqrt((3.1**2 + 4.2**2) / 2))
+    degrees = np.degrees([0.1, 0.2])
+    np.testing.assert_allclose(errors.integrated("deg"), np.sqrt(((3 + degrees[0]) ** 2 + (4 + degrees[1]) ** 2) / 2))
+    figures = errors.figures
+    assert figures["position_max_mm"] == 4.0
+    assert figures["position_mean_mm"] == 3.5
+    np.testing.assert_allclose(figures["attitude_mean_deg"], np.degrees(0.15))
+    np.testing.assert_allclose(figures["attitude_max_deg"], np.degrees(0.2))
+
+
+def test_perfect_calibration_has_no_error():
+    truth = SETTING.draw_machines(3, np.random.default_rng(0))
+    errors = evaluate(MACHINE, truth, truth, SETTING.targets)
+    assert errors.position.shape == (3, 150)
+    assert errors.position.max() < 1e-9
+    assert errors.attitude.max() < 1e-12
+
+
+def test_shifted_base_moves_the_platform_by_as_much():
+    nominal = MACHINE.layout.nominal
+    truth = nominal.copy()
+    for symbol, shift in (("a_x", 0.3), ("a_y", -0.4)):
+        truth[MACHINE.layout.index[symbol]] += shift
+    errors = evaluate(MACHINE, truth[None], nominal[None], SETTING.targets)
+    np.testing.assert_allclose(errors.position, 0.5, atol=1e-9)
+    assert errors.attitude.max() < 1e-10
+
+
+def test_failed_calibrations_have_no_errors():
+    nominal = MACHINE.layout.nominal
+    found = np.stack([nominal, np.full_like(nominal, np.nan)])
+    errors = evaluate(MACHINE, np.tile(nominal, (2, 1)), found, SETTING.targets)
+    assert np.isnan(errors.position[1]).all()
+    assert errors.position[0].max() < 1e-9
+
+
+def test_rotation_is_the_printed_one():
+    a, b, g = 0.1, -0.2, 0.3
+    _, rotation = pose_from_coordinates(np.array([1.0, 2.0, 3.0, a, b, g]))
+    ca, sa, cb, sb, cg, sg = np.cos(a), np.sin(a), np.cos(b), np.sin(b), np.cos(g), np.sin(g)
+    printed = [
+        [cg * cb, cg * sb * sa - sg * ca, cg * sb * ca + sg * sa],
+        [sg * cb, sg * sb * sa + cg * ca, sg * sb * ca - cg * sa],
+        [-sb, cb * sa, cb * ca],
+    ]
+    np.testing.assert_allclose(rotation, printed, atol=1e-15)
+
+
+def test_coordinates_come_back():
+    q = np.random.default_rng(0).uniform(-1.0, 1.0, (4, 5, 6))
+    np.testing.assert_allclose(coordinates_from_pose(*pose_from_coordinates(q)), q, atol=1e-14)
+
+
+def test_rates_match_differences():
+    q = np.random.default_rng(1).uniform(-0.5, 0.5, (7, 6))
+    position, rotation = pose_from_coordinates(q)
+    rates = angle_rates(rotation)
+    for k in range(3):
+        step = 1e-6 * np.eye(3)[k]
+        ahead = coordinates_from_pose(position, matrix_from_rotation_vector(np.tile(step, (7, 1))) @ rotation)
+        behind = coordinates_from_pose(position, matrix_from_rotation_vector(np.tile(-step, (7, 1))) @ rotation)
+        np.testing.assert_allclose(rates[..., k], (ahead - behind)[:, 3:] / 2e-6, atol=1e-9)

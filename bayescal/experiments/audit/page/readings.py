@@ -11,6 +11,7 @@ from bayescal.experiments.audit.page.figures import draw_counts, draw_sets
 from bayescal.experiments.audit.page.results import AuditResults
 from bayescal.experiments.audit.page.verdict import find_last_that_pays
 from bayescal.experiments.audit.page.wording import format_probability, format_share
+from bayescal.experiments.frame.results import list_rows
 from bayescal.experiments.shared.headline import rate_probability
 from bayescal.report.blocks import Cell, Column, Figure, Section, Table, make_section, make_table
 from bayescal.report.numbers import (
@@ -22,7 +23,6 @@ from bayescal.report.numbers import (
     format_significant,
     join_words,
 )
-from bayescal.report.reading import list_rows
 from bayescal.report.symbols import Asked, format_place, name_unit, shown_in
 
 MANY = 12  # sets that are listed

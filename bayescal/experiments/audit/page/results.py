@@ -13,10 +13,9 @@ import numpy as np
 import pandas as pd
 
 from bayescal.errors import InputError
-from bayescal.experiments.frame.results import SUMMARY_FILE, Results
+from bayescal.experiments.frame.results import NUMBER, SUMMARY_FILE, Results, check_keys
 from bayescal.experiments.shared.joints import COLUMNS as JOINT_COLUMNS
 from bayescal.limits import DEAD, INFORMED
-from bayescal.report.reading import NUMBER, check_keys
 from bayescal.report.symbols import split_name
 
 # --- what the files must hold ----------------------------------------------------------------------------------------

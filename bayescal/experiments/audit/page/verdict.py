@@ -19,6 +19,7 @@ from bayescal.experiments.audit.page.wording import (
     say,
     say_most,
 )
+from bayescal.experiments.frame.results import Row, list_rows
 from bayescal.experiments.shared.headline import (
     LIKELY,
     rate_probability,
@@ -38,7 +39,6 @@ from bayescal.report.numbers import (
     format_significant,
     join_words,
 )
-from bayescal.report.reading import Row, list_rows
 from bayescal.report.symbols import format_amount, format_place, name_unit
 
 UNLIKELY = 0.5

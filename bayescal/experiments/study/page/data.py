@@ -9,6 +9,7 @@ from typing import Any
 
 import pandas as pd
 
+from bayescal.experiments.frame.results import Row
 from bayescal.experiments.shared import knowledge_page
 from bayescal.experiments.shared.origin import name_origin
 from bayescal.experiments.study.page.results import VERDICTS, StudyResults, get_number
@@ -25,7 +26,6 @@ from bayescal.report.blocks import (
     make_table,
 )
 from bayescal.report.numbers import NOTHING, format_estimate, format_fixed, format_significant, join_words
-from bayescal.report.reading import Row
 
 SHOWN_TARGETS = 20
 INSTRUMENTS = {"poses": "poses, whole or in part, as an instrument hands them out", "points": "tracked points"}

@@ -15,6 +15,7 @@ from matplotlib.figure import Figure as Drawing
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter
 
+from bayescal.experiments.frame.results import Row
 from bayescal.experiments.study.page.results import (
     SETTINGS,
     SHORT_SETTINGS,
@@ -37,7 +38,6 @@ from bayescal.report.numbers import (
     format_significant,
     join_words,
 )
-from bayescal.report.reading import Row
 from bayescal.report.style import GREY, INK, LEG_COLOURS, PALE, RED
 from bayescal.report.symbols import describe_deformation, quote
 

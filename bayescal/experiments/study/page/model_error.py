@@ -12,6 +12,7 @@ import pandas as pd
 from matplotlib.figure import Figure as Drawing
 from matplotlib.lines import Line2D
 
+from bayescal.experiments.frame.results import Row
 from bayescal.experiments.shared.study_schema import stem_of
 from bayescal.experiments.study.page.parameters import draw_intervals, label_legs
 from bayescal.experiments.study.page.results import VARIANT, StudyResults
@@ -26,7 +27,6 @@ from bayescal.report.numbers import (
     format_span,
     join_words,
 )
-from bayescal.report.reading import Row
 from bayescal.report.style import GREY, INK, LEG_COLOURS
 from bayescal.report.symbols import MODEL_ERROR, quote, set_parameter, split_name
 

@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 
 from bayescal.errors import InputError
-from bayescal.experiments.frame.results import SUMMARY_FILE, Results
+from bayescal.experiments.frame.results import NUMBER, SUMMARY_FILE, Kinds, Results, Row, check_keys, list_rows
 from bayescal.experiments.shared.headline import (
     Candidate,
     choose_best,
@@ -28,7 +28,6 @@ from bayescal.experiments.shared.trees import name_file
 from bayescal.numerics.geometry import matrix_from_rotation_vector, rotation_vector_of_turn
 from bayescal.report.blocks import Column
 from bayescal.report.numbers import MICROMETRES, format_pair, join_words
-from bayescal.report.reading import NUMBER, Kinds, Row, check_keys, list_rows
 from bayescal.report.symbols import OF_KERNELS, Asked, describe_deformation, scale_of, shown_in, split_name
 
 if TYPE_CHECKING:

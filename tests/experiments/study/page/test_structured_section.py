@@ -7,7 +7,7 @@ import pytest
 from made_up_results import read_page, read_study
 
 from bayescal.experiments.study.page.model_error import show_structured
-from bayescal.report.blocks import Figure, Fold, Statement, Table, find_figures
+from bayescal.report.blocks import Figure, Fold, Statement, Table, unfold
 
 ERROR = {
     "kernel": "smooth, length 5",
@@ -84,9 +84,9 @@ def test_what_no_deformation_explains_is_said(make_results):
 
 def test_pictures_are_of_slopes_and_of_the_course_where_these_are_not_all(make_results):
     section, _ = read_section(make_results)
-    straight = list(find_figures(section.blocks))
+    straight = [one for one in unfold(section.blocks) if isinstance(one, Figure)]
     section, _ = read_section(make_results, linear_share=0.6)
-    bent = list(find_figures(section.blocks))
+    bent = [one for one in unfold(section.blocks) if isinstance(one, Figure)]
     assert [figure.name for figure in straight] == ["structured-pus-none"]
     assert [figure.name for figure in bent] == ["structured-pus-none", "structured-course-pus-none"]
     assert not any(isinstance(block, Fold) for block in section.blocks)

@@ -1,10 +1,12 @@
-"""Numbers as text, in the one place where they are rounded."""
+"""Numbers as text, in the one place where they are rounded; symbols of parameters as figures set them."""
 
 from __future__ import annotations
 
 import math
 
 import numpy as np
+import pytest
+from matplotlib.mathtext import MathTextParser
 
 from bayescal.report.numbers import (
     format_estimate,
@@ -16,6 +18,7 @@ from bayescal.report.numbers import (
     format_scientific,
     format_significant,
 )
+from bayescal.report.symbols import set_mathematics, set_parameter, split_name
 
 
 def test_numbers_are_rounded_as_the_report_shows_them():
@@ -42,3 +45,18 @@ def test_numbers_of_any_size_are_written_with_powers_of_ten():
     assert format_power(12.345) == "12"
     assert format_power(0.0) == "0"
     assert format_power(math.nan) == "–"
+
+
+@pytest.mark.parametrize("name", ["a_x[3]", "rho0[1]", "k1_d[2]", "wear_of_2[1]", "c", "x y[2]", "__"])
+def test_any_name_of_a_parameter_can_be_set(name):
+    for text in (set_parameter(name), set_mathematics(split_name(name)[0])):
+        width, height, *_ = MathTextParser("path").parse(text)
+        assert min(width, height) > 0.0
+
+
+def test_known_forms_have_their_marks():
+    assert [set_parameter(name) for name in ("a_x[3]", "rho0[1]", "wear_of_2[1]")] == [
+        "$a_{x,3}$",
+        "$ρ_{1}^{0}$",
+        "wear_of_2[1]",
+    ]

@@ -1,4 +1,4 @@
-"""Walkers that start far out: planted misses of a proposal are seen, and nothing is said where there is none."""
+"""Draws and walkers from far out: planted misses of a proposal are seen, and nothing is said where there is none."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from bayescal.inference.diagnostics import list_importance_problems, list_scout_problems
+from bayescal.inference.diagnostics import list_importance_problems
 from bayescal.inference.exploration import Exploration
 from bayescal.inference.importance import estimate_by_importance
-from bayescal.inference.overdispersed import Stretched, draw_far_out, send_scouts
+from bayescal.inference.overdispersed import Stretched, Tails, compare_tails, draw_far_out, fit_tails, send_scouts
 from bayescal.inference.proposal import MixtureProposal
 from bayescal.inference.sampling import sample_posterior
 from bayescal.inference.straightening import Straightening
@@ -72,16 +72,20 @@ def gaussian(*sd, means=((0.0,) * N,)):
     return MixtureProposal(np.full(len(means), 1.0 / len(means)), np.array(means), np.array([scale] * len(means)), 50.0)
 
 
+def explored(density, proposal):
+    """Return what an exploration that found a proposal would be."""
+    return Exploration(Straightening(Toy(density), np.zeros(N), (), np.empty(0), np.empty(0)), proposal, [], 1.0)
+
+
 def look(density, proposal, seed=1):
     """Return the problems that other diagnostics name of a proposal and its sample, and those that scouts do."""
-    straight = Straightening(Toy(density), np.zeros(N), (), np.empty(0), np.empty(0))
-    found = Exploration(straight, proposal, [], 1.0)
+    found = explored(density, proposal)
     first, second, third, fourth = np.random.SeedSequence(seed).spawn(4)
     sample = sample_posterior(found, first, 4, 64, 20, 40)
     weighed = estimate_by_importance(density, proposal, np.random.default_rng(third), 5000)
     others = sample.diagnostics.list_problems()
     others += list_importance_problems(weighed.pareto_k, weighed.efficiency * weighed.n_draws)
-    return others, list_scout_problems(**vars(send_scouts(found, sample, draw_far_out(found, fourth), second)))
+    return others, send_scouts(found, sample, draw_far_out(found, fourth), second).list_problems()
 
 
 def test_a_mode_that_all_others_are_blind_to_is_seen():
@@ -127,3 +131,64 @@ def test_stretched_density_is_that_of_its_draws(shift):
     weights = np.exp(-0.5 * (white * white).sum(axis=0) - wide.log_density(draws)) / np.linalg.det(factor) / (2 * np.pi)
     assert weights.mean() == pytest.approx(1.0, abs=4 * weights.std() / np.sqrt(len(weights)))
     assert weights.std() < 4 * weights.mean()
+
+
+# --- tails ------------------------------------------------------------------------------------------------------------
+
+
+def compare(density, proposal, n_steps=40, seed=1):
+    """Return what ensembles have of a density's tails beyond a proposal."""
+    found = explored(density, proposal)
+    first, second = np.random.SeedSequence(seed).spawn(2)
+    sample = sample_posterior(found, first, 4, 64, n_steps // 2, n_steps)
+    return compare_tails(found, sample, draw_far_out(found, second))
+
+
+@pytest.mark.parametrize("name", ["minor mode", "bend", "long tail"])
+def test_tails_that_a_short_run_lacks_are_named(name):
+    (said,) = compare(*MISSED[name]).list_problems()
+    assert "more steps get there" in said
+
+
+@pytest.mark.parametrize("name", CLEAN)
+def test_nothing_is_said_of_draws_that_lack_nothing(name):
+    assert not compare(*CLEAN[name]).list_problems()
+
+
+def test_more_steps_get_there():
+    """Beyond where the proposal's density is 20 times too low lies the share of an exponential tail in closed form."""
+    short, long = (compare(long_tail, gaussian(), n) for n in (20, 2000))
+    assert short.found < 0.5 * long.found
+    assert not long.list_problems()
+    mass = 5.0 + np.sqrt(np.pi / 2.0)  # of exp(-y / 5) and of half a normal
+    log_excess = np.linspace(0.0, 40.0, 400_001)  # y > 0, the other coordinates at their proposal's own density, nearly
+    ratio = 0.5 * np.log(2.0 * np.pi) - np.log(mass) - log_excess / 5.0 + 0.5 * log_excess**2
+    begins = log_excess[np.argmax(ratio > np.log(20.0))]
+    share = 5.0 * np.exp(-begins / 5.0) / mass
+    assert long.expected == pytest.approx(share, abs=4.0 * long.error)
+    assert long.found == pytest.approx(share, abs=0.05)
+
+
+def test_a_small_lack_and_one_by_chance_are_not_said():
+    assert not Tails(0.009, 0.0, 0.0).list_problems()
+    assert not Tails(0.05, 0.01, 0.02).list_problems()
+    assert not Tails(0.0, 0.0, 0.0).list_problems()
+    assert Tails(0.05, 0.01, 0.01).list_problems()
+
+
+def test_a_proposal_gets_the_tails_that_a_posterior_has():
+    """Of a Student t of three degrees of freedom a Gaussian's own draws do not know."""
+
+    def student(y):
+        return -0.5 * (3.0 + N) * np.log1p((y * y).sum(axis=1) / 3.0)
+
+    found = explored(student, gaussian())
+    wider = fit_tails(found, draw_far_out(found, np.random.SeedSequence(2)))
+    assert wider.proposal.dof == 4.0
+    assert 0.5 < wider.efficiency <= 1.0
+
+
+@pytest.mark.parametrize("name", CLEAN)
+def test_a_proposal_that_leads_everywhere_stays_as_it_is(name):
+    found = explored(*CLEAN[name])
+    assert fit_tails(found, draw_far_out(found, np.random.SeedSequence(3))) is found

@@ -1,4 +1,4 @@
-"""Work that begins before it is waited for: workers that start ahead, and stages of which others do not wait."""
+"""Work side by side and ahead: the same for any number of workers, which start before they are waited for."""
 
 from __future__ import annotations
 
@@ -11,11 +11,14 @@ from functools import partial
 from pathlib import Path
 
 import pytest
+from matplotlib.figure import Figure as Drawing
 
 from bayescal.errors import InputError, NumericalError
 from bayescal.experiments.frame.engine import Processes, call_side_by_side, start_ahead, stop_workers
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.store import Store
+from bayescal.report.blocks import Figure, Page, Section
+from bayescal.report.page import write_page
 
 pytestmark = pytest.mark.runs
 
@@ -113,3 +116,37 @@ def test_what_fails_is_told_when_it_is_waited_for(tmp_path, workers):
     wait = Run(Processes(workers)).begin("squares", touch, tmp_path, {"a": 1, "b": 3})
     with pytest.raises(NumericalError, match=r"^b: too large"):
         wait()
+
+
+def draw(n: int) -> Drawing:
+    """Return a figure with a line to n."""
+    drawing = Drawing(figsize=(4.5, 1.0))
+    for panel in drawing.subplots(1, 2):
+        panel.plot([0.0, 1.0], [0.0, n])
+    return drawing
+
+
+def fail() -> None:
+    """Raise what is the user's fault."""
+    raise InputError("found nothing")
+
+
+def test_a_page_is_the_same_however_many_processes_draw_it(tmp_path):
+    figures = tuple(Figure(f"f{n}", f"line to {n}", partial(draw, n)) for n in range(5))
+    page = Page("Kind", "a", "b", "c", "d", (), (Section("Lines", figures),), ())
+    for n in (1, 2):
+        (tmp_path / str(n)).mkdir()
+    one, two = (write_page(page, tmp_path / str(n), render=partial(call_side_by_side, n)) for n in (1, 2))
+    assert one.read_bytes() == two.read_bytes()
+    drawn = sorted((tmp_path / "1" / "figures").iterdir())
+    assert [path.name for path in drawn] == [f"f{n}.png" for n in range(5)]
+    for path in drawn:
+        assert path.read_bytes() == (tmp_path / "2" / "figures" / path.name).read_bytes()
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_calls_keep_their_names_and_order_and_raise_what_they_raise(workers):
+    calls = {name: partial(str.upper, name) for name in "cab"}
+    assert list(call_side_by_side(workers, calls).items()) == [("c", "C"), ("a", "A"), ("b", "B")]
+    with pytest.raises(InputError, match=r"^found nothing$"):
+        call_side_by_side(workers, {"good": partial(str, 1), "bad": fail})

@@ -1,0 +1,13 @@
+"""Experiments of all kinds in a folder, for tests that change their files."""
+
+from pathlib import Path
+
+import pytest
+from fuzz.subjects import write_subjects
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("subjects")
+    write_subjects(folder)
+    return folder / "experiments"

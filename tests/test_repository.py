@@ -1,0 +1,136 @@
+"""What stands around the package: benchmarks run, contracts cover what is added, CONTRIBUTING.md shows what works."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+ROOT = Path(__file__).parents[1]
+TINY = {
+    "audit.py --points 2": (),
+    "growth.py --what audit --most 20": (),
+    "hexapod_calibrations.py --alone 1": (),
+    "kernel_length.py --density": (),
+    "likelihood.py --models --repeats 2": (),
+    "likelihood.py --repeats 2": ("numba",),
+    "lookup_table.py --twins 1": (),
+    "memory.py --kinds calibration --sizes 0": (),
+    "model_error.py --twins 1 --kernels linear --variants six_pus/none": (),
+    "next_pose.py --twins 1 --poses 10": (),
+    "peers.py --posteriors lengths --seconds 1 --steps 5 --warm-up 50 --draws 50 --live 50": (
+        *("jax", "numpyro", "dynesty", "nautilus"),
+    ),
+    "pose_selection.py --candidates 300 --iterations 5 --sets 5": (),
+    "recheck.py --twins 1": (),
+    "sampling.py --warm-up 50 --draws 50": ("jax", "numpyro"),
+    "sessions.py --twins 1": (),
+    "slips.py --twins 1": (),
+    "soak.py --minutes 0.1": (),
+}
+"""By command: what it needs that the tests do not."""
+PARTS = {"jax_density", "numba_loops", "peers_evidence", "peers_posteriors", "peers_sampling", "telescope_problem"}
+
+ADDED = {
+    "compute": "from bayescal.experiments.added import page",
+    "page": "from bayescal.density import priors",
+    "kind": "from bayescal.experiments.study import kind",
+}
+BROKEN = ("No kind of experiment imports another", "Computation imports no page", "Pages know results")
+
+BLOCK = re.compile(r"^```(\w+)(?: (\S+))?\n(.*?)^```$", flags=re.MULTILINE | re.DOTALL)
+SECTIONS = {"machine", "instrument", "error term", "page block", "kind"}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", TINY)
+def test_a_benchmark_runs_tiny(command, tmp_path):
+    for module in TINY[command]:
+        pytest.importorskip(module)
+    for folder in ("benchmarks", "experiments", "examples", "tests"):
+        shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__", "results"))
+    (tmp_path / "benchmarks" / "results").mkdir()
+    script, *options = command.split()
+    done = subprocess.run(
+        [sys.executable, tmp_path / "benchmarks" / script, *options],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr[-1000:]
+
+
+def test_every_benchmark_is_run():
+    run = {command.split()[0].removesuffix(".py") for command in TINY}
+    assert run | PARTS == {path.stem for path in (ROOT / "benchmarks").glob("*.py")}
+
+
+@pytest.mark.runs
+def test_an_added_kind_is_covered(tmp_path):
+    shutil.copytree(ROOT / "bayescal", tmp_path / "bayescal", ignore=shutil.ignore_patterns("__pycache__"))
+    added = tmp_path / "bayescal" / "experiments" / "added"
+    added.mkdir()
+    for name in ("__init__", *ADDED):
+        (added / f"{name}.py").write_text(ADDED.get(name, "") + "\n")
+    run = subprocess.run(
+        [Path(sys.executable).with_name("lint-imports"), "--no-cache", "--config", ROOT / ".importlinter"],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(tmp_path)},
+        capture_output=True,
+        text=True,
+    )
+    said = " ".join(run.stdout.split())
+    assert run.returncode == 1
+    for name in BROKEN:
+        assert f"{name}" in said
+    for one in ("compute -> bayescal.experiments.added.page", "page -> bayescal.density.priors"):
+        assert f"bayescal.experiments.added.{one}" in said
+    assert "bayescal.experiments.added.kind -> bayescal.experiments.study.kind" in said
+
+
+def read_sections() -> dict[str, list[tuple[str, str, str]]]:
+    """Return language, file name and text of each section's blocks."""
+    found = {}
+    for section in re.split(r"^### ", (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8"), flags=re.MULTILINE)[1:]:
+        name = re.match(r"(?:A|An) ([a-z ]+):", section)
+        assert name is not None
+        found[name[1]] = BLOCK.findall(section)
+    return found
+
+
+@pytest.mark.runs
+def test_everything_that_contributing_shows_is_done(call, tmp_path, monkeypatch, no_pictures):
+    monkeypatch.chdir(tmp_path)
+    sections = read_sections()
+    assert set(sections) == SECTIONS
+    for name, blocks in sections.items():
+        classes = [file for language, file, _ in blocks if language == "python"]
+        assert len(classes) == 1, name
+        for language, file, text in blocks:
+            if language != "sh":
+                (tmp_path / file).write_text(text, encoding="utf-8")
+                continue
+            for line in text.splitlines():
+                command, *arguments = shlex.split(line)
+                assert command == "bayescal"
+                more = ["--workers", "2", "--quiet"] if arguments[0] == "run" else []
+                code, _, complaint = call(*arguments, *more)
+                assert code == 0 or "not everything converged" in complaint, (name, complaint)
+    found = tmp_path / "results"
+    parameters = pd.read_csv(next((found / "arm_by_laser").rglob("parameters.csv")))
+    assert "laser_zero" not in set(parameters["parameter"])  # known where it has no tolerance
+    assert "vibration" in (found / "arm_that_shakes" / "report.html").read_text()
+    report = (found / "arm_with_lengths" / "report.html").read_text()
+    assert "Lengths of the links" in report
+    assert "Lengths of the links" not in (found / "arm" / "report.html").read_text()
+    assert (found / "arm_with_lengths" / "code" / "lengths.py").is_file()
+    assert "The largest standard deviation of an approach" in (found / "repeatability" / "report.html").read_text()
