@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -60,6 +61,11 @@ def build_telescope_problem(deformation: str = "none", model: str = "six_pus", *
     actuators = machine.mechanism.initial_actuator_positions + machines.ACTUATOR_RANGE * machines.TABLE_3
     fields = {"sensors": (PoseSensor(2e-3, 1.7e-5),), "actuator_noise": 1e-3}
     return build_knowledge(machine), Plan(actuators, **(fields | changes))
+
+
+def scale_tolerances(knowledge: Knowledge, share: float) -> Knowledge:
+    """Return a machine known better, or worse."""
+    return replace(knowledge, priors={name: share * sd for name, sd in knowledge.priors.items()})
 
 
 def foretell(knowledge: Knowledge, actuators: np.ndarray, plan: Plan) -> Forecast:

@@ -25,7 +25,7 @@ from bayescal.density.calibration.terms import Errors
 from bayescal.density.schema import BlundersConfig
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.shared.readings.inputs import read_inputs as read_calibration
-from bayescal.experiments.study.load import load_inputs as load_study
+from bayescal.experiments.study.inputs import load_inputs as load_study
 from bayescal.inference.mode import find_modes
 from bayescal.numerics.units import ARCSECOND, MICROMETRE
 

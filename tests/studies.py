@@ -11,8 +11,7 @@ from typing import Any
 from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.frame.results import Results, read_results
 from bayescal.experiments.frame.run import compute_experiment
-from bayescal.experiments.study.inputs import StudyInputs
-from bayescal.experiments.study.load import load_inputs
+from bayescal.experiments.study.inputs import StudyInputs, load_inputs
 from bayescal.machines.kinematics import STEP_TOLERANCE
 
 EXPERIMENTS = Path(__file__).parents[1] / "experiments"

@@ -13,12 +13,7 @@ FAR, OF_FAR = 1e3, 1e-3
 """A machine drawn from the prior may leave readings 10⁴ deviations off: 10⁹ nats below the mode second order counts."""
 READINGS = ("hangprinter", "m2_hexapod_table", "own_machine", "sliding_star", "linear: ", "smooth: ")
 """Posteriors whose poses are eliminated."""
-NAMES = list(frozen.read_frozen())
-
-
-@pytest.fixture(scope="module")
-def known():
-    return frozen.read_frozen()
+KNOWN = frozen.read_frozen()
 
 
 @pytest.fixture(scope="module")
@@ -30,8 +25,12 @@ def choose_tolerances(name):
     return ELIMINATED if any(one in name for one in READINGS) else MOVED
 
 
-def compare(known, posteriors, name, points):
-    entry = known[name]
+@pytest.mark.parametrize(
+    "points", [FEW, pytest.param(list(range(frozen.N_POINTS)), marks=pytest.mark.slow)], ids=["some", "all"]
+)
+@pytest.mark.parametrize("name", KNOWN)
+def test_posterior_is_what_it_was(posteriors, name, points):
+    entry = KNOWN[name]
     posterior, exact = posteriors[name]()
     y = frozen.draw_points(name, entry["mode"], entry["scale"])[points]
     exact = exact if len(points) > frozen.N_EXACT else None
@@ -57,26 +56,15 @@ def compare(known, posteriors, name, points):
         assert np.nanmax(off) <= 1.0, f"{key}: {np.nanmax(off):.3g} times the tolerance"
 
 
-def test_all_posteriors_are_frozen(known, posteriors):
-    assert list(posteriors) == NAMES
-    assert len(NAMES) == 85
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_posterior_is_what_it_was_at_some_points(known, posteriors, name):
-    compare(known, posteriors, name, FEW)
+def test_all_posteriors_are_frozen(posteriors):
+    assert list(posteriors) == list(KNOWN)
+    assert len(KNOWN) == 85
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", NAMES)
-def test_posterior_is_what_it_was(known, posteriors, name):
-    compare(known, posteriors, name, list(range(frozen.N_POINTS)))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", NAMES)
-def test_mode_is_found_again(known, posteriors, name):
-    entry, posterior = known[name], posteriors[name]()[0]
+@pytest.mark.parametrize("name", KNOWN)
+def test_mode_is_found_again(posteriors, name):
+    entry, posterior = KNOWN[name], posteriors[name]()[0]
     mode, _ = frozen.find_mode(posterior)
     gained = posterior.log_density(mode[None])[0] - entry["density"][0]
     relative = choose_tolerances(name)["density"][0]  # of a model that misfits by 10⁶ nats, too

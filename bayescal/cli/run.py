@@ -163,7 +163,7 @@ def poses_from_targets(
     from bayescal.config.load import look_up
     from bayescal.data.photogrammetry.poses import METHODS
     from bayescal.experiments.frame.load import load_kind
-    from bayescal.experiments.study.load import load_inputs
+    from bayescal.experiments.study.inputs import load_inputs
     from bayescal.experiments.study.tables import format_poses
 
     config = load_kind(experiment, "study")

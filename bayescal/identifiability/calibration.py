@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from scipy.stats import betabinom
@@ -32,91 +31,61 @@ from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array, compute_pose_e
 
 ROUNDS = 20
 LIMITS = (1.0, 1.96)  # standard deviations
-NORMAL_MEDIAN = 0.67449  # of the size of a standard normal number
 RANK = 1e-12  # of a scaled information, below which a coordinate is not measured
 CHUNK = 25  # machines at once
 BAND = 0.99
 
 
-class Calibrations(Protocol):
-    """Simulated calibrations of B machines, B' of which converged, in units of the tolerances."""
+@dataclass(frozen=True, eq=False)
+class Calibrations:
+    """Simulated calibrations of B machines that were drawn from the priors, B' of which converged.
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the m parameters that were identified."""
+    Attributes
+    ----------
+    names : tuple of str
+        Of the m parameters that were identified.
+    errors, claimed : ndarray, shape (B', m)
+        Estimate minus truth, and standard deviations that each calibration claims, linearised at its estimate, in units
+        of the tolerances.
+    converged : ndarray of bool, shape (B,)
+    n_redrawn : int
+        Draws that were no machine or could not take every planned pose, and were drawn again.
+    """
 
-    @property
-    def errors(self) -> Array:
-        """Estimate minus truth, shape (B', m)."""
-
-    @property
-    def claimed(self) -> Array:
-        """Standard deviations that they claim, shape (B', m)."""
-
-    @property
-    def converged(self) -> np.ndarray:
-        """Which of all did, shape (B,)."""
-
-    @property
-    def n_redrawn(self) -> int:
-        """How many machines could not take every planned pose, and were drawn anew."""
+    names: tuple[str, ...]
+    errors: Array
+    claimed: Array
+    converged: np.ndarray
+    n_redrawn: int
 
 
 @dataclass(frozen=True, eq=False)
-class SimulatedCalibrations:
-    """Calibrations of B machines that were drawn from the priors.
+class SimulatedCalibrations(Calibrations):
+    """Calibrations of machines with legs.
 
     Attributes
     ----------
     knowledge : Knowledge
-    fitted : ndarray, shape (m,)
-        Which of the n free parameters were identified; the others were held at nominal.
-    truth, estimate : ndarray, shape (B, D)
+    truth, estimate : ndarray, shape (B', D)
         Machines and frames, mm, rad, or the parameter's unit.
-    precision : ndarray, shape (B, m, m)
-        Posterior precision that each calibration claims, linearised at its estimate, in units of the tolerances.
-    converged : ndarray of bool, shape (B,)
-    n_iterations : ndarray of int, shape (B,)
-    n_redrawn : int
-        Draws that were no machine or could not take every planned pose, and were drawn anew.
     """
 
     knowledge: Knowledge
-    fitted: np.ndarray
     truth: Array
     estimate: Array
-    precision: Array
-    converged: np.ndarray
-    n_iterations: np.ndarray
-    n_redrawn: int
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the m parameters that were identified."""
-        return tuple(self.knowledge.names[k] for k in self.fitted)
-
-    @property
-    def errors(self) -> Array:
-        """Estimate minus truth of the identified ones in units of the tolerances, converged ones only, (B', m)."""
-        places = self.knowledge.free[self.fitted]
-        return np.asarray((self.estimate - self.truth)[self.converged][:, places] / self.knowledge.sd[self.fitted])
-
-    @property
-    def claimed(self) -> Array:
-        """Standard deviations that the converged calibrations claim, in units of the tolerances, (B', m)."""
-        covariance = np.linalg.inv(self.precision[self.converged])
-        return np.asarray(np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)))
 
     def pose_errors(self, actuators: Array) -> Array:
         """Return true less predicted poses of the converged ones at actuator positions (W, N), shape (B', W, 6).
 
         As the instrument sees them, mm and rad; NaN where one of both machines has no pose.
         """
-        machines = [theta[self.converged] for theta in (self.truth, self.estimate)]
-        errors = np.empty((len(machines[0]), len(actuators), DEGREES_OF_FREEDOM))
+        errors = np.empty((len(self.truth), len(actuators), DEGREES_OF_FREEDOM))
         for k in range(0, len(errors), CHUNK):
-            true, predicted = (compute_measured_poses(self.knowledge, m[k : k + CHUNK], actuators) for m in machines)
-            errors[k : k + CHUNK] = compute_pose_error(*true, *predicted)
+            here, there = (
+                compute_measured_poses(self.knowledge, theta[k : k + CHUNK], actuators)
+                for theta in (self.truth, self.estimate)
+            )
+            errors[k : k + CHUNK] = compute_pose_error(*here, *there)
         return np.where(np.isnan(errors[..., :1]), np.nan, errors)
 
 
@@ -159,11 +128,14 @@ def simulate_calibrations(
     weight = np.zeros_like(moves)
     weight[:, chosen] = prior_weight  # of no weight are those that stay at nominal
     fits = fitter.fit(measured, prior_weight=weight)
-    precision = fits.information[:, chosen[:, None], chosen] + prior_weight * np.eye(len(chosen))
-    truth, estimate = fitter.theta(moves), fitter.theta(fits.moves)
-    return SimulatedCalibrations(
-        knowledge, chosen, truth, estimate, precision, fits.converged, fits.n_iterations, n_redrawn
-    )
+    good, places = fits.converged, knowledge.free[chosen]
+    truth, estimate = fitter.theta(moves)[good], fitter.theta(fits.moves)[good]
+    covariance = np.linalg.inv(fits.information[good][:, chosen[:, None], chosen] + prior_weight * np.eye(len(chosen)))
+    with np.errstate(invalid="ignore"):  # without priors poses may determine too little
+        claimed = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    errors = (estimate - truth)[:, places] / knowledge.sd[chosen]
+    names = tuple(knowledge.names[k] for k in chosen)
+    return SimulatedCalibrations(names, errors, claimed, good, n_redrawn, knowledge, truth, estimate)
 
 
 def simulate_measurements(fitter: Fitter, moves: Array, rng: np.random.Generator) -> tuple[Measurements, np.ndarray]:
@@ -253,9 +225,6 @@ class Comparison:
         Posterior standard deviation and root mean square error, in units of the tolerances.
     ratio, ratio_error : ndarray, shape (n,)
         Found by predicted, and its standard error with the errors' own kurtosis.
-    typical_ratio : ndarray, shape (n,)
-        Median of the errors' sizes by that of a normal with the predicted standard deviation: few large errors, such as
-        those of a calibration that ended on the wrong side of a fold, do not count.
     coverage : dict of float to ndarray, shape (n,)
         Share of the errors within so many predicted standard deviations; 0.683 and 0.95 were they normal.
     chi_square : float
@@ -269,9 +238,6 @@ class Comparison:
         Share of the calibrations whose 90 % interval holds the truth.
     z : ndarray, shape (n,)
         Root mean square error in units of what each calibration claims: one where the claims are true.
-    along : ndarray, shape (n,)
-        Root mean square error along each axis of the predicted covariance by what is predicted there, the axis that is
-        known best first: what a calibration determines may be no single parameter.
     """
 
     names: tuple[str, ...]
@@ -279,11 +245,9 @@ class Comparison:
     found: Array
     ratio: Array
     ratio_error: Array
-    typical_ratio: Array
     coverage: dict[float, Array]
     chi_square: float
     chi_square_error: float
-    along: Array
     claimed: Array
     covered: Array
     z: Array
@@ -322,19 +286,16 @@ def compare_with_prediction(simulated: Calibrations, covariance: Array) -> Compa
     ratio = np.sqrt(square) / predicted
     z, own = errors / predicted, errors / simulated.claimed
     variances, axes = np.linalg.eigh(covariance)
-    squares = (errors @ axes) ** 2 / variances
-    lengths = squares.mean(axis=1)
+    lengths = ((errors @ axes) ** 2 / variances).mean(axis=1)
     return Comparison(
         simulated.names,
         predicted,
         np.sqrt(square),
         ratio,
         ratio * np.sqrt(np.maximum(kurtosis - 1.0, 0.0) / (4.0 * len(errors))),
-        np.median(np.abs(z), axis=0) / NORMAL_MEDIAN,
         {limit: np.mean(np.abs(z) < limit, axis=0) for limit in LIMITS},
         float(lengths.mean()),
         float(lengths.std(ddof=1) / np.sqrt(len(lengths))),
-        np.sqrt(squares.mean(axis=0)),
         np.sqrt(np.mean(simulated.claimed**2, axis=0)),
         np.mean(np.abs(own) < NINETY, axis=0),
         np.sqrt(np.mean(own**2, axis=0)),

@@ -15,9 +15,8 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from bayescal.errors import InputError
 from bayescal.identifiability.design import Knowledge, Plan
-from bayescal.identifiability.sensitivity import compute_sensitivity, root_of
+from bayescal.identifiability.sensitivity import compute_sensitivity
 from bayescal.machines.frames import N_FRAME_PARAMETERS, measured_pose_slopes, move_frames
 from bayescal.machines.models.base import Linearisation, newton_step
 from bayescal.numerics.geometry import (
@@ -127,7 +126,7 @@ class _State:
 
 
 @dataclass(eq=False)
-class _Bend:
+class _Curvature:
     """Second derivatives of the poses, which Gauss and Newton leave out, along the last step of those that overshot.
 
     They count where a parameter's first derivative vanishes, as that of u_x does where the actuator leans as its leg:
@@ -176,17 +175,12 @@ class Fitter:
         self.expected = compute_sensitivity(knowledge, plan.actuators)
         self.seen = plan.information(self.expected.poses)
         self.redundant = plan.actuators.shape[-1] > DEGREES_OF_FREEDOM
-        noise = self.expected.closure_noise(plan)
-        self._whiten = None
+        self._whiten, pose_noise = None, None
         if self.redundant:
-            if plan.actuator_noise == 0.0 and plan.model_error == 0.0:
-                raise InputError("found no actuator noise and no model error, expected some where legs are redundant")
-            self._whiten = np.linalg.inv(np.linalg.cholesky(noise))
+            self._whiten = self.expected.whiten(plan)
             pose = self._whiten @ self.expected.by_pose
             pose_noise = np.linalg.inv(np.swapaxes(pose, -1, -2) @ pose)
-        else:
-            pose_noise = self.expected.pose_noise(plan)
-        self._root = root_of(np.linalg.solve(np.eye(DEGREES_OF_FREEDOM) + self.seen @ pose_noise, self.seen))
+        self._root = self.expected.root(plan, pose_noise)
         n_machine = knowledge.machine.layout.size
         self._of_machine = knowledge.free[knowledge.free < n_machine]
         self._of_frames = knowledge.free[knowledge.free >= n_machine] - n_machine
@@ -223,21 +217,24 @@ class Fitter:
         start = np.zeros((n_machines, n)) if start is None else start.copy()
         weight = np.ones((n_machines, n)) if prior_weight is None else prior_weight
         state = self._evaluate(measured, start)
-        share, bend = np.ones(n_machines), _Bend(np.zeros((n_machines, n, n)), np.zeros(n_machines, dtype=bool))
+        share, curvature = (
+            np.ones(n_machines),
+            _Curvature(np.zeros((n_machines, n, n)), np.zeros(n_machines, dtype=bool)),
+        )
         converged, n_iterations = np.zeros(n_machines, dtype=bool), np.zeros(n_machines, dtype=int)
         active = np.flatnonzero(np.isfinite(state.deviance))
         while len(active) and n_iterations.max() < MAX_ITERATIONS:
             n_iterations[active] += 1
             here = state.take(active)
-            whole, length = _find_step(here, weight[active], bend.matrix[active])
+            whole, length = _find_step(here, weight[active], curvature.matrix[active])
             step = share[active, None] * whole
             moves = here.moves + step
             trial = self._evaluate(measured.take(active), moves, here)
             better = trial.total(weight[active]) <= here.total(weight[active])
             near = (length < TOLERANCE) & (share[active] > SHORTER**3)
             state.update(active, trial, better)
-            bend.known[active] |= ~better | (n_iterations[active] >= LONG)
-            bend.learn(active, step, here, trial)
+            curvature.known[active] |= ~better | (n_iterations[active] >= LONG)
+            curvature.learn(active, step, here, trial)
             share[active] *= np.where(better, np.minimum(LONGER, 1.0 / share[active]), SHORTER)
             converged[active] = near
             active = active[~near & (share[active] > SHORTEST)]
@@ -339,11 +336,11 @@ class Fitter:
         return residual.reshape(n_machines, -1), slope
 
 
-def _find_step(state: _State, weight: Array, bend: Array) -> tuple[Array, Array]:
+def _find_step(state: _State, weight: Array, curvature: Array) -> tuple[Array, Array]:
     """Return steps (b, n) and their squared lengths in posterior standard deviations (b,)."""
     moving = weight > 0.0
     gradient = np.where(moving, state.gradient + weight * state.moves, 0.0)
-    matrix = (state.information + bend) * moving[:, :, None] * moving[:, None, :]
+    matrix = (state.information + curvature) * moving[:, :, None] * moving[:, None, :]
     diagonal = np.arange(weight.shape[1])
     matrix[:, diagonal, diagonal] += np.where(moving, weight, 1.0)
     step = -np.linalg.solve(matrix, gradient[..., None])[..., 0]

@@ -84,10 +84,13 @@ def compute_profiles(
     check_profiles(knowledge, names)
     fitter = Fitter(knowledge, plan)
     places = np.array([knowledge.names.index(name) for name in names], dtype=int)
-    measured = _measure(fitter, rng)
+    poses, nothing = fitter.expected.poses, np.zeros((1, len(knowledge.sd)))
+    measured = Measurements(poses.position[None], poses.rotation[None], plan.actuators[None])
+    if rng is not None:
+        measured, _ = simulate_measurements(fitter, nothing, rng)
     own = np.ones((len(names), len(knowledge.names)))
     own[np.arange(len(names)), places] = FREE_SHARE
-    best = fitter.fit(_repeat(measured, len(names)), prior_weight=own)
+    best = fitter.fit(measured.take(np.zeros(len(names), dtype=int)), prior_weight=own)
     grid = reach * np.arange(n_side + 1) / n_side
     moves, data, total, converged = _follow(fitter, measured, places, grid)
     data, total = data - best.data_deviance[:, None], total - best.deviance[:, None]
@@ -103,20 +106,12 @@ def _follow(
 ) -> tuple[Array, Array, Array, np.ndarray]:
     """Return moves (M, K, n), both deviances (M, K) and convergence, for M parameters held along a grid.
 
-    Each fit starts where the two before it point, from the middle outwards, so that the path stays on its ridge.
-
-    Parameters
-    ----------
-    fitter : Fitter
-    measured : Measurements
-        Of one machine.
-    places : ndarray of int, shape (M,)
-    grid : ndarray, shape ((K + 1) / 2,)
-        One side of the values, from zero, in tolerances.
+    Each fit starts where the two before it point, from the middle outwards, so that the path stays on its ridge. The
+    grid is one side of the values, from zero, in tolerances.
     """
     rows = np.arange(2 * len(places))
     held, sides = np.tile(places, 2), np.repeat([-1.0, 1.0], len(places))
-    data = _repeat(measured, len(rows))
+    data = measured.take(np.zeros(len(rows), dtype=int))
     weight = np.ones((len(rows), len(fitter.knowledge.sd)))
     weight[rows, held] = 0.0
     found: list[Fits] = []
@@ -135,16 +130,3 @@ def _follow(
     lost = ~np.isfinite(deviance)
     data_deviance[lost], deviance[lost] = np.nan, np.nan
     return arrange("moves"), data_deviance, deviance, arrange("converged").astype(bool)
-
-
-def _repeat(measured: Measurements, n: int) -> Measurements:
-    return measured.take(np.zeros(n, dtype=int))
-
-
-def _measure(fitter: Fitter, rng: np.random.Generator | None) -> Measurements:
-    """Return measured poses of the expected machine, with noise or without."""
-    nothing = np.zeros((1, len(fitter.knowledge.sd)))
-    if rng is not None:
-        return simulate_measurements(fitter, nothing, rng)[0]
-    poses = fitter.expected.poses
-    return Measurements(poses.position[None], poses.rotation[None], fitter.plan.actuators[None])

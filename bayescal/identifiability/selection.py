@@ -92,7 +92,10 @@ def _select(matrix: Array, left: dict[str, np.ndarray], taken: np.ndarray, steps
     """Return the parameters taken with those of further symbols; each look is added to the steps."""
     while left:
         rest = _condition(matrix, taken)
-        gains = {symbol: _nats(rest, places) for symbol, places in left.items()}
+        gains = {}
+        for symbol, places in left.items():
+            values = np.linalg.eigvalsh(rest[np.ix_(places, places)])
+            gains[symbol] = 0.5 * float(np.log1p(np.maximum(values, 0.0)).sum()) / len(places)
         symbol = _choose(np.diagonal(rest), left, gains)
         places = left.pop(symbol)
         together = np.concatenate([taken, places])
@@ -140,11 +143,6 @@ def _condition(matrix: Array, taken: np.ndarray) -> Array:
     inner = matrix[np.ix_(taken, taken)] + np.eye(len(taken))
     result: Array = matrix - across @ np.linalg.solve(inner, across.T)
     return result
-
-
-def _nats(matrix: Array, places: np.ndarray) -> float:
-    values = np.linalg.eigvalsh(matrix[np.ix_(places, places)])
-    return 0.5 * float(np.log1p(np.maximum(values, 0.0)).sum()) / len(places)
 
 
 # --- what a reduced set errs by ---------------------------------------------------------------------------------------

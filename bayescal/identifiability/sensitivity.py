@@ -74,27 +74,28 @@ class Sensitivity:
         result: Array = self.gain @ self.closure_noise(plan) @ np.swapaxes(self.gain, -1, -2)
         return result
 
-    def root(self, plan: Plan) -> Array:
-        """Return what takes a pose error (mm, rad) to units of the noise, shape (P, 6, 6)."""
-        return self._root(plan, self.pose_noise(plan))
-
-    def _root(self, plan: Plan, noise: Array) -> Array:
-        seen = plan.information(self.poses)
+    def root(self, plan: Plan, noise: Array | None = None) -> Array:
+        """Return what takes a pose error (mm, rad) to units of the noise, shape (P, 6, 6), by default `pose_noise`."""
+        seen, noise = plan.information(self.poses), self.pose_noise(plan) if noise is None else noise
         return root_of(np.linalg.solve(np.eye(DEGREES_OF_FREEDOM) + seen @ noise, seen))
+
+    def whiten(self, plan: Plan) -> Array:
+        """Return what makes the closures of redundant legs white, shape (P, N, N); InputError where nothing errs."""
+        if plan.actuator_noise == 0.0 and plan.model_error == 0.0:
+            raise InputError("found no actuator noise and no model error, expected some where legs are redundant")
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(self.closure_noise(plan))))
 
     def rows(self, plan: Plan) -> Array:
         """Return the identification Jacobian in units of the noise, shape (P, N, n); of an exact six-legged one too."""
         if self.by_pose.shape[-2] == DEGREES_OF_FREEDOM:
             return self.root(plan) @ self.slope
-        if plan.actuator_noise == 0.0 and plan.model_error == 0.0:
-            raise InputError("found no actuator noise and no model error, expected some where legs are redundant")
-        whiten = np.linalg.inv(np.linalg.cholesky(self.closure_noise(plan)))
+        whiten = self.whiten(plan)
         pose, parameters = whiten @ self.by_pose, whiten @ self.by_parameters
         left, values, right = np.linalg.svd(pose)
         gain = np.swapaxes(right, -1, -2) / values[..., None, :] @ np.swapaxes(left[..., :DEGREES_OF_FREEDOM], -1, -2)
         slope = self.frames - gain @ parameters
         loops = np.swapaxes(left[..., DEGREES_OF_FREEDOM:], -1, -2) @ parameters
-        return np.concatenate([self._root(plan, gain @ np.swapaxes(gain, -1, -2)) @ slope, loops], axis=1)
+        return np.concatenate([self.root(plan, gain @ np.swapaxes(gain, -1, -2)) @ slope, loops], axis=1)
 
 
 def root_of(matrix: Array) -> Array:

@@ -115,13 +115,9 @@ def _find_rank_at(knowledge: Knowledge, plan: Plan, theta: Array, rng: np.random
     shifts = TWIN_SHIFT * EPSILON * rng.uniform(-1.0, 1.0, (TWINS, theta.size))
     twins = theta * (1.0 + np.concatenate([np.zeros((1, theta.size)), shifts]))
     actuators, displacement = _draw_wide(knowledge, twins, rng)
-    first, *others = (_noise_free(knowledge, plan, actuators, twin) for twin in twins)
+    rows = [compute_sensitivity(knowledge, actuators, twin).rows(plan) * knowledge.sd for twin in twins]
+    first, *others = (one.reshape(-1, one.shape[-1]) for one in rows)
     return find_structure(first, others, displacement)
-
-
-def _noise_free(knowledge: Knowledge, plan: Plan, actuators: Array, theta: Array) -> Array:
-    rows = compute_sensitivity(knowledge, actuators, theta).rows(plan)
-    return rows.reshape(-1, rows.shape[-1]) * knowledge.sd
 
 
 def _draw_wide(knowledge: Knowledge, twins: Array, rng: np.random.Generator) -> tuple[Array, float]:

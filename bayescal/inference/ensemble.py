@@ -52,18 +52,15 @@ def run_ensemble(
     n_burn_in: int,
     n_steps: int,
     starts: Draw | None = None,
-    jump_share: float = JUMP_SHARE,
 ) -> Ensemble:
     """Run one ensemble that starts at draws of the proposal, or at those of ``starts``.
-
-    That share of the moves are jumps, the others differential evolution.
 
     Raises
     ------
     NumericalError
         Where walkers cannot be placed or the density is NaN.
     """
-    return run_ensembles(log_density, proposal, [seed], n_walkers, n_burn_in, n_steps, starts, jump_share)[0]
+    return run_ensembles(log_density, proposal, [seed], n_walkers, n_burn_in, n_steps, starts)[0]
 
 
 def run_ensembles(
@@ -76,7 +73,7 @@ def run_ensembles(
     starts: Draw | None = None,
     jump_share: float = JUMP_SHARE,
 ) -> list[Ensemble]:
-    """Run an ensemble from each seed, abreast; see `run_ensemble`."""
+    """Run an ensemble from each seed, abreast; that share of moves are jumps, the others differential evolution."""
     draw = starts or proposal.draw
     walks = [_Walkers(proposal, draw, jump_share, seed).walk(n_walkers, n_burn_in, n_steps) for seed in seeds]
     found: dict[int, Ensemble] = {}

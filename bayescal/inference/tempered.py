@@ -53,26 +53,15 @@ class TemperedEvidence:
         Draws in sampling coordinates, all runs together.
     weights : ndarray, shape (S,)
         Their weights, which add up to one.
-    n_levels : int
-        Temperatures of the longest run.
     mixed : bool
         Whether all chains forgot their starts.
-    n_evaluations : int
-        Densities computed.
     """
 
     log_evidence: float
     standard_error: float
     y: Array
     weights: Array
-    n_levels: int
     mixed: bool
-    n_evaluations: int
-
-    def moments(self, values: Array) -> tuple[Array, Array]:
-        """Return mean and standard deviation, shapes (k,), of functions of the draws, shape (S, k)."""
-        mean = self.weights @ values
-        return mean, np.sqrt(self.weights @ (values - mean) ** 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,21 +77,10 @@ class _Cloud:
 
 
 @dataclass(frozen=True, eq=False)
-class _Level:
-    """Draws at one temperature, and whether the chains settled."""
-
-    cloud: _Cloud
-    settled: bool
-    n_evaluations: int
-
-
-@dataclass(frozen=True, eq=False)
 class _Run:
     cloud: _Cloud
     mixture: MixtureProposal
-    n_levels: int
     mixed: bool
-    n_evaluations: int
 
 
 def estimate_by_tempering(
@@ -135,24 +113,21 @@ def estimate_by_tempering(
         float(np.std(np.exp(np.array(bridges) - mean), ddof=1) / np.sqrt(n_runs)),
         np.concatenate([run.cloud.y for run in runs]),
         np.concatenate([np.full(len(run.cloud.y), 1.0 / (len(run.cloud.y) * n_runs)) for run in runs]),
-        max(run.n_levels for run in runs),
         all(run.mixed for run in runs),
-        sum(run.n_evaluations for run in runs),
     )
 
 
 def _run(target: Prospect, rng: np.random.Generator, n_chains: int) -> _Run:
     cloud = _evaluate(target, target.draw_prior(n_chains * SHORTEST * 2, rng))
-    beta, levels, mixed, n_evaluations = 0.0, 0, True, len(cloud.y)
+    beta, mixed = 0.0, True
     while beta < 1.0:
         rise = _choose_rise(cloud.log_likelihood, 1.0 - beta)
         log_weights = rise * cloud.log_likelihood
         beta = min(1.0, beta + rise)
-        level = _settle(target, cloud, np.exp(log_weights - logsumexp(log_weights)), beta, n_chains, rng)
-        cloud, levels, mixed = level.cloud, levels + 1, mixed and level.settled
-        n_evaluations += level.n_evaluations
+        cloud, settled = _settle(target, cloud, np.exp(log_weights - logsumexp(log_weights)), beta, n_chains, rng)
+        mixed = mixed and settled
     mixture = _fit(cloud, np.full(len(cloud.y), 1.0 / len(cloud.y)), n_chains, rng)
-    return _Run(cloud, mixture, levels, mixed, n_evaluations)
+    return _Run(cloud, mixture, mixed)
 
 
 def _fit(cloud: _Cloud, weights: Array, n_chains: int, rng: np.random.Generator) -> MixtureProposal:
@@ -224,24 +199,23 @@ def _resample(weights: Array, n: int, rng: np.random.Generator) -> np.ndarray:
 
 def _settle(
     target: Prospect, cloud: _Cloud, weights: Array, beta: float, n_chains: int, rng: np.random.Generator
-) -> _Level:
+) -> tuple[_Cloud, bool]:
     """Return the draws of p L^β that come of a weighted cloud: rounds of chains until one neither remembers nor drifts.
 
     Where the mass moves from one region to another between two temperatures, as into the narrow end of a funnel, the
     first rounds carry the draws over.
     """
-    here, n_evaluations = cloud.take(_resample(weights, n_chains, rng)), 0
+    here = cloud.take(_resample(weights, n_chains, rng))
     for round_ in range(ROUNDS):
         pairs = cloud.y[_resample(weights, CLOUD, rng)]
         mover = _Mover(pairs, _fit(cloud, weights, n_chains, rng), rng)
         last, cloud, forgotten = _move(target, here, beta, mover)
         weights = np.full(len(cloud.y), 1.0 / len(cloud.y))
-        n_evaluations += len(cloud.y)
         settled = forgotten and not _have_drifted(here, last)
         if settled and (beta < 1.0 or round_):
             break
         here = last
-    return _Level(cloud, settled, n_evaluations)
+    return cloud, settled
 
 
 def _have_drifted(first: _Cloud, last: _Cloud) -> bool:

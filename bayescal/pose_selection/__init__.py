@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from bayescal.pose_selection.candidates import (
+from bayescal.pose_selection.criteria import CRITERIA, Criterion
+from bayescal.pose_selection.domain import (
+    ActuatorBox,
     Candidates,
+    PoseDomain,
+    WorkspaceBox,
     candidates_at,
     candidates_at_actuators,
     even_candidates,
     factorial_candidates,
     random_candidates,
 )
-from bayescal.pose_selection.criteria import CRITERIA, Criterion
-from bayescal.pose_selection.domain import ActuatorBox, PoseDomain, WorkspaceBox
-from bayescal.pose_selection.methods import METHODS, Selection, SelectionMethod
+from bayescal.pose_selection.methods import METHODS, Selection, SelectionMethod, select
 from bayescal.pose_selection.observability import compute_observability, identification_rows
 from bayescal.pose_selection.problem import SelectionProblem
-from bayescal.pose_selection.select import select
 
 __all__ = [
     "CRITERIA",

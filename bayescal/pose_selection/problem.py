@@ -9,9 +9,8 @@ import numpy as np
 
 from bayescal.errors import InputError
 from bayescal.numerics.geometry import Array
-from bayescal.pose_selection.candidates import Candidates
 from bayescal.pose_selection.criteria import Criterion, Scorer
-from bayescal.pose_selection.domain import PlacedPoses
+from bayescal.pose_selection.domain import Candidates, PlacedPoses
 
 
 @dataclass(frozen=True, eq=False)

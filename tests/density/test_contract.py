@@ -17,7 +17,7 @@ from eliminated_legs import eliminate_legs, evaluate_legs
 from bayescal.density.exact import ExactDensity
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.experiments.frame.load import load
-from bayescal.experiments.study.load import load_inputs
+from bayescal.experiments.study.inputs import load_inputs
 from bayescal.numerics.units import MICROMETRE
 
 CLOSE = 0.02

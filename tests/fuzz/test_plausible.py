@@ -16,7 +16,7 @@ from fuzz.judged import judge_call, judge_refusal
 from bayescal.errors import InputError
 from bayescal.experiments.frame import run as frame
 from bayescal.experiments.frame.load import load_experiment
-from bayescal.experiments.study.load import load_inputs
+from bayescal.experiments.study.inputs import load_inputs
 
 RESULTS = Path(__file__).parents[2] / "results"
 

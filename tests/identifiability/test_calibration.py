@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 import telescope_machines as machines
 from scipy.optimize import least_squares
+from scipy.stats import norm
 
 from bayescal.errors import InputError
 from bayescal.experiments.audit.audit import analyse
 from bayescal.experiments.audit.design import load_audit, read_inputs
 from bayescal.identifiability.calibration import (
-    SimulatedCalibrations,
+    Calibrations,
     compare_kept,
     compare_with_prediction,
     count_kept,
@@ -40,11 +41,7 @@ def build_report_problem(deformation="linear", share=1.0, **changes):
     """Return the telescope with the report's free parameters, tolerances scaled."""
     knowledge, plan = problems.build_telescope_problem(deformation, **changes)
     knowledge = problems.build_knowledge(knowledge.machine, machines.FREE_SYMBOLS[deformation])
-    return scale_tolerances(knowledge, share), plan
-
-
-def scale_tolerances(knowledge, share):
-    return replace(knowledge, priors={name: share * sd for name, sd in knowledge.priors.items()})
+    return problems.scale_tolerances(knowledge, share), plan
 
 
 def build_redundant_problem(n_legs=8):
@@ -142,7 +139,9 @@ def test_fits_are_those_of_scipy(model, symbols, frames, axes):
 def test_fits_of_redundant_legs_are_those_with_the_poses_as_unknowns():
     """The closure of the poses themselves, each unknown, with the sensors' noise: nothing is eliminated."""
     knowledge, plan = build_redundant_problem(7)
-    knowledge = scale_tolerances(problems.build_knowledge(knowledge.machine, ("a_x", "l")), 0.05)  # C is taken once
+    knowledge = problems.scale_tolerances(
+        problems.build_knowledge(knowledge.machine, ("a_x", "l")), 0.05
+    )  # C is taken once
     plan = replace(plan, actuators=plan.actuators[:5])
     fitter = Fitter(knowledge, plan)
     moves, measured = draw_data(fitter, 1)
@@ -198,9 +197,11 @@ def test_batches_are_the_machines_one_by_one():
 def test_fits_converge_at_folds():
     """The direction of two actuators is found by its square alone where these lean as their legs, within tolerance."""
     knowledge, plan = build_report_problem("none")
-    simulated = simulate_calibrations(knowledge, plan, 200, np.random.default_rng(1))
-    assert simulated.converged.all()
-    assert simulated.n_iterations.max() > 10  # some are folded
+    fitter, rng = Fitter(knowledge, plan), np.random.default_rng(1)
+    measured, good = simulate_measurements(fitter, rng.standard_normal((200, len(knowledge.sd))), rng)
+    fits = fitter.fit(measured.take(np.flatnonzero(good)))
+    assert fits.converged.all()
+    assert fits.n_iterations.max() > 10  # some are folded
 
 
 def test_machine_that_is_none_is_not_converged():
@@ -224,7 +225,7 @@ def test_errors_are_as_predicted_where_all_is_linear(n_legs):
         knowledge, plan = build_report_problem("linear", 0.01, model_error=2e-3)
     else:
         knowledge, plan = build_redundant_problem(n_legs)
-        knowledge = scale_tolerances(knowledge, 0.01)
+        knowledge = problems.scale_tolerances(knowledge, 0.01)
     simulated = simulate_calibrations(knowledge, plan, 80, np.random.default_rng(2))
     right = compare_with_prediction(simulated, predict_covariance(knowledge, plan))
     assert simulated.converged.all()
@@ -267,18 +268,9 @@ def test_redundant_legs_need_noise():
 
 def test_comparison_of_known_errors():
     """Errors of plus and minus twice the prediction for one parameter and as predicted for the other."""
-    knowledge = problems.build_knowledge(machines.build_machine(), ("a_x",))
-    knowledge = replace(knowledge, priors=dict.fromkeys(("a_x[1]", "a_y[1]"), 2.0))
     signs = np.array([1.0, -1.0, 1.0, -1.0])
-    truth = np.tile(knowledge.centre, (5, 1))
-    estimate = truth.copy()
-    estimate[:4, knowledge.free[0]] += 2.0 * 0.2 * signs
-    estimate[:4, knowledge.free[1]] += 0.2 * signs
-    estimate[4] += 100.0  # not converged, does not count
-    converged, precision = np.array([True] * 4 + [False]), np.tile(np.diag([0.4**-2, 0.05**-2]), (5, 1, 1))
-    simulated = SimulatedCalibrations(
-        knowledge, np.arange(2), truth, estimate, precision, converged, np.ones(5, dtype=int), 0
-    )
+    errors, claimed = np.outer(signs, [0.2, 0.1]), np.tile([0.4, 0.05], (4, 1))
+    simulated = Calibrations(("a_x[1]", "a_y[1]"), errors, claimed, np.ones(4, dtype=bool), 0)
     found = compare_with_prediction(simulated, np.diag([0.1**2, 0.1**2]))
     assert found.ratio == pytest.approx([2.0, 1.0])
     assert found.ratio_error == pytest.approx([0.0, 0.0], abs=1e-9)
@@ -288,7 +280,7 @@ def test_comparison_of_known_errors():
     assert found.claimed == pytest.approx([0.4, 0.05])
     assert found.covered == pytest.approx([1.0, 0.0])
     assert found.z == pytest.approx([0.5, 2.0])
-    none = replace(simulated, converged=np.zeros(5, dtype=bool))
+    none = replace(simulated, errors=errors[:0], claimed=claimed[:0])
     with pytest.raises(InputError, match="found 0 that converged"):
         compare_with_prediction(none, np.eye(2))
 
@@ -299,7 +291,7 @@ def test_comparison_of_known_errors():
 def test_a_reduced_set_errs_as_said_in_closed_form():
     """A hundredth of the tolerances; what is held at nominal is off all the same."""
     knowledge, plan = problems.build_telescope_problem("linear")
-    knowledge = scale_tolerances(knowledge, 0.01)
+    knowledge = problems.scale_tolerances(knowledge, 0.01)
     information = information_of_rows(compute_sensitivity(knowledge, plan.actuators).rows(plan), knowledge.sd)
     free = tuple(k for k, symbol in enumerate(knowledge.symbols) if symbol in ("a_x", "a_y", "b_x", "b_y", "l"))
     reduced = judge_reduced(information, free)
@@ -421,7 +413,8 @@ def test_folds_within_tolerances_are_where_the_prediction_fails():
     simulated = simulate_calibrations(knowledge, plan, 200, np.random.default_rng(1))
     found = compare_with_prediction(simulated, predict_covariance(knowledge, plan))
     ratio = dict(zip(found.names, found.ratio, strict=True))
-    typical = dict(zip(found.names, found.typical_ratio, strict=True))
+    median = np.median(np.abs(simulated.errors), axis=0) / norm.ppf(0.75)  # few errors are far too large
+    typical = dict(zip(found.names, median / found.predicted, strict=True))
     assert min(ratio["u_x[3]"], ratio["u_x[6]"]) > 1.3
     assert max(typical["u_x[3]"], typical["u_x[6]"]) < 1.2
     symbols = found.by_symbol()

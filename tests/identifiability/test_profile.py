@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import audit_problems as problems
 import numpy as np
 import pytest
@@ -16,14 +14,12 @@ from bayescal.identifiability.sensitivity import compute_sensitivity
 from bayescal.machines.kinematics import compute_leg_lines
 
 
-def scaled(knowledge, share):
-    return replace(knowledge, priors={name: share * sd for name, sd in knowledge.priors.items()})
-
-
 def test_profile_of_a_linear_machine_is_the_parabola_of_the_audit():
     """Its curvature is the posterior precision without that of the parameter's own prior."""
     knowledge, plan = problems.build_telescope_problem("linear")
-    knowledge = scaled(problems.build_knowledge(knowledge.machine, machines.FREE_SYMBOLS["linear"]), 1e-2)
+    knowledge = problems.scale_tolerances(
+        problems.build_knowledge(knowledge.machine, machines.FREE_SYMBOLS["linear"]), 1e-2
+    )
     information = information_of_rows(compute_sensitivity(knowledge, plan.actuators).rows(plan), knowledge.sd)
     names = ["l[1]", "a_x[3]", "kappa[2]"]
     for profile in compute_profiles(knowledge, plan, names, n_side=3):
@@ -65,7 +61,9 @@ def test_path_of_kappa_against_the_direction_is_the_reports():
 def test_profile_of_noisy_poses_is_best_somewhere_else():
     """Small tolerances, so that the parameter's own prior would be seen had it not been left out."""
     knowledge, plan = problems.build_telescope_problem("linear")
-    knowledge = scaled(problems.build_knowledge(knowledge.machine, machines.FREE_SYMBOLS["linear"]), 0.1)
+    knowledge = problems.scale_tolerances(
+        problems.build_knowledge(knowledge.machine, machines.FREE_SYMBOLS["linear"]), 0.1
+    )
     exact, noisy = (
         compute_profiles(knowledge, plan, ["kappa[2]"], rng, n_side=10)[0] for rng in (None, np.random.default_rng(0))
     )

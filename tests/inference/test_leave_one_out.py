@@ -10,7 +10,7 @@ import studies
 
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.experiments.frame.load import load_experiment
-from bayescal.experiments.study.load import load_inputs
+from bayescal.experiments.study.inputs import load_inputs
 from bayescal.inference.correction import draw_to_correct
 from bayescal.inference.exploration import explore
 from bayescal.inference.importance import estimate_by_importance

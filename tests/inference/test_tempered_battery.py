@@ -146,14 +146,13 @@ def test_evidence_and_widths_are_those_of_tempering(case):
     sd, error = measure_widths(posterior, found, np.random.default_rng(6))
     check = estimate_by_tempering(posterior, np.random.SeedSequence(1), case.n_chains, N_RUNS)
     natural = posterior.natural(check.y)
-    _, expected = check.moments(natural)
+    expected = np.sqrt(check.weights @ (natural - check.weights @ natural) ** 2)
     apart = np.log(sd / expected) / np.hypot(error, compare_runs(natural))
     gap = importance.log_evidence - check.log_evidence
     print(
         f"{gap:+.3f} ± {check.standard_error:.3f}, sds {(sd / expected).min():.3f} to {(sd / expected).max():.3f}, "
         f"{np.abs(apart).max():.1f} standard errors, "
-        f"efficiency {importance.efficiency:.2f}, k {importance.pareto_k:.2f}, modes {len(found.modes)}, "
-        f"{check.n_evaluations / 1e3:.0f} thousand densities"
+        f"efficiency {importance.efficiency:.2f}, k {importance.pareto_k:.2f}, modes {len(found.modes)}"
     )
     assert abs(gap) < AGREED
     assert np.abs(apart).max() < STANDARD_ERRORS

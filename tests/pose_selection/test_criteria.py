@@ -18,7 +18,7 @@ from bayescal.pose_selection import (
 )
 from bayescal.pose_selection.criteria import CRITERIA, O1
 from bayescal.pose_selection.criteria.spectral import FINE, ROUGH
-from bayescal.pose_selection.objective import PoseObjective
+from bayescal.pose_selection.methods import PoseObjective
 from bayescal.pose_selection.observability import angle_rates
 
 NINE = np.arange(9)

@@ -40,6 +40,7 @@ from bayescal.experiments.shared.readings.workspace import (
     draw_standing,
 )
 from bayescal.experiments.shared.study_schema import VariantConfig as FittedConfig
+from bayescal.identifiability.calibration import Calibrations
 from bayescal.identifiability.design import draw_displacements
 from bayescal.identifiability.directions import Direction
 from bayescal.identifiability.information import Information, information_of_rows
@@ -150,17 +151,6 @@ def _draw_commands(
     for k in np.flatnonzero(~found)[:1]:
         raise InputError(f"poses: pose {k + 1}: found no pose at actuator positions drawn, expected a smaller range_mm")
     return pose
-
-
-@dataclass(frozen=True, eq=False)
-class Simulated:
-    """Simulated calibrations; see `bayescal.identifiability.calibration.Calibrations`."""
-
-    names: tuple[str, ...]
-    errors: Array
-    claimed: Array
-    converged: np.ndarray
-    n_redrawn: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -336,7 +326,7 @@ class ChannelPlan(Planned):
 
     # --- checks ----------------------------------------------------------------------------------------------------
 
-    def simulate(self, n: int, rng: np.random.Generator, fitted: Sequence[int]) -> tuple[Simulated, np.ndarray]:
+    def simulate(self, n: int, rng: np.random.Generator, fitted: Sequence[int]) -> tuple[Calibrations, np.ndarray]:
         """Return n simulated calibrations of some parameters, and how many keep each requirement.
 
         Machines of the priors are read at the planned poses with noise and fitted, machine and poses together. What
@@ -361,7 +351,7 @@ class ChannelPlan(Planned):
                     claimed[k], converged[k] = np.sqrt(np.diagonal(covariance)), True
         errors = -y
         errors[:, chosen] += found
-        simulated = Simulated(
+        simulated = Calibrations(
             tuple(self.names[k] for k in chosen), errors[converged][:, chosen], claimed[converged], converged, redrawn
         )
         return simulated, self._count_kept(errors[converged], rng)

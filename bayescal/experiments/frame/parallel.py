@@ -97,30 +97,17 @@ class Run:
 
         def wait() -> dict[str, R]:
             fresh = self._follow(stage, names, len(kept), outcomes, classes, watch)
-            found, failures = _sort(tasks, chain(kept.items(), fresh))
+            found = dict(chain(kept.items(), fresh))
+            failures = {name: one.reason for name, one in found.items() if isinstance(one, Failed)}
             if failures:
                 said = "; ".join(f"{name}: {fault}" for name, fault in islice(failures.items(), SAID))
                 said += f"; and {len(failures) - SAID} more" if len(failures) > SAID else ""
                 if self.store is not None:
-                    said += f"; {len(found)} of {len(tasks)} tasks are kept in {self.store.partial}"
+                    said += f"; {len(found) - len(failures)} of {len(tasks)} tasks are kept in {self.store.partial}"
                 raise NumericalError(said)
-            return found
+            return {name: found[name] for name in tasks}
 
         return wait
-
-    def attempt[S, T, R](
-        self,
-        stage: str,
-        function: Callable[[S, T], R],
-        shared: S,
-        tasks: Mapping[str, T],
-        returns: Iterable[Any] = (),
-    ) -> tuple[dict[str, R], dict[str, str]]:
-        """Return what `map` does of tasks that succeed, and in words why others failed; faults of input are raised.
-
-        Parameters are those of `map`.
-        """
-        return _sort(tasks, self.stream(stage, function, shared, tasks, returns))
 
     def stream[S, T, R](
         self,
@@ -130,9 +117,9 @@ class Run:
         tasks: Mapping[str, T],
         returns: Iterable[Any] = (),
     ) -> Iterator[tuple[str, R | Failed]]:
-        """Yield what `attempt` returns, task by task: kept ones first, others as they end; none of it is held here.
+        """Yield what tasks give, or why they failed: kept ones first, others as they end; none of it is held here.
 
-        For stages of more results than there is memory for. Parameters are those of `map`.
+        For stages of more results than there is memory for; faults of input are raised. Parameters are those of `map`.
         """
         names, classes, missing = _name_files(stage, tasks), tuple(returns), dict(tasks)
         for name, result in self._read_kept(names, classes):
@@ -191,18 +178,6 @@ class Run:
     def once[S, R](self, stage: str, function: Callable[[S], R], shared: S, returns: Iterable[Any] = ()) -> R:
         """Return what a function makes of its inputs, as one task."""
         return self.map(stage, _call, (function, shared), {"all": None}, returns)["all"]
-
-
-def _sort[R](tasks: Iterable[str], outcomes: Iterable[tuple[str, R | Failed]]) -> tuple[dict[str, R], dict[str, str]]:
-    """Return results in the tasks' order, and in words why others failed."""
-    found: dict[str, R] = {}
-    failures: dict[str, str] = {}
-    for name, outcome in outcomes:
-        if isinstance(outcome, Failed):
-            failures[name] = outcome.reason
-        else:
-            found[name] = outcome
-    return {name: found[name] for name in tasks if name in found}, failures
 
 
 def _name_files(stage: str, tasks: Iterable[str]) -> dict[str, str]:

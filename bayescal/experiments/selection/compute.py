@@ -1,29 +1,37 @@
-"""Computing an experiment on pose selection: its selections, their tables and plans."""
+"""Computing an experiment on pose selection: its selections, what calibrations with them achieve, tables and plans."""
 
 from __future__ import annotations
 
+import time
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 
+from bayescal.config.classes import label_class
+from bayescal.config.registry import is_own
+from bayescal.errors import InputError
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
-from bayescal.experiments.selection.compare import name_ways
 from bayescal.experiments.selection.inputs import SelectionInputs
-from bayescal.experiments.selection.tables import (
-    compare_published,
-    format_plans,
-    summarise_errors,
-    summarise_selections,
-    tabulate_classes,
-    tabulate_errors,
-    tabulate_poses,
-    tabulate_random_sets,
-    tabulate_selections,
-    tabulate_timings,
-    tabulate_traces,
-)
-from bayescal.experiments.selection.tasks import JudgedPoses, run_tasks
+from bayescal.experiments.selection.schema import RandomChoiceConfig, label_of
+from bayescal.experiments.shared.design import Design
+from bayescal.files.csv_tables import format_table
+from bayescal.identifiability.calibration import simulate_calibrations
+from bayescal.identifiability.design import AXES
+from bayescal.identifiability.information import information_of_rows
+from bayescal.identifiability.sensitivity import Sensitivity, compute_sensitivity
+from bayescal.numerics.geometry import Array
+from bayescal.numerics.units import ARCSECOND, MICROMETRE
+from bayescal.pose_selection import Criterion, Selection, SelectionMethod, SelectionProblem, select
+
+SETS, MACHINES = 2, 3  # streams of random numbers
+UNKNOWN = 1e-8  # weight of the tolerances where the identification does not know them
+DESIGN, RANDOM = "given", "random"
+KEY = ["label", "criterion", "n_poses"]
+SCALES = {"position_um": 1.0 / MICROMETRE, "rotation_arcsec": 1.0 / ARCSECOND, "share_of_limits": 1.0}
+NEAR = 0.95  # of the box: a pose beyond counts as at its boundary
 
 
 def compute_selections(inputs: SelectionInputs, run: Run) -> Results:
@@ -35,29 +43,378 @@ def compute_selections(inputs: SelectionInputs, run: Run) -> Results:
         "n_parameters": len(inputs.design.knowledge.sd),
         "n_measured": None if inputs.measured is None else len(inputs.measured),
     }
-    plans = {str(Path("plans") / name): text for name, text in format_plans(inputs, chosen).items()}
-    return Results(summary, tabulate(inputs, chosen), plans)
+    return Results(summary, tabulate(inputs, chosen), format_plans(inputs, chosen))
+
+
+# --- selections --------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Task:
+    """One selection to make; ``criterion`` is `DESIGN` for a set of poses that somebody else has chosen.
+
+    ``choice`` counts the config's selections, None for such a set; ``is_histogram`` says whether it judges many random
+    sets to see how they spread.
+    """
+
+    label: str
+    criterion: str
+    n_poses: int
+    repeat: int
+    choice: int | None
+    is_histogram: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class JudgedPoses:
+    """A set of poses and what it is worth.
+
+    Attributes
+    ----------
+    task : Task
+    selection : Selection or None
+        None for a set that somebody else has chosen.
+    actuators : ndarray, shape (n, N)
+        mm.
+    moves : ndarray, shape (n, 6)
+        Displacements from home, mm and rad.
+    indices : dict of name to float
+        O1 to O5.
+    accuracy : Accuracy or None
+    seconds : float
+        That the selection took.
+    """
+
+    task: Task
+    selection: Selection | None
+    actuators: Array
+    moves: Array
+    indices: dict[str, float]
+    accuracy: Accuracy | None
+    seconds: float
+
+
+def list_tasks(inputs: SelectionInputs) -> list[Task]:
+    """Return the selections of an experiment in the order of its config, then the designs of others.
+
+    A design is repeated as often as a selection where calibrations are simulated, each time with other machines.
+    """
+    tasks = [
+        Task(
+            label_of(choice), criterion, n, repeat, place, isinstance(choice, RandomChoiceConfig) and choice.n_sets > 1
+        )
+        for place, choice in enumerate(inputs.config.selections)
+        for criterion in map(label_class, choice.criteria)
+        for n in choice.n_poses
+        for repeat in range(choice.repeats)
+    ]
+    often = 1 if inputs.config.calibrations is None else max(choice.repeats for choice in inputs.config.selections)
+    designs = [(name, len(poses), repeat) for name, poses in inputs.designs.items() for repeat in range(often)]
+    return tasks + [Task(name, DESIGN, n, repeat, None) for name, n, repeat in designs]
+
+
+def check_problems(inputs: SelectionInputs) -> None:
+    """Raise InputError where poses are too few or too many for the first repeat's candidates, or one is singular."""
+    candidates = inputs.candidates(0)
+    for choice in inputs.config.selections:
+        inputs.method(choice)
+        for criterion in map(label_class, choice.criteria):
+            for n in {min(choice.n_poses), max(choice.n_poses)}:
+                SelectionProblem(candidates, inputs.criterion(criterion), n, inputs.measured)
+
+
+def run_tasks(inputs: SelectionInputs, run: Run) -> list[JudgedPoses]:
+    """Return the outcomes of all tasks, in their order."""
+    check_problems(inputs)  # faults of the config show here, once, and not in the middle of a worker
+    tasks = {f"{k} {task.label} {task.criterion} {task.n_poses}": task for k, task in enumerate(list_tasks(inputs))}
+    longest = dict(sorted(tasks.items(), key=lambda pair: -pair[1].n_poses))
+    found = run.map("selections", run_one, inputs, longest, (JudgedPoses,))
+    return [found[name] for name in tasks]
+
+
+def run_one(inputs: SelectionInputs, task: Task) -> JudgedPoses:
+    """Return the outcome of a task: sets of the same repeat start alike, machines of the same repeat are the same."""
+    began = time.perf_counter()
+    selection = None
+    if task.choice is None:
+        actuators = inputs.designs[task.label]
+        moves = inputs.domain.at_actuators(actuators).moves
+    else:
+        problem = SelectionProblem(
+            inputs.candidates(task.repeat), inputs.criterion(task.criterion), task.n_poses, inputs.measured
+        )
+        rng = np.random.default_rng([inputs.config.seed, SETS, task.n_poses, task.repeat])
+        selection = select(problem, inputs.method(inputs.config.selections[task.choice]), rng)
+        actuators, moves = selection.actuators, selection.placed.moves
+    seconds = time.perf_counter() - began
+    whole = actuators if inputs.measured is None else np.concatenate([inputs.measured, actuators])
+    accuracy = None
+    if (wanted := inputs.config.calibrations) is not None:
+        rng = np.random.default_rng([inputs.config.seed, MACHINES, task.repeat])
+        accuracy = judge_poses(
+            inputs.design, inputs.workspace, inputs.limits, whole, wanted.machines, rng, wanted.known
+        )
+    return JudgedPoses(task, selection, actuators, moves, inputs.indices(whole), accuracy, seconds)
+
+
+# --- calibrations ------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Accuracy:
+    """Pose errors over the workspace after calibrations with one set of poses.
+
+    Attributes
+    ----------
+    predicted : ndarray, shape (3,)
+        Root mean square over the workspace's poses to first order: of the position's length, mm, of the rotation's,
+        rad, and of all components in units of their limits.
+    simulated : ndarray, shape (B, 3)
+        The same of each machine that was drawn, measured and identified, by the machine itself.
+    positions : ndarray, shape (B,)
+        Mean over the workspace of the position error, mm.
+    parameters : ndarray, shape (B,)
+        Root mean square error of the parameters in units of the tolerances.
+    n_failed : int
+        Calibrations that did not converge; they count in nothing else.
+    """
+
+    predicted: Array
+    simulated: Array
+    positions: Array
+    parameters: Array
+    n_failed: int
+
+
+def judge_poses(
+    inputs: Design,
+    workspace: Sensitivity,
+    limits: Array,
+    actuators: Array,
+    n_machines: int,
+    rng: np.random.Generator,
+    known: bool = True,
+) -> Accuracy:
+    """Return what calibrations with poses at actuator positions (n, N) achieve.
+
+    Parameters
+    ----------
+    inputs : Design
+        Machine, tolerances, sensors and noise.
+    workspace : Sensitivity
+        Derivatives at the poses where accuracy counts, those of ``inputs.workspace_actuators``.
+    limits : ndarray, shape (6,)
+        What errors of a pose are measured by, mm and rad.
+    actuators : ndarray, shape (n, N)
+    n_machines : int
+        How many machines are drawn within the tolerances; the same ones for the same generator.
+    rng : Generator
+    known : bool
+        Whether the identification knows the tolerances, or is least squares weighted by the noise.
+    """
+    knowledge, plan = inputs.knowledge, replace(inputs.plan, actuators=actuators)
+    weight = 1.0 if known else UNKNOWN
+    # errors of an identification are K Rᵀ ε - w K z with K = (w + Λ)⁻¹, of covariance K (Λ + w²) K; (1 + Λ)⁻¹ for w = 1
+    rows = compute_sensitivity(knowledge, actuators).rows(plan)
+    values, vectors = information_of_rows(rows, knowledge.sd).spectrum()
+    covariance = (vectors * ((values + weight**2) / (values + weight) ** 2)) @ vectors.T
+    slope = workspace.slope * knowledge.sd
+    variance = np.einsum("wij,jk,wik->wi", slope, covariance, slope, optimize=True).mean(axis=0)
+    found = simulate_calibrations(knowledge, plan, n_machines, rng, prior_weight=weight)
+    errors = found.pose_errors(inputs.workspace_actuators)
+    good = np.isfinite(errors).all(axis=(1, 2))
+    if not good.any():
+        raise InputError(f"calibrations: found none of {n_machines} that converged, expected more poses or tolerances")
+    square = errors[good] ** 2
+    length = np.sqrt(square[..., :3].sum(axis=-1))
+    parts = (square[..., :3], square[..., 3:], square / limits**2)
+    return Accuracy(
+        np.sqrt([variance[:3].sum(), variance[3:].sum(), (variance / limits**2).sum()]),
+        np.stack([np.sqrt(part.sum(axis=-1).mean(axis=1)) for part in parts], axis=1),
+        length.mean(axis=1),
+        np.sqrt(np.mean(found.errors[good] ** 2, axis=1)),
+        int(n_machines - good.sum()),
+    )
+
+
+# --- tables ------------------------------------------------------------------------------------------------------
 
 
 def tabulate(inputs: SelectionInputs, chosen: list[JudgedPoses]) -> dict[str, pd.DataFrame]:
     """Return all tables of an experiment."""
     selections = tabulate_selections(chosen)
-    summary = summarise_selections(selections)
     errors, error_summary = tabulate_errors(chosen), pd.DataFrame()
     if not errors.empty:
         errors.insert(0, "name", name_ways(errors))
         error_summary = summarise_errors(errors)
         error_summary.insert(0, "name", name_ways(error_summary))
-    published, classes = compare_published(inputs, summary), tabulate_classes(inputs)
+    classes = tabulate_classes(inputs)
     return {
         **({} if classes.empty else {"classes": classes}),
         "selections": selections,
-        "selection_summary": summary,
+        "selection_summary": summarise_selections(selections),
         "poses": tabulate_poses(inputs, chosen),
-        "traces": tabulate_traces(chosen),
+        "traces": _tabulate_values([o for o in chosen if not o.task.is_histogram], "iteration"),
         "random_sets": tabulate_random_sets(chosen),
-        "timings": tabulate_timings(chosen),
-        "published": pd.DataFrame() if published is None else published,
+        "timings": pd.DataFrame([_key(o.task) | {"seconds": o.seconds} for o in chosen if o.selection is not None]),
         "errors": errors,
         "error_summary": error_summary,
     }
+
+
+def tabulate_selections(outcomes: list[JudgedPoses]) -> pd.DataFrame:
+    """Return one row per selection; the time it took is apart, in ``timings``."""
+    rows = []
+    for outcome in outcomes:
+        chosen = outcome.selection
+        value = outcome.indices.get(outcome.task.criterion, np.nan) if chosen is None else chosen.value
+        rows.append(
+            _key(outcome.task)
+            | {"method": "given" if chosen is None else chosen.method, "value": value}
+            | outcome.indices
+            | {
+                "n_evaluations": 0 if chosen is None else chosen.n_evaluations,
+                "n_iterations": 0 if chosen is None else len(chosen.trace) - 1,
+                "converged": True if chosen is None else chosen.converged,
+                "reason": "" if chosen is None else chosen.reason,
+                "at_boundary": np.nan if chosen is None else float(np.mean(np.abs(chosen.shares).max(axis=1) > NEAR)),
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def tabulate_classes(inputs: SelectionInputs) -> pd.DataFrame:
+    """Return what criteria and methods of somebody else's are; none for built-in ones, which every page knows."""
+    config = inputs.config
+    found: list[tuple[str, Criterion | SelectionMethod]] = []
+    found += [("criterion", inputs.criterion(label)) for label in config.criteria]
+    found += [("method", inputs.method(choice)) for choice in config.selections]
+    rows = {(what, one.name): (one.title, one.source) for what, one in found if is_own(type(one))}
+    return pd.DataFrame([(*key, *words) for key, words in rows.items()], columns=["what", "name", "title", "source"])
+
+
+def tabulate_poses(inputs: SelectionInputs, outcomes: list[JudgedPoses]) -> pd.DataFrame:
+    """Return one row per chosen pose: displacements from home, and of the actuators from their initial positions."""
+    start = inputs.design.knowledge.machine.mechanism.initial_actuator_positions
+    columns = [f"{axis.replace(' ', '_')}_{'mm' if k < 3 else 'deg'}" for k, axis in enumerate(AXES)]
+    legs = [f"drho_{k}_mm" for k in range(1, len(start) + 1)]
+    parts = []
+    for outcome in outcomes:
+        moves = np.concatenate([outcome.moves[:, :3], np.degrees(outcome.moves[:, 3:])], axis=1)
+        part = pd.DataFrame(np.concatenate([moves, outcome.actuators - start], axis=1), columns=[*columns, *legs])
+        part.insert(0, "pose", np.arange(1, len(part) + 1))
+        for place, (name, value) in enumerate(_key(outcome.task).items()):
+            part.insert(place, name, value)
+        parts.append(part)
+    return pd.concat(parts, ignore_index=True)
+
+
+def tabulate_random_sets(outcomes: list[JudgedPoses]) -> pd.DataFrame:
+    """Return the criterion of each of many random sets."""
+    return _tabulate_values([o for o in outcomes if o.task.is_histogram], "set")
+
+
+def tabulate_errors(outcomes: list[JudgedPoses]) -> pd.DataFrame:
+    """Return predicted and simulated pose errors over the workspace of each set of poses.
+
+    ``simulated`` is the root mean square over machines, comparable with ``predicted``, with its standard error.
+    """
+    rows = []
+    for outcome in outcomes:
+        accuracy = outcome.accuracy
+        if accuracy is None:
+            continue
+        row: dict[str, object] = {**_key(outcome.task)}
+        square = accuracy.simulated**2
+        root = np.sqrt(square.mean(axis=0))
+        spread = square.std(axis=0, ddof=1) if len(square) > 1 else np.full(3, np.nan)
+        error = spread / np.sqrt(len(square)) / (2.0 * root)
+        for k, (part, scale) in enumerate(SCALES.items()):
+            row[f"predicted_{part}"] = float(accuracy.predicted[k] * scale)
+            row[f"simulated_{part}"] = float(root[k] * scale)
+            row[f"simulated_{part}_se"] = float(error[k] * scale)
+        row["mean_position_um"] = float(accuracy.positions.mean() / MICROMETRE)
+        row["parameters_rms"] = float(np.sqrt(np.mean(accuracy.parameters**2)))
+        row["n_machines"], row["n_failed"] = len(square), accuracy.n_failed
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def name_ways(table: pd.DataFrame) -> pd.Series:
+    """Return what each row's way to choose is called: label, criterion, or both, whichever tells them apart.
+
+    Labels go by themselves where each has one criterion, criteria where each has one label. Random sets know no
+    criterion.
+    """
+    plain = (table["label"] == RANDOM) | (table["criterion"] == DESIGN)
+    found = table.loc[~plain, ["label", "criterion"]].drop_duplicates()
+    if len(found) == found["label"].nunique():
+        return table["label"].astype(str)
+    one_label = len(found) == found["criterion"].nunique()
+    names = table["criterion"] if one_label else table["label"] + ", " + table["criterion"]
+    return names.mask(plain, table["label"])
+
+
+def summarise_selections(selections: pd.DataFrame) -> pd.DataFrame:
+    """Return the criterion's best, mean and standard deviation over repeats."""
+    groups = selections.groupby(KEY, sort=False)["value"]
+    table = groups.agg(["max", "mean", "std", "count"]).reset_index()
+    return table.rename(columns={"max": "best", "std": "sd", "count": "repeats"})
+
+
+def summarise_errors(errors: pd.DataFrame) -> pd.DataFrame:
+    """Return pose errors as mean over repeats, with standard deviation and standard error.
+
+    Of one repeat alone the standard error is that of its machines.
+    """
+    groups = errors.groupby(KEY, sort=False)
+    n, mean, sd = groups.size(), groups.mean(numeric_only=True), groups.std(numeric_only=True)
+    table = pd.DataFrame({"repeats": n})
+    for part in SCALES:
+        table[f"predicted_{part}"] = mean[f"predicted_{part}"]
+        simulated = f"simulated_{part}"
+        table[simulated], table[f"{simulated}_sd"] = mean[simulated], sd[simulated]
+        table[f"{simulated}_se"] = (sd[simulated] / np.sqrt(n)).where(n > 1, mean[f"{simulated}_se"])
+    table["mean_position_um"], table["mean_position_um_sd"] = mean["mean_position_um"], sd["mean_position_um"]
+    table["parameters_rms"], table["n_failed"] = mean["parameters_rms"], groups["n_failed"].sum()
+    return table.reset_index()
+
+
+def format_plans(inputs: SelectionInputs, outcomes: list[JudgedPoses]) -> dict[str, str]:
+    """Return CSV texts of the best set of each label, criterion and number: actuator displacements in mm.
+
+    Names of files to texts; an audit's plan of kind ``file`` reads them.
+    """
+    best: dict[tuple[str, str, int], JudgedPoses] = {}
+    for outcome in outcomes:
+        task, chosen = outcome.task, outcome.selection
+        if chosen is None or task.criterion == DESIGN:
+            continue
+        key = (task.label, task.criterion, task.n_poses)
+        before = best.get(key)
+        if before is None or before.selection is None or chosen.value > before.selection.value:
+            best[key] = outcome
+    start = inputs.design.knowledge.machine.mechanism.initial_actuator_positions
+    columns = [f"drho_{k}_mm" for k in range(1, len(start) + 1)]
+    texts = {}
+    for (label, criterion, n), outcome in best.items():
+        rows = [[f"{x + 0.0:.6f}" for x in row] for row in np.round(outcome.actuators - start, 6)]
+        comment = f"{inputs.config.name}: {n} poses, criterion {criterion}, {label}; displacements, mm"
+        texts[str(Path("plans") / f"{label}_{criterion}_{n}.csv")] = format_table([comment], columns, rows)
+    return texts
+
+
+def _key(task: Task) -> dict[str, str | int]:
+    return {"label": task.label, "criterion": task.criterion, "n_poses": task.n_poses, "repeat": task.repeat + 1}
+
+
+def _tabulate_values(outcomes: list[JudgedPoses], what: str) -> pd.DataFrame:
+    parts = []
+    for outcome in outcomes:
+        if outcome.selection is None:
+            continue
+        trace = outcome.selection.trace
+        first = 1 if what == "set" else 0
+        parts.append(pd.DataFrame(_key(outcome.task) | {what: np.arange(first, first + len(trace)), "value": trace}))
+    columns = [*KEY, "repeat", what, "value"]
+    return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame(columns=columns)

@@ -8,17 +8,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
-from bayescal.config.classes import Choice, choose, name_failures
+from bayescal.config.classes import choose, name_failures
 from bayescal.data.actuators import read_moves
 from bayescal.errors import InputError
-from bayescal.experiments.selection.published import read_published
 from bayescal.experiments.selection.schema import (
     ActuatorDomainConfig,
     ContinuousChoiceConfig,
     OwnChoiceConfig,
-    RandomChoiceConfig,
     SelectionChoice,
     SelectionConfig,
     TableConfig,
@@ -58,7 +55,7 @@ from bayescal.pose_selection.observability import JacobianForm
 
 CANDIDATES = 1  # streams of random numbers
 SHARED = ("criteria", "n_poses", "repeats", "label", "method")
-CRITERIA_FIELD, METHOD_FIELD = "selections.criteria", "selections.method"
+CRITERIA_FIELD = "selections.criteria"
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,8 +75,6 @@ class SelectionInputs:
         Actuator positions of poses that have been measured already, mm.
     designs : dict of name to ndarray, shape (n, N)
         Actuator positions of sets of poses that somebody else has chosen, mm.
-    published : DataFrame or None
-        Values of criteria that the source printed.
     """
 
     config: SelectionConfig
@@ -88,7 +83,6 @@ class SelectionInputs:
     domain: PoseDomain
     measured: Array | None
     designs: dict[str, Array]
-    published: pd.DataFrame | None = None
 
     def candidates(self, repeat: int) -> Candidates:
         """Return the candidates of a repeat; without ``redraw`` all have those of the first.
@@ -107,13 +101,24 @@ class SelectionInputs:
 
     def criterion(self, name: str) -> Criterion:
         """Return a criterion by what tables call it."""
-        chosen = choose_criterion(self.config, name, self.folder)
+        chosen = choose("CRITERIA", self.config.criteria[name], Criterion, CRITERIA_FIELD, self.folder)  # type: ignore[type-abstract]
         with name_failures(chosen.found, CRITERIA_FIELD, self.folder):
             return chosen.found.from_config(chosen.options, self)
 
     def method(self, choice: SelectionChoice) -> SelectionMethod:
         """Return the method of a choice with its options."""
-        return build_method(choice, self.folder)
+        if isinstance(choice, OwnChoiceConfig):
+            return self._make_method(choice.method, "selections.method", choice.options)
+        options = choice.model_dump(exclude=set(SHARED))
+        if isinstance(choice, ContinuousChoiceConfig):
+            start = self._make_method(choice.start, "selections.start", None)
+            options["start"] = RandomSets(1) if type(start) is RandomSets else start
+        return METHODS[choice.method](**options)
+
+    def _make_method(self, name: str, field: str, options: dict[str, Any] | None) -> SelectionMethod:
+        chosen = choose("METHODS", name, SelectionMethod, field, self.folder, options)  # type: ignore[type-abstract]
+        with name_failures(chosen.found, field, self.folder):
+            return chosen.found.from_config(chosen.options)
 
     @property
     def knowledge(self) -> Knowledge:
@@ -166,39 +171,7 @@ def read_selection(config: SelectionConfig, folder: Path) -> SelectionInputs:
                 f"designs: {name}: pose {int(np.argmin(placed.found)) + 1}: found none at these displacements, "
                 "expected poses the machine can take"
             )
-    return SelectionInputs(config, folder, design, domain, measured, designs, read_published(config, folder))
-
-
-def choose_criterion(config: SelectionConfig, label: str, folder: Path) -> Choice[Criterion]:
-    """Return a criterion's class by what tables call it."""
-    return choose("CRITERIA", config.criteria[label], Criterion, CRITERIA_FIELD, folder)  # type: ignore[type-abstract]
-
-
-def choose_method(name: str, field: str, folder: Path, options: dict[str, Any] | None) -> Choice[SelectionMethod]:
-    """Return a method's class by what the config calls it."""
-    return choose("METHODS", name, SelectionMethod, field, folder, options)  # type: ignore[type-abstract]
-
-
-def build_method(choice: SelectionChoice, folder: Path) -> SelectionMethod:
-    """Return the method of a choice with its options; a file of somebody else's stands in a folder."""
-    if isinstance(choice, OwnChoiceConfig):
-        return _make_method(choose_method(choice.method, METHOD_FIELD, folder, choice.options), METHOD_FIELD, folder)
-    options = choice.model_dump(exclude=set(SHARED))
-    if isinstance(choice, ContinuousChoiceConfig):
-        field = "selections.start"
-        start = choose_method(choice.start, field, folder, None)
-        options["start"] = RandomSets(1) if start.found is RandomSets else _make_method(start, field, folder)
-    return METHODS[choice.method](**options)
-
-
-def _make_method(chosen: Choice[SelectionMethod], field: str, folder: Path) -> SelectionMethod:
-    with name_failures(chosen.found, field, folder):
-        return chosen.found.from_config(chosen.options)
-
-
-def is_histogram(choice: SelectionChoice) -> bool:
-    """Return whether a choice judges many random sets, to see how they spread."""
-    return isinstance(choice, RandomChoiceConfig) and choice.n_sets > 1
+    return SelectionInputs(config, folder, design, domain, measured, designs)
 
 
 def read_design(config: SelectionConfig, folder: Path) -> Design:

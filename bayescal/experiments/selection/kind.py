@@ -11,10 +11,10 @@ from bayescal.experiments.frame.results import Results
 from bayescal.experiments.selection.compute import compute_selections
 from bayescal.experiments.selection.inputs import SelectionInputs, read_selection
 from bayescal.experiments.selection.page import build_page
-from bayescal.experiments.selection.published import check_published
 from bayescal.experiments.selection.schema import SelectionConfig
+from bayescal.experiments.selection.verdict import Tables
 from bayescal.numerics.geometry import DEGREES_OF_FREEDOM
-from bayescal.pose_selection.candidates import AT_ONCE
+from bayescal.pose_selection.domain import AT_ONCE
 from bayescal.report.blocks import Page
 
 COPIES, DERIVATIVES, PLACING = 3, 8, 12
@@ -22,16 +22,14 @@ COPIES, DERIVATIVES, PLACING = 3, 8, 12
 
 
 class Selection(Experiment[SelectionConfig, SelectionInputs]):
-    """Which poses to measure, by criteria and methods set side by side."""
+    """Which poses to measure, by criteria and methods compared."""
 
     schema = SelectionConfig
     digits = 12
 
     def read(self, config: SelectionConfig, folder: Path) -> SelectionInputs:
         """Return what the experiment computes with."""
-        inputs = read_selection(config, folder)
-        check_published(config, inputs.published)
-        return inputs
+        return read_selection(config, folder)
 
     def estimate_memory(self, inputs: SelectionInputs) -> Need:
         """Return what the rows of all candidates take."""
@@ -45,9 +43,9 @@ class Selection(Experiment[SelectionConfig, SelectionInputs]):
         return estimate_arrays({"candidates": n, "parameters": n_parameters}, held, "fewer candidates")
 
     def compute(self, inputs: SelectionInputs, run: Run) -> Results:
-        """Return the selections and what they are worth."""
+        """Return the selections and what calibrations with them achieve."""
         return compute_selections(inputs, run)
 
     def page(self, results: Results) -> Page:
         """Return the page."""
-        return build_page(self.config_of(results), results)
+        return build_page(Tables(self.config_of(results), results))

@@ -1,28 +1,31 @@
-"""The page of an experiment on pose selection."""
+"""The page of an experiment on pose selection: a list of blocks, each of which shows something or nothing."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
+import matplotlib.figure as plt
+import numpy as np
 import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
-from bayescal.experiments.frame.results import Results
-from bayescal.experiments.selection.compare import tabulate_pairs
-from bayescal.experiments.selection.figures import (
-    Quantity,
-    draw_errors,
-    draw_paired,
-    draw_random_sets,
-    draw_ratios,
-    draw_traces,
-)
+from bayescal.experiments.selection.compute import DESIGN, RANDOM
 from bayescal.experiments.selection.schema import SelectionConfig
-from bayescal.experiments.selection.tasks import DESIGN
-from bayescal.experiments.selection.verdict import PRINTED, Tables, state_headline, state_verdict
+from bayescal.experiments.selection.verdict import (
+    JUDGEMENTS,
+    Judgement,
+    Tables,
+    pair_errors,
+    state_headline,
+    state_verdict,
+)
 from bayescal.experiments.shared.origin import name_origin
-from bayescal.report.blocks import Cell, Column, Figure, Page, Section, Statement, Table, make_section, make_table
+from bayescal.pose_selection import CRITERIA, METHODS
+from bayescal.pose_selection.observability import INDICES
+from bayescal.report.blocks import Column, Figure, Page, Section, Statement, Table, make_section, make_table
 from bayescal.report.numbers import (
     MINUS,
     NOTHING,
@@ -32,183 +35,93 @@ from bayescal.report.numbers import (
     format_scientific,
     format_significant,
 )
+from bayescal.report.style import GREY, INK, LEG_COLOURS, MARKERS, PALE, RED
 
 KIND = "Pose selection"
-INDICES = ("O1", "O2", "O3", "O4", "O5")
 SMALL = 1e-2
+COLOURS = (LEG_COLOURS[4], LEG_COLOURS[5], LEG_COLOURS[2], LEG_COLOURS[3], LEG_COLOURS[0], LEG_COLOURS[1])
+
+type PageBlock = Callable[[Tables], Section | None]
+"""A part of the page; None where these results have nothing for it."""
 
 
-def build_page(config: SelectionConfig, results: Results) -> Page:
-    """Return the page of an experiment's results."""
-    tables = Tables.of(config, results)
-    sections = [
-        *_published_section(tables),
-        *_trace_section(tables),
-        *_random_section(tables),
-        *_error_sections(tables),
-        *_design_section(tables),
-        _chosen_section(tables),
-        _method_section(results.summary["n_parameters"], tables),
-    ]
-    return Page(
-        KIND,
-        config.name,
-        config.title,
-        name_origin(config.origin.model_dump()),
-        state_headline(tables),
-        tuple(state_verdict(tables)),
-        tuple(sections),
-        (("Machine", results.summary["machine"]), ("Candidates", _describe_candidates(config, results))),
-    )
-
-
-def _describe_candidates(config: SelectionConfig, results: Results) -> str:
-    section = config.candidates
-    how = {
-        "random": "at random",
-        "even": f"evenly on a grid of {section.levels} levels",
-        "factorial": "on a full factorial",
-    }
-    where = "the actuators' range" if config.domain.within == "actuators" else "the workspace"
-    if config.domain.position_mm is not None and config.domain.rotation_deg is not None:
-        position, rotation = (
-            " × ".join(f"±{format_plain(x)}" for x in halves)
-            for halves in (config.domain.position_mm, config.domain.rotation_deg)
-        )
-        where += f", {position} mm, {rotation} deg"
-    again = "; other ones in each repeat" if section.redraw else ""
-    measured = results.summary["n_measured"]
-    beside = "" if measured is None else f"; besides {measured} poses measured already"
-    return f"{section.count} {how[section.spread]} of {where}{again}{beside}"
-
-
-def _estimate(mean: float, sd: float) -> str:
+def format_spread(mean: float, sd: float) -> str:
     """Return mean ± sd of a number of any size; the mean alone without an sd."""
     if not sd > 0:
-        return _plain(mean)
+        return format_value(mean)
     if mean == 0.0 or abs(mean) >= SMALL:
         return format_estimate(mean, sd)
     power = -math.floor(math.log10(abs(mean)))
     return f"({format_estimate(mean * 10.0**power, sd * 10.0**power)})e{MINUS}{power}"
 
 
-def _plain(value: float) -> str:
+def format_value(value: float) -> str:
+    """Return a number of any size to four digits."""
     if value == 0.0 or abs(value) >= SMALL:
         return format_significant(value, 4)
     return format_scientific(value, 4)
 
 
-def _published_section(tables: Tables) -> list[Section]:
-    table = tables.published
-    if table.empty or tables.config.published is None:
-        return []
-    columns = [
-        Column("Method", kind="text"),
-        Column("Index", kind="text"),
-        Column("Poses"),
-        Column("printed", group="published"),
-        Column("best", group="found"),
-        Column("mean ± sd", group="found"),
-        Column("repeats", group="found"),
-        Column("best", "%", "found against published"),
-        Column("mean", "%", "found against published"),
-    ]
-    rows: list[Sequence[str | Cell]] = [
-        [
-            str(row["label"]),
-            str(row["criterion"]),
-            str(row["n_poses"]),
-            _plain(row["published"]),
-            _plain(row["best"]),
-            _estimate(row["mean"], row["sd"]),
-            str(row["repeats"]),
-            Cell(
-                format_fixed(100 * (row["ratio"] - 1), 1, sign=True),
-                "good" if row["ratio"] > 1.0 - PRINTED else "warning",
-            ),
-            format_fixed(100 * (row["ratio_of_mean"] - 1), 1, sign=True),
-        ]
-        for _, row in table.iterrows()
-    ]
-    figure = Figure(
-        "published",
-        "Indices found, by those published: best of the repeats, and mean with standard deviation over repeats.",
-        partial(draw_ratios, table),
-    )
-    caption = f"Indices published by {tables.config.published.source} and found here."
-    return [make_section("Published and found", (), (make_table(caption, columns, rows),), (figure,))]
-
-
-def _trace_section(tables: Tables) -> list[Section]:
-    """Return the traces of the first number of poses, where there are methods that go on from set to set."""
-    section = tables.config.published
-    if section is None or not section.iterations or tables.traces.empty:
-        return []
-    first = tables.traces.iloc[0]
-    criterion, n = str(first["criterion"]), int(first["n_poses"])
-    rows = tables.selections[(tables.selections["criterion"] == criterion) & (tables.selections["n_poses"] == n)]
-    columns = [
-        Column("Method", kind="text"),
-        Column("iterations", group="published"),
-        Column("iterations", group="found"),
-        Column(f"{criterion}, first repeat", group="found"),
-        Column(f"{criterion}, mean ± sd", group="found"),
-    ]
-    body = []
-    for label, group in rows.groupby("label", sort=False):
-        if label in section.iterations:
-            steps = group["n_iterations"]
-            span = f"{steps.min()} to {steps.max()}" if steps.min() < steps.max() else str(steps.min())
-            value = group["value"]
-            body.append(
-                [
-                    str(label),
-                    str(section.iterations[str(label)]),
-                    span,
-                    _plain(value.iloc[0]),
-                    _estimate(value.mean(), value.std()),
-                ]
-            )
-    figure = Figure(
-        "traces",
-        f"{criterion} of {n} poses by iteration: the first repeat thick, the others, with other candidates and another "
-        "start, thin.",
-        partial(draw_traces, tables.traces, criterion, n, section.iterations),
-    )
-    table = make_table(f"Iterations and {criterion} of {n} poses.", columns, body)
-    return [make_section("The way there", (), (table,), (figure,))]
-
-
-def _random_section(tables: Tables) -> list[Section]:
-    if tables.random_sets.empty:
-        return []
-    section = tables.config.published
-    mean, largest = (None, None) if section is None else (section.random_mean, section.random_max)
-    sets = tables.random_sets
+def show_random_sets(tables: Tables, printed: Mapping[str, float | None] | None = None) -> Section | None:
+    """Return how many random sets spread; ``printed`` is what a source has of their ``mean`` and ``largest``."""
+    sets = tables["random_sets"]
+    if sets.empty:
+        return None
     criterion, n = str(sets["criterion"].iloc[0]), int(sets["n_poses"].iloc[0])
     groups = sets.groupby("repeat")["value"]
-    columns = [Column("", kind="text"), Column("published"), Column("first draw", group="found")]
-    columns.append(Column("mean ± sd over draws", group="found"))
+    columns = [
+        Column("", kind="text"),
+        *([] if printed is None else [Column("published")]),
+        Column("first draw", group="found"),
+        Column("mean ± sd over draws", group="found"),
+    ]
     rows = [
         [
             what,
-            NOTHING if published is None else _plain(published),
-            _plain(values.iloc[0]),
-            _estimate(values.mean(), values.std()),
+            *([] if printed is None else [NOTHING if (x := printed[what]) is None else format_value(x)]),
+            format_value(values.iloc[0]),
+            format_spread(values.mean(), values.std()),
         ]
-        for what, values, published in (("mean", groups.mean(), mean), ("largest", groups.max(), largest))
+        for what, values in (("mean", groups.mean()), ("largest", groups.max()))
     ]
     figure = Figure(
         "random_sets",
         f"{criterion} of random sets of {n} poses, first draw.",
-        partial(draw_random_sets, sets, criterion, mean, largest),
+        partial(draw_random_sets, sets, criterion, printed or {}),
     )
-    return [make_section("Random sets", (), (make_table(f"{criterion} of random sets.", columns, rows),), (figure,))]
+    return make_section("Random sets", (), (make_table(f"{criterion} of random sets.", columns, rows),), (figure,))
 
 
-def _error_sections(tables: Tables) -> list[Section]:
-    if tables.errors.empty:
-        return []
+def draw_random_sets(sets: pd.DataFrame, criterion: str, printed: Mapping[str, float | None]) -> plt.Figure:
+    """Return the histogram of a criterion over random sets of the first repeat, after figure 7.
+
+    Parameters
+    ----------
+    sets : pandas.DataFrame
+        Columns ``repeat`` and ``value``.
+    criterion : str
+    printed : mapping of str to float
+        As published: ``mean`` and ``largest``.
+    """
+    values = sets.loc[sets["repeat"] == sets["repeat"].min(), "value"].to_numpy()
+    figure = plt.Figure(figsize=(7.2, 3.4), layout="constrained")
+    axes = figure.subplots()
+    axes.hist(values, bins=40, color=PALE, edgecolor=GREY, linewidth=0.5)
+    for value, label, style in ((values.mean(), "mean", "-"), (values.max(), "largest", "--")):
+        axes.axvline(value, color=INK, linewidth=1.3, linestyle=style, label=f"{label} found {format_fixed(value, 5)}")
+    for label, style in (("mean", "-"), ("largest", "--")):
+        if (published := printed.get(label)) is not None:
+            name = f"{label} published {format_fixed(published, 5)}"
+            axes.axvline(published, color=RED, linewidth=1.3, linestyle=style, label=name)
+    axes.set(xlabel=criterion, ylabel=f"Sets of {len(values)}")
+    axes.legend(loc="upper left")
+    return figure
+
+
+def show_accuracy(tables: Tables) -> Section | None:
+    """Return predicted and simulated errors after calibrations with the poses, and ways against each other."""
+    if tables["errors"].empty:
+        return None
     wanted = tables.config.calibrations
     assert wanted is not None
     how = "with the tolerances known to it" if wanted.known else "by least squares weighted by the noise"
@@ -217,47 +130,52 @@ def _error_sections(tables: Tables) -> list[Section]:
         f"and identified {how}; their poses over the workspace were then predicted and compared with the true ones. "
         "Ways to choose poses are compared repeat by repeat, with the same candidates and machines.",
     )
-    summary = tables.error_summary
+    summary = tables["error_summary"]
     own, designs = summary[summary["criterion"] != DESIGN], summary[summary["criterion"] == DESIGN]
-    names = list(dict.fromkeys(own["name"]))
-    quantities = [Quantity("mean_position_um", "Mean position error, µm", "mean_position_um_sd")]
-    if tables.metric == "simulated_share_of_limits":
-        label = "Pose error in units of the limits"
-        quantities.append(Quantity("simulated_share_of_limits", label, "simulated_share_of_limits_sd"))
+    quantities = {"mean_position_um": "Mean position error, µm"}
+    if tables.config.requirements.is_any:
+        quantities["simulated_share_of_limits"] = "Pose error in units of the limits"
     else:
-        bars = "simulated_rotation_arcsec_sd"
-        quantities.append(Quantity("simulated_rotation_arcsec", "Rms rotation error, arcsec", bars))
+        quantities["simulated_rotation_arcsec"] = "Rms rotation error, arcsec"
     figures = [
         Figure(
             "errors",
             "Simulated pose errors over the workspace against the number of poses: mean and standard deviation over "
             "repeats, each of which is a mean over machines.",
-            partial(draw_errors, own, names, designs, quantities),
+            partial(draw_errors, own, designs, quantities),
         )
     ]
-    return [
-        make_section(
-            "Accuracy after calibration",
-            text,
-            (_tabulate_errors(summary),),
-            tuple(figures + _pair_figures(tables)),
-            (),
-            True,
-        )
-    ]
+    observed = own.loc[(own["criterion"] == "O1") & (own["name"] != RANDOM), "name"]
+    if own["criterion"].nunique() > 1 and not observed.empty:
+        reference = str(observed.iloc[0])
+        pairs = tabulate_pairs(tables.errors, reference, tables.part)
+        caption = f"Pose errors by those of {reference} with the same machines: the geometric mean over repeats."
+        figures.append(Figure("pairs", caption, partial(draw_paired, pairs[pairs["name"] != RANDOM], reference)))
+    return make_section("Accuracy after calibration", text, (_tabulate_errors(summary),), figures, wide=True)
 
 
-def _pair_figures(tables: Tables) -> list[Figure]:
-    errors = tables.errors[tables.errors["criterion"] != DESIGN]
-    observed = errors[(errors["criterion"] == "O1") & (errors["name"] != "random")]
-    if errors["criterion"].nunique() < 2 or observed.empty:
-        return []
-    reference = str(observed["name"].iloc[0])
-    part = "share_of_limits" if tables.metric == "simulated_share_of_limits" else "position_um"
-    pairs = tabulate_pairs(errors, reference, part)
-    pairs = pairs[pairs["name"] != "random"]
-    caption = f"Pose errors by those of {reference} with the same machines: the geometric mean over repeats."
-    return [Figure("pairs", caption, partial(draw_paired, pairs, reference))]
+def tabulate_pairs(errors: pd.DataFrame, reference: str, part: str) -> pd.DataFrame:
+    """Return each way's errors by those of a reference, predicted and simulated, at each number of poses."""
+    rows = []
+    for n in sorted(set(errors["n_poses"])):
+        for name in dict.fromkeys(errors.loc[errors["n_poses"] == n, "name"]):
+            if name == reference:
+                continue
+            simulated = pair_errors(errors, name, reference, n, f"simulated_{part}")
+            predicted = pair_errors(errors, name, reference, n, f"predicted_{part}")
+            if simulated.n:
+                rows.append(
+                    {
+                        "name": name,
+                        "n_poses": n,
+                        "predicted": predicted.value,
+                        "simulated": simulated.value,
+                        "simulated_se": simulated.error,
+                        "n_pairs": simulated.n,
+                        "clear": simulated.clear,
+                    }
+                )
+    return pd.DataFrame(rows)
 
 
 def _tabulate_errors(summary: pd.DataFrame) -> Table:
@@ -278,24 +196,115 @@ def _tabulate_errors(summary: pd.DataFrame) -> Table:
     return make_table("Pose errors over the workspace after calibration, all repeats together.", columns, rows)
 
 
-def _design_section(tables: Tables) -> list[Section]:
-    given = tables.selections[tables.selections["criterion"] == DESIGN].drop_duplicates("label")
+def draw_errors(summary: pd.DataFrame, designs: pd.DataFrame, quantities: Mapping[str, str]) -> plt.Figure:
+    """Return errors after calibration against the number of poses, one line per way to choose them.
+
+    Parameters
+    ----------
+    summary : pandas.DataFrame
+        Columns ``name``, ``n_poses``, those of the quantities and with ``_sd`` their standard deviations.
+    designs : pandas.DataFrame
+        The same columns, for sets of poses that somebody else has chosen: single points.
+    quantities : mapping of str to str
+        Columns, one panel each, and what their axes say.
+    """
+    names = list(dict.fromkeys(summary["name"]))
+    figure = plt.Figure(figsize=(4.6 * len(quantities), 3.7), layout="constrained")
+    panels = figure.subplots(1, len(quantities), squeeze=False)[0]
+    for axes, (column, label) in zip(panels, quantities.items(), strict=True):
+        for k, name in enumerate(names):
+            rows = summary[summary["name"] == name]
+            shift = 1.0 + 0.012 * (k - 0.5 * (len(names) - 1))
+            _draw_bars(axes, rows, column, shift, COLOURS[k % len(COLOURS)], MARKERS[k % len(MARKERS)], name, "-")
+        for k, (design, rows) in enumerate(designs.groupby("name", sort=False)):
+            _draw_bars(axes, rows, column, 1.0, INK, MARKERS[-1 - k % len(MARKERS)], str(design), "none")
+        axes.set(xscale="log", yscale="log", xlabel="Number of poses", ylabel=label)
+        ticks = sorted(set(summary["n_poses"]))
+        axes.set_xticks(ticks, [str(n) for n in ticks])
+        axes.xaxis.set_minor_formatter(NullFormatter())
+        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: format_plain(value)))
+        axes.yaxis.set_minor_formatter(NullFormatter())
+        axes.grid(visible=True)
+    panels[0].legend()
+    return figure
+
+
+def _draw_bars(
+    axes: Axes, rows: pd.DataFrame, column: str, shift: float, colour: str, marker: str, name: str, line: str
+) -> None:
+    mean, bars = rows[column].to_numpy(dtype=float), np.nan_to_num(rows[f"{column}_sd"].to_numpy(dtype=float))
+    axes.errorbar(
+        rows["n_poses"] * shift,
+        mean,
+        yerr=np.stack([np.minimum(bars, 0.9 * mean), bars]),
+        color=colour,
+        marker=marker,
+        markersize=4.5,
+        linestyle=line,
+        linewidth=1.0,
+        capsize=2.0,
+        label=name,
+    )
+
+
+def draw_paired(table: pd.DataFrame, reference: str) -> plt.Figure:
+    """Return errors by those of a reference with the same machines, predicted and simulated, with standard errors.
+
+    Parameters
+    ----------
+    table : pandas.DataFrame
+        Columns ``name``, ``n_poses``, ``predicted``, ``simulated`` and ``simulated_se``, ratios all.
+    reference : str
+    """
+    numbers = sorted(set(table["n_poses"]))
+    names = list(dict.fromkeys(table["name"]))
+    figure = plt.Figure(figsize=(3.0 * len(numbers), 3.4), layout="constrained")
+    panels = figure.subplots(1, len(numbers), sharey=True, squeeze=False)[0]
+    for axes, n in zip(panels, numbers, strict=True):
+        rows = table[table["n_poses"] == n].set_index("name").reindex(names)
+        at = np.arange(len(names))
+        axes.axhline(1.0, color=GREY, linewidth=1.0)
+        axes.plot(at - 0.1, rows["predicted"], "s", color=COLOURS[1], markersize=5, label="predicted")
+        axes.errorbar(
+            at + 0.1,
+            rows["simulated"],
+            yerr=2.0 * rows["simulated_se"],
+            color=INK,
+            marker="o",
+            markersize=4.5,
+            linestyle="none",
+            capsize=2.5,
+            label="simulated ± 2 standard errors",
+        )
+        axes.set_xticks(at, names, rotation=30, ha="right")
+        axes.set_title(f"{n} poses")
+        axes.grid(visible=True, axis="y")
+        axes.yaxis.set_major_locator(MaxNLocator(6))
+    panels[0].set_ylabel(f"Error by that of {reference}")
+    panels[0].legend(loc="upper left")
+    return figure
+
+
+def show_designs(tables: Tables) -> Section | None:
+    """Return the observability indices of sets of poses that somebody else has chosen."""
+    given, selections = tables.designs, tables["selections"]
     if given.empty:
-        return []
-    numbers = set(given["n_poses"])
+        return None
     columns = [Column("Poses by", kind="text"), Column("Poses"), *(Column(name) for name in INDICES)]
     rows = []
     for _, row in given.iterrows():
-        rows.append([str(row["label"]), str(row["n_poses"]), *(_plain(row[name]) for name in INDICES)])
-    found = tables.selections[(tables.selections["criterion"] != DESIGN) & tables.selections["n_poses"].isin(numbers)]
+        rows.append([str(row["label"]), str(row["n_poses"]), *(format_value(row[name]) for name in INDICES)])
+    found = selections[(selections["criterion"] != DESIGN) & selections["n_poses"].isin(given["n_poses"])]
     for (label, criterion, n), group in found.groupby(["label", "criterion", "n_poses"], sort=False):
-        cells = [_estimate(group[name].mean(), group[name].std()) for name in INDICES]
+        cells = [format_spread(group[name].mean(), group[name].std()) for name in INDICES]
         rows.append([f"{label}, {criterion}, mean ± sd", str(n), *cells])
     table = make_table("Observability indices of given sets of poses and of those found here.", columns, rows)
-    return [make_section("Given sets of poses", (), (table,))]
+    return make_section("Given sets of poses", (), (table,))
 
 
-def _chosen_section(tables: Tables) -> Section:
+def show_chosen(tables: Tables) -> Section | None:
+    """Return the criterion of every selection, and the time of one."""
     columns = [
         Column("Method", kind="text"),
         Column("Criterion", kind="text"),
@@ -305,18 +314,18 @@ def _chosen_section(tables: Tables) -> Section:
         Column("repeats"),
         Column("time", "s, mean", kind="seconds"),
     ]
-    seconds = tables.timings.groupby(["label", "criterion", "n_poses"])["seconds"].mean()
+    seconds = tables["timings"].groupby(["label", "criterion", "n_poses"])["seconds"].mean()
     rows = [
         [
             str(row["label"]),
             str(row["criterion"]),
             str(row["n_poses"]),
-            _plain(row["best"]),
-            _estimate(row["mean"], row["sd"]),
+            format_value(row["best"]),
+            format_spread(row["mean"], row["sd"]),
             str(row["repeats"]),
             format_significant(float(seconds.loc[(row["label"], row["criterion"], row["n_poses"])]), 2),
         ]
-        for _, row in tables.summary.iterrows()
+        for _, row in tables["selection_summary"].iterrows()
         if row["criterion"] != DESIGN
     ]
     note = Statement(
@@ -327,19 +336,23 @@ def _chosen_section(tables: Tables) -> Section:
     return make_section("What was chosen", (), (table,), (), (note,))
 
 
-def _method_section(n_parameters: int, tables: Tables) -> Section:
-    criteria = [[name, *tables.describe("criterion", name)] for name in tables.list_used("criterion")]
-    methods = [[*tables.describe("method", name)] for name in tables.list_used("method")]
+def show_method(tables: Tables) -> Section | None:
+    """Return the criteria and methods with their sources."""
+    selections = tables["selections"]
+    selections = selections[selections["criterion"] != DESIGN]
+    criteria = [[name, *_describe_class(tables, "criterion", name)] for name in selections["criterion"].unique()]
+    methods = [[*_describe_class(tables, "method", name)] for name in selections["method"].unique()]
     of = {
         "pose": "the measured pose, in mm and rad (rotation vector)",
         "angles": "the measured pose, in mm and rad (angles of R = R_z R_y R_x)",
         "closure": "the closure, J_2",
     }[tables.config.jacobian]
+    n_parameters = tables.results.summary["n_parameters"]
     text: tuple[str, ...] = (
         f"Indices O1 to O5 are those of the derivatives of {of}, by {n_parameters} parameters. "
         "Repeats of the same number use the same candidates, start and machines for all ways to choose.",
     )
-    if {"exchange", "continuous"} <= set(tables.selections["method"]):
+    if {"exchange", "continuous"} <= set(selections["method"]):
         text += (
             "Exchange knows nothing but its candidates, which may not reach the boundary; continuous optimisation "
             "leaves them. With other candidates the order of the two may be another.",
@@ -353,3 +366,71 @@ def _method_section(n_parameters: int, tables: Tables) -> Section:
         make_table("Methods.", [Column("Method", kind="text"), Column("Source", kind="text")], methods),
     )
     return make_section("How it was computed", text, tables_)
+
+
+def _describe_class(tables: Tables, what: str, name: str) -> tuple[str, str]:
+    """Return title and source of a criterion or a method; one of somebody else's is in the tables."""
+    built_in = (CRITERIA if what == "criterion" else METHODS).get(name)
+    if built_in is not None:
+        return built_in.title, built_in.source
+    classes = tables["classes"]
+    found = classes[(classes["what"] == what) & (classes["name"] == name)] if len(classes) else classes
+    return (name, "") if found.empty else (str(found["title"].iloc[0]), str(found["source"].iloc[0]))
+
+
+def _describe_candidates(config: SelectionConfig, n_measured: int | None) -> str:
+    section = config.candidates
+    how = {
+        "random": "at random",
+        "even": f"evenly on a grid of {section.levels} levels",
+        "factorial": "on a full factorial",
+    }
+    where = "the actuators' range" if config.domain.within == "actuators" else "the workspace"
+    if config.domain.position_mm is not None and config.domain.rotation_deg is not None:
+        position, rotation = (
+            " × ".join(f"±{format_plain(x)}" for x in halves)
+            for halves in (config.domain.position_mm, config.domain.rotation_deg)
+        )
+        where += f", {position} mm, {rotation} deg"
+    again = "; other ones in each repeat" if section.redraw else ""
+    besides = "" if n_measured is None else f"; besides {n_measured} poses measured already"
+    return f"{section.count} {how[section.spread]} of {where}{again}{besides}"
+
+
+BLOCKS: tuple[PageBlock, ...] = (show_random_sets, show_accuracy, show_designs, show_chosen, show_method)
+"""All parts of the page, in their order."""
+
+
+def build_page(
+    tables: Tables,
+    blocks: Sequence[PageBlock] = BLOCKS,
+    judgements: Sequence[Judgement] = JUDGEMENTS,
+    headline: Callable[[Tables], str] = state_headline,
+) -> Page:
+    """Return the page of an experiment's results.
+
+    Parameters
+    ----------
+    tables : Tables
+    blocks : sequence of callable
+        Parts of the page in their order.
+    judgements : sequence of callable
+        Of the verdict, in their order.
+    headline : callable
+        The main result in one sentence.
+    """
+    config, summary = tables.config, tables.results.summary
+    shown = (block(tables) for block in blocks)
+    return Page(
+        KIND,
+        config.name,
+        config.title,
+        name_origin(config.origin.model_dump()),
+        headline(tables),
+        tuple(state_verdict(tables, judgements)),
+        tuple(section for section in shown if section is not None),
+        (
+            ("Machine", summary["machine"]),
+            ("Candidates", _describe_candidates(config, summary["n_measured"])),
+        ),
+    )

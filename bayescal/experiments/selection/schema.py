@@ -213,21 +213,6 @@ class CalibrationsConfig(Section):
     """Whether the identification knows the tolerances; else it is least squares, weighted by the noise."""
 
 
-class PublishedConfig(Section):
-    """What the source printed: a table of label, criterion, n_poses and value; and of random sets mean and maximum."""
-
-    source: str
-    """What the page calls the source."""
-    table: InputFile | None = None
-    """CSV file of printed values: label, criterion, n_poses, value."""
-    random_mean: Positive | None = None
-    """Printed mean of random sets [unit of the criterion]."""
-    random_max: Positive | None = None
-    """Printed maximum of random sets [unit of the criterion]."""
-    iterations: dict[str, Count] = Field(default={})
-    """Printed numbers of iterations by label."""
-
-
 class MeasuredModelConfig(ModelConfig):
     """A kinematic model with a deformation, and what measures it."""
 
@@ -276,8 +261,6 @@ class SelectionConfig(ExperimentConfig):
     """Poses that are measured already and count."""
     calibrations: CalibrationsConfig | None = None
     """Simulated calibrations with the poses found."""
-    published: PublishedConfig | None = None
-    """Printed values to compare with."""
 
     @model_validator(mode="after")
     def _check_whole(self) -> Self:
@@ -305,10 +288,6 @@ class SelectionConfig(ExperimentConfig):
                     )
                 seen.add(key)
         list(self._named_criteria())
-        labels = {label_of(choice) for choice in self.selections}
-        for label in self.published.iterations if self.published is not None else ():
-            if label not in labels:
-                raise ValueError(f"published.iterations: found {label!r}, expected some of {', '.join(sorted(labels))}")
         return self
 
     @property

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 
-from bayescal.experiments.shared.estimate import Fit
 from bayescal.numerics.geometry import Array
+
+if TYPE_CHECKING:
+    from bayescal.experiments.shared.estimate import Fit
 
 FREE, ZERO = "free", "zero"
 """Settings of the model error: with it as the variant has it, and without."""

@@ -1,15 +1,15 @@
-"""Studies of tables of readings of any machine's channels."""
+"""A study of tables of readings of any machine's channels: poses are eliminated from the readings of each row."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from bayescal.calibrated.machine import CalibratedMachine
-from bayescal.errors import name_faults
+import numpy as np
+
 from bayescal.experiments.frame.memory import Need
-from bayescal.experiments.frame.parallel import Run
-from bayescal.experiments.frame.results import Results
 from bayescal.experiments.shared.knowledge_page import NO_TOOL
 from bayescal.experiments.shared.measured import MeasuredReadings
 from bayescal.experiments.shared.origin import name_origin
@@ -17,55 +17,90 @@ from bayescal.experiments.shared.outlook import join_outlooks
 from bayescal.experiments.shared.reading_slips import find_calibration_slip
 from bayescal.experiments.shared.readings.inputs import ReadingInputs, read_inputs
 from bayescal.experiments.shared.readings.memory import estimate_calibration
+from bayescal.experiments.shared.slips import FoundSlip
+from bayescal.experiments.shared.study_inputs import Described, Inputs, Task
 from bayescal.experiments.shared.study_schema import StudyConfig
-from bayescal.experiments.study.route import Route
+
+if TYPE_CHECKING:
+    from bayescal.experiments.frame.parallel import Run
+    from bayescal.experiments.shared.estimate import Fit
+    from bayescal.experiments.study.readings import ReadingFit, ReadingSubject
 
 
-class ByTables(Route):
-    """Readings of channels: poses are eliminated from the readings of each row."""
+@dataclass(frozen=True, eq=False)
+class ReadingStudy(ReadingInputs, Inputs):
+    """Readings and variants, as a study is asked for them."""
 
-    def read(self, config: StudyConfig, folder: Path) -> ReadingInputs:
+    @classmethod
+    def load(cls, config: StudyConfig, folder: Path) -> ReadingStudy:
         """Return machine, readings and variants."""
-        return read_inputs(config, folder)
+        return cls(**vars(read_inputs(config, folder)))
 
-    def estimate_memory(self, inputs: ReadingInputs) -> Need:
-        """Return what the largest variant's posterior takes, and all that is kept of each."""
-        return estimate_calibration(inputs)
+    @property
+    def machine_name(self) -> str:
+        """The machine's own name."""
+        return self.machine
 
-    def outlook(self, inputs: ReadingInputs) -> list[str]:
+    @property
+    def verification(self) -> np.ndarray:
+        """Which rows are kept for verification, of the variant that takes in most."""
+        return max((one.verification for one in self.variants.values()), key=len)
+
+    @property
+    def machine_files(self) -> tuple[dict[str, bytes], str]:
+        """What the machines are read from, by names in one folder, and where in that folder the config's own one is."""
+        return self.files, self.machine_folder
+
+    def list_commands(self) -> dict[str, str]:
+        """Return the commands of each variant's poses as files."""
+        from bayescal.experiments.study.calibrated import format_variants_commands
+
+        return format_variants_commands(self)
+
+    @property
+    def fit_class(self) -> type[ReadingFit]:
+        """A fit with residuals and what its machine determines."""
+        from bayescal.experiments.study.readings import ReadingFit
+
+        return ReadingFit
+
+    def subject(self, task: Task, factor: float = 1.0) -> ReadingSubject:
+        """Return the posterior of a variant to be fitted."""
+        from bayescal.experiments.study.readings import ReadingSubject
+
+        return ReadingSubject(self.variants[task.variant].posterior(factor=factor).anchored())
+
+    def fit(self, task: Task) -> ReadingFit:
+        """Return all that is found of a variant."""
+        from bayescal.experiments.study.readings import fit_variant
+
+        return fit_variant(self, task.variant)
+
+    def describe(self, fits: Mapping[Task, Fit], run: Run) -> Described:
+        """Return variants, parameters, residuals, predictions, accuracy of the tool and where to measure next."""
+        from bayescal.experiments.study.readings import describe_readings
+
+        return describe_readings(self, fits, run)
+
+    def estimate_memory(self) -> Need:
+        """Return what the largest variant's posterior takes, and all that is saved of each."""
+        return estimate_calibration(self)
+
+    def outlook(self) -> list[str]:
         """Return what each variant's readings can determine, columns that are not used, and that there is no tool."""
-        stated = all(one.model.states_tool for one in inputs.variants.values())
-        said = join_outlooks({name: one.tell_outlook() for name, one in inputs.variants.items()})
-        return [*said, *filter(None, (inputs.unused, "" if stated else NO_TOOL))]
+        stated = all(one.model.states_tool for one in self.variants.values())
+        said = join_outlooks({name: one.tell_outlook() for name, one in self.variants.items()})
+        return [*said, *filter(None, (self.unused, "" if stated else NO_TOOL))]
 
-    def doubt(self, inputs: ReadingInputs) -> list[str]:
+    def find_slip(self) -> FoundSlip | None:
         """Return what may have happened to readings that no machine within its priors comes near."""
-        said = find_calibration_slip(one.suspicion() for one in inputs.variants.values())
-        return [] if said is None else [said.say()]
+        return find_calibration_slip(one.suspicion() for one in self.variants.values())
 
-    def compute(self, inputs: ReadingInputs, run: Run) -> Results:
-        """Return the posteriors of all variants and what they predict."""
-        from bayescal.experiments.study.compute_readings import compute_calibration
-
-        return compute_calibration(inputs, run)
-
-    def calibrate(
-        self, results: Results, config: StudyConfig, variant: str | None, experiment: Path | None, trust: bool
-    ) -> CalibratedMachine:
-        """Return the machine of a variant."""
-        from bayescal.experiments.study.calibrated_readings import calibrate_machine
-
-        return calibrate_machine(results, config, variant, experiment, trust)
-
-    def measure(
-        self, config: StudyConfig, path: Path, names: Sequence[str], with_model_error: bool
-    ) -> dict[str, MeasuredReadings]:
+    def measure(self, names: Sequence[str], path: Path, with_model_error: bool) -> dict[str, MeasuredReadings]:
         """Return the posteriors of the calibration poses."""
-        chosen = [one for one in config.variants if one.name in names]
-        with name_faults(path):
-            found = read_inputs(config.model_copy(update={"variants": chosen}), path.parent).variants
-        origin = name_origin(config.origin.model_dump())
+        del path, with_model_error
+        origin, chosen = name_origin(self.config.origin.model_dump()), {name: self.variants[name] for name in names}
         return {
             name: MeasuredReadings(name, origin, one.posterior(), one.workspace.low, one.workspace.high, one.internal)
-            for name, one in found.items()
+            for name, one in chosen.items()
         }

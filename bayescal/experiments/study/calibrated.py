@@ -1,7 +1,10 @@
-"""The calibrated machine of a study's results, and the nominal one that is kept with them."""
+"""The calibrated machine of a study's results, and what they hold of it: its file, its class's code, its commands."""
 
 from __future__ import annotations
 
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,189 +14,300 @@ import pandas as pd
 from bayescal.calibrated.exported import (
     MATRIX,
     MATRIX_COVARIANCE,
-    MEASURED,
-    MECHANISM,
-    PER_MILLE,
     format_matrix,
     format_matrix_covariance,
-    format_measured,
-    format_mechanism,
+    read_kept,
     read_matrix_covariance,
-    read_measured,
 )
-from bayescal.calibrated.machine import CalibratedMachine, Source, build_calibrated_legs, build_leg_errors
+from bayescal.calibrated.machine import (
+    CalibratedMachine,
+    Errors,
+    LegErrors,
+    Source,
+    build_calibrated,
+    build_calibrated_legs,
+)
 from bayescal.config.registry import list_references, list_sources
 from bayescal.config.trust import check_same, check_trust
-from bayescal.density.schema import FixedConfig
+from bayescal.density.errors import TAU
 from bayescal.errors import InputError
-from bayescal.experiments.frame.results import Results
-from bayescal.experiments.shared.calibrating import KEPT, list_problems, read_draws_of, read_means, read_parameters
+from bayescal.experiments.frame.results import Results, Writer
+from bayescal.experiments.shared.calibrating import (
+    KEPT,
+    list_problems,
+    read_draws_of,
+    read_means,
+    read_parameters,
+    write_bytes,
+)
+from bayescal.experiments.shared.estimate import Fit
 from bayescal.experiments.shared.headline import choose_best
 from bayescal.experiments.shared.origin import name_origin
-from bayescal.experiments.shared.per_leg import spread_over_legs
+from bayescal.experiments.shared.readings.inputs import ReadingInputs, Variant
+from bayescal.experiments.shared.readings.instruments import leave_instruments, read_model
+from bayescal.experiments.shared.readings.noise import group_channels, noise_of_channels
+from bayescal.experiments.shared.readings.priors import choose_priors
+from bayescal.experiments.shared.readings.workspace import build_workspace
+from bayescal.experiments.shared.study_inputs import Inputs
 from bayescal.experiments.shared.study_schema import StudyConfig, VariantConfig, stem_of
-from bayescal.experiments.study.inputs import StudyInputs
-from bayescal.experiments.study.load import load_inputs
-from bayescal.files.csv_tables import read_matrix
-from bayescal.machines.deformations import NominalDeformation
-from bayescal.machines.kinematics import Machine
-from bayescal.machines.parameters import ParameterLayout
-from bayescal.machines.read import build_named_machine, load_mechanism
-from bayescal.machines.readings import Legs
+from bayescal.experiments.study.inputs import StudyInputs, load_inputs
+from bayescal.files.csv_tables import format_table, read_table
+from bayescal.machines.read import list_machine_sources
+from bayescal.machines.readings import Legs, ReadingModel
 from bayescal.numerics.geometry import Array
-from bayescal.numerics.units import MICROMETRE
 
-TAU = "tau"
+COMMANDS = "commands.csv"
+"""Of all variants, where all take in the same poses."""
+ERRORS = "errors"
+"""Table of the results: by what each commanded channel errs."""
+ERROR_DRAWS = 200
 
 
-def describe_nominal(inputs: StudyInputs) -> dict[str, str]:
-    """Return the files of the nominal machine that a study's results keep, by name."""
-    comments = [f"Nominal mechanism of study {inputs.config.name}; what calibrated it stands in the results"]
-    texts = {
-        MECHANISM: format_mechanism(inputs.mechanism, comments),
-        MEASURED: format_measured(_see(inputs), inputs.measured.actuators[~inputs.verification], {}),
+# --- writing -------------------------------------------------------------------------------------------------------
+
+
+def list_machine_files(inputs: Inputs) -> dict[str, str | Writer]:
+    """Return the files that a study's results hold of its machines, and the commands of its poses, by name."""
+    found: dict[str, str | Writer] = {name: write_bytes(one) for name, one in inputs.machine_files[0].items()}
+    return {f"{KEPT}/{name}": one for name, one in (found | inputs.list_commands()).items()}
+
+
+def format_variants_commands(inputs: ReadingInputs) -> dict[str, str]:
+    """Return what the commanded channels of each variant read at its calibration poses, as files."""
+    return {_name_commands(one.name): _format_commands(one) for one in inputs.variants.values()}
+
+
+def format_actuators(inputs: StudyInputs) -> dict[str, str]:
+    """Return the actuator positions of the calibration poses, and K where it was measured, as files."""
+    seen = [inputs.machine(variant) for variant in inputs.config.variants]
+    used, channels = ~inputs.verification, Legs(seen[0]).channels[: inputs.mechanism.n_legs]
+    columns = zip(channels, inputs.measured.actuators[used].T, strict=True)
+    found = {COMMANDS: _write_commands(np.array(inputs.names)[used], {f"{c.stem}_mm": one for c, one in columns})}
+    if inputs.matrix_from_targets and any(one.deformation.uses_matrix for one in seen):
+        assert inputs.matrix_covariance is not None
+        found[MATRIX] = format_matrix(inputs.matrix)
+        found[MATRIX_COVARIANCE] = format_matrix_covariance(inputs.matrix_covariance)
+    return found
+
+
+def _name_commands(variant: str) -> str:
+    return f"commands_{stem_of(variant)}.csv"
+
+
+def _format_commands(variant: Variant) -> str:
+    """Return what the commanded channels read at each calibration pose, and what was known of it besides, as CSV."""
+    whole, data = variant.whole, variant.data.pick(~variant.verification)
+    read = dict(zip(variant.model.names, data.values.T, strict=True))
+    channels = [whole.channels[k] for k in whole.select(whole.commanded)]
+    columns = {f"{one.stem}_{one.unit}": read.get(one.name, np.full(data.n_poses, np.nan)) for one in channels}
+    return _write_commands(data.poses, columns | {name: np.asarray(value) for name, value in data.given.items()})
+
+
+def _write_commands(poses: Sequence[str], columns: Mapping[str, Array]) -> str:
+    written = ([repr(float(x)) if np.isfinite(x) else "" for x in one] for one in columns.values())
+    comments = ["Commands of the poses that calibrated the machine: where it is known, not extrapolated"]
+    return format_table(comments, ["pose", *columns], list(zip(poses, *written, strict=True)))
+
+
+def tabulate_leg_errors(inputs: StudyInputs, fits: Mapping[str, Fit]) -> pd.DataFrame:
+    """Return by what each actuator errs, of every variant with its model error: σ_ρ, and the root mean square of τ."""
+    rows = []
+    for name, fit in fits.items():
+        square = dict(zip(fit.names, fit.mean**2 + fit.sd**2, strict=True))
+        for leg, channel in enumerate(Legs(inputs.machine(inputs.variant(name))).names[: inputs.mechanism.n_legs], 1):
+            tau = float(np.sqrt(square.get(TAU, square.get(f"{TAU}[{leg}]", 0.0))))
+            own = {"variant": name, "channel": channel, "unit": "mm"}
+            rows.append({**own, "noise": inputs.actuator_noise, "model_error": tau})
+    return pd.DataFrame(rows)
+
+
+def tabulate_errors(config: StudyConfig, variant: Variant, kept: Array) -> pd.DataFrame:
+    """Return by what each commanded channel errs: noise and model error, root mean squares over draws of the posterior.
+
+    Errors that are functions count by their mean squares at the calibration poses, with the model error.
+
+    Parameters
+    ----------
+    config : StudyConfig
+    variant : Variant
+    kept : ndarray, shape (T, n)
+        Draws of the posterior, in its coordinates.
+    """
+    whole, names, posterior = variant.whole, variant.model.names, variant.posterior().anchored()
+    y = kept[np.linspace(0, len(kept) - 1, min(ERROR_DRAWS, len(kept))).astype(int)]
+    own, beside = posterior.likelihood.noise(posterior.errors, posterior.zeta(y))
+    square = np.broadcast_to(beside**2, own.shape)
+    if posterior.errors.has_columns:
+        common = posterior.likelihood.draw_common(*posterior.at(y), np.random.default_rng([config.seed, 12]))
+        square = square + common.at(posterior.likelihood.data) ** 2
+    present = posterior.likelihood.data.present
+    stated = np.nan_to_num(noise_of_channels(config.sensors, whole))
+    rows: list[dict[str, Any]] = []
+    for k in whole.select(whole.commanded):
+        channel, noise, model_error = whole.channels[k], float(stated[k]), 0.0
+        if channel.name in names:
+            own_k, there = names.index(channel.name), present[:, names.index(channel.name)]
+            noise = float(np.sqrt((np.median(own[:, there, own_k], axis=1) ** 2).mean()))
+            model_error = float(np.sqrt(square[:, there, own_k].mean()))
+        named = {"variant": variant.name, "channel": channel.name, "unit": channel.unit}
+        rows.append({**named, "noise": noise, "model_error": model_error, **_relate(variant, channel.name)})
+    return pd.DataFrame(rows)
+
+
+def _relate(variant: Variant, channel: str) -> dict[str, float]:
+    """Return the mean correlations of a commanded channel's noise with that of all, where any are stated."""
+    if variant.data.correlation is None:
+        return {}
+    names, mean = variant.model.names, variant.data.correlation.mean(axis=0)
+    return {
+        f"correlation_{other}": float(mean[names.index(channel), names.index(other)])
+        if {channel, other} <= set(names)
+        else float(channel == other)
+        for other in variant.whole.commanded
     }
-    if any(inputs.machine(variant).deformation.uses_matrix for variant in inputs.config.variants):
-        texts[MATRIX] = format_matrix(inputs.matrix)
-        covariance = find_matrix_covariance(inputs)
-        if covariance is not None:
-            texts[MATRIX_COVARIANCE] = format_matrix_covariance(covariance)
-    sources = [one for variant in inputs.config.variants for one in _list_own(variant, inputs.folder)]
-    texts |= {name: (inputs.folder / name).read_text(encoding="utf-8") for name in dict.fromkeys(sources)}
-    return {f"{KEPT}/{name}": text for name, text in texts.items()}
 
 
-def _list_own(variant: VariantConfig, folder: Path) -> list[str]:
-    """Return the files of a variant's own classes, as far as they lie in the study's folder."""
-    named = zip(("MODELS", "DEFORMATIONS"), variant.seen, strict=True)
-    found = [one for what, name in named for one in list_sources(what, name, folder)]
-    return [one for one in found if (folder / one).resolve().is_relative_to(folder.resolve())]
+# --- reading -------------------------------------------------------------------------------------------------------
 
 
-def _see(inputs: StudyInputs) -> Legs:
-    return Legs(inputs.machine(inputs.config.variants[0]))
-
-
-def find_matrix_covariance(inputs: StudyInputs) -> Array | None:
-    """Return the covariance of each row of a measured K, shape (N, N, N); None where K was not measured."""
-    if not inputs.matrix_from_targets or inputs.measured_matrix is None:
-        return None
-    n = inputs.mechanism.n_legs
-    legs = np.arange(n)
-    return np.asarray(inputs.measured_matrix.covariance.reshape(n, n, n, n)[legs, :, legs, :])
-
-
-def calibrate_study(
+def calibrate_machine(
     results: Results, config: StudyConfig, variant: str | None, experiment: Path | None, trust: bool
 ) -> CalibratedMachine:
     """Return the machine of a variant of a study's results; see `Calibrating.calibrate`."""
-    chosen, name = _choose(results, config, variant)
-    fit = results.summary["variants"][name]
-    if experiment is None:
-        machine, covariance = _read_nominal(results, config, chosen, trust)
-    else:
-        machine, covariance = _load_nominal(config, chosen, experiment.parent)
-    theta = _fix(config, machine.layout)
-    parameters = read_parameters(results, name)
-    _set_named(theta, machine.layout, read_means(results, name))
-    variance = _find_model_variance(parameters, machine)
-    errors = build_leg_errors(machine, theta, config.measured.actuator_noise_um * MICROMETRE, variance, covariance)
-    source = Source(config.name, name, name_origin(config.origin.model_dump()), list_problems(fit))
-    draws = _read_draws(results, name, machine.layout, theta)
-    return build_calibrated_legs(machine, theta, draws, errors, source, _read_measured(results, machine))
-
-
-def _choose(results: Results, config: StudyConfig, name: str | None) -> tuple[VariantConfig, str]:
-    """Return the variant that is wanted, and what the results call it."""
-    known = list(results.summary["variants"])
-    wanted = choose_best(results.summary) if name is None else name
-    for variant, content in zip(config.variants, results.config["variants"], strict=True):
-        if content["name"] == wanted:
-            return variant, wanted
-    raise InputError(f"{results.folder}: --variant: found {wanted!r}, expected one of {', '.join(known)}")
-
-
-# --- the nominal machine -----------------------------------------------------------------------------------------
-
-
-def _read_nominal(
-    results: Results, config: StudyConfig, variant: VariantConfig, trust: bool
-) -> tuple[Machine, Array | None]:
-    """Return the nominal machine that the results keep, and the covariance of its measured K."""
     assert results.folder is not None
-    folder = results.folder / KEPT
-    if not (folder / MECHANISM).is_file():
+    chosen = _choose(results, config, variant)
+    kept = results.folder / KEPT
+    if experiment is None and not ("machine_folder" in results.summary and kept.is_dir()):
         raise InputError(
-            f"{folder / MECHANISM}: no such file, expected the nominal machine, which earlier versions did not write; "
-            "name the study's config: --experiment STUDY.toml"
+            f"{results.folder}: found results without their machine, which earlier versions did not write, expected "
+            "those of a new run, or the study's config: --experiment STUDY.toml"
         )
-    for what, name in zip(("MODELS", "DEFORMATIONS"), variant.seen, strict=True):
-        if name not in list_references(what):
-            file = name.partition(":")[0]
-            if not (folder / file).is_file():
-                raise InputError(
-                    f"{results.folder}: found variant {variant.name!r} with {name!r}, whose code the results do not "
-                    "keep, expected the study's config: --experiment STUDY.toml"
-                )
-            check_trust(folder / file, f"own class {name!r}", trust)
-            check_same(folder, list_sources(what, name, folder), results.hashes)
-    mechanism = load_mechanism(folder / MECHANISM)
-    nominal = NominalDeformation(
-        config.deformation.kappa, lambda: PER_MILLE * read_matrix(folder / MATRIX, mechanism.n_legs)
+    folder = kept / str(results.summary["machine_folder"]) if experiment is None else experiment.parent
+    path = Path(os.path.normpath(folder / (chosen.machine or config.machine)))
+    covariance = None
+    if chosen.model is None:
+        model = read_kept(path, trust or experiment is not None, results.hashes)
+    elif experiment is not None and not config.by_tables:
+        inputs = load_inputs(config, folder)
+        model, covariance = Legs(inputs.machine(chosen)), inputs.matrix_covariance
+    else:
+        for what, name in zip(("MODELS", "DEFORMATIONS"), chosen.seen, strict=True):
+            if name not in list_references(what):
+                check_trust(folder, f"own class {name!r}", trust or experiment is not None)
+                check_same(folder, list_sources(what, name, folder), results.hashes)
+        if (kept / MATRIX).is_file():  # as it was measured
+            measured = config.deformation.model_copy(update={"matrix": os.path.relpath(kept / MATRIX, folder)})
+            config = config.model_copy(update={"deformation": measured})
+        model = read_model(config, chosen, path, folder)
+        if (kept / MATRIX_COVARIANCE).is_file():
+            covariance = read_matrix_covariance(kept / MATRIX_COVARIANCE, len(model.commanded))
+    config, chosen = leave_instruments(config, chosen, model)
+    fit = results.summary["variants"][chosen.name]
+    theta, draws = _read_posterior(results, config, chosen, model)
+    commands, given = _read_commands(kept, chosen.name, model)
+    errors, noise = _build_errors(results, chosen.name, model), _find_noise(results, config, chosen.name, model)
+    source = Source(config.name, chosen.name, name_origin(config.origin.model_dump()), list_problems(fit))
+    if isinstance(model, Legs):  # a mechanism on legs is one whatever calibrated it
+        machine, size = model.machine, model.machine.layout.size
+        covariance = covariance if machine.deformation.uses_matrix else None
+        by_legs = LegErrors(errors.noise, errors.model_variance, machine, theta[:size], covariance)
+        some = None if draws is None else draws[:, :size]
+        legs = build_calibrated_legs(machine, theta[:size], some, by_legs, source, commands)
+        return replace(legs, noise=noise[model.select(legs.model.names)]) if np.isfinite(noise).any() else legs
+    workspace = build_workspace(model, config.workspace, config.units)
+    own = [path.name, *list_machine_sources(path)]
+    found = build_calibrated(
+        model,
+        theta,
+        draws,
+        errors,
+        source,
+        commands,
+        given,
+        np.stack([workspace.low, workspace.high]),
+        path.name,
+        {one: (path.parent / one).read_bytes() for one in own},
     )
-    machine = build_named_machine(mechanism, folder / MECHANISM, *variant.seen, nominal, "variants", folder)
-    if not (machine.deformation.uses_matrix and (folder / MATRIX_COVARIANCE).is_file()):
-        return machine, None
-    return machine, read_matrix_covariance(folder / MATRIX_COVARIANCE, mechanism.n_legs)
+    return replace(found, noise=noise)
 
 
-def _load_nominal(config: StudyConfig, variant: VariantConfig, folder: Path) -> tuple[Machine, Array | None]:
-    """Return the nominal machine of a study's own files, and the covariance of its measured K."""
-    inputs = load_inputs(config, folder)
-    machine = inputs.machine(variant)
-    return machine, find_matrix_covariance(inputs) if machine.deformation.uses_matrix else None
+def _find_noise(results: Results, config: StudyConfig, variant: str, model: ReadingModel) -> Array:
+    """Return the noise of each channel, stated and as found since, root mean square, (K,); NaN where none is stated."""
+    mine = read_parameters(results, variant)
+    square = (mine["mean"] ** 2 + mine["sd"] ** 2).to_dict()
+    groups = group_channels(config, model)
+    factor = np.array([square.get(f"noise_factor({group})", 1.0) for group in groups])
+    tau = np.array([square.get(f"model_error({group})", 0.0) for group in groups])
+    return np.sqrt(noise_of_channels(config.sensors, model) ** 2 * factor + tau)
 
 
-def _read_measured(results: Results, machine: Machine) -> Array | None:
-    """Return the actuator positions of the calibration's poses; None of results of earlier versions."""
-    assert results.folder is not None
-    path = results.folder / KEPT / MEASURED
-    return read_measured(path, Legs(machine))[0] if path.is_file() else None
+def _choose(results: Results, config: StudyConfig, name: str | None) -> VariantConfig:
+    """Return the variant that is wanted, by default that which the page says to use."""
+    wanted = choose_best(results.summary) if name is None else name
+    for one in config.variants:
+        if one.name == wanted:
+            return one
+    known = ", ".join(one.name for one in config.variants)
+    raise InputError(f"{results.folder}: --variant: found {wanted!r}, expected one of {known}")
 
 
-# --- the posterior -----------------------------------------------------------------------------------------------
+def _read_posterior(
+    results: Results, config: StudyConfig, variant: VariantConfig, model: ReadingModel
+) -> tuple[Array, Array | None]:
+    """Return the posterior's mean as a parameter vector (D,) and its draws (S, D); None where the results have none."""
+    layout = model.layout
+    priors, fixed, common = choose_priors(config, variant, model.layout, config.parameters)
+    start = layout.nominal.copy()
+    for name, value in fixed.items():
+        start[layout.names.index(name)] = value
+    found = read_draws_of(results, f"posterior/{stem_of(variant.name)}.nc")
+    mean = read_means(results, variant.name)
+
+    def place(values: Mapping[str, Any], theta: Array) -> Array:
+        for name in priors:
+            if name not in values:
+                raise InputError(f"{results.folder}: found no parameter {name!r} in the posterior, expected it")
+            places = [layout.names.index(member) for member in common.get(name, (name,))]
+            theta[..., places] += (np.asarray(values[name]) - start[places[0]])[..., None]
+        return theta
+
+    if found is None:
+        return place(mean, start.copy()), None
+    n_draws = len(next(iter(found.values())))
+    draws = place(found, np.tile(start, (n_draws, 1)))
+    return place(mean, start.copy()), draws
 
 
-def _fix(config: StudyConfig, layout: ParameterLayout) -> Array:
-    """Return the nominal vector with what the config fixes off nominal, shape (D,)."""
-    theta = layout.nominal.copy()
-    for symbol, prior in config.parameters.items():
-        if isinstance(prior, FixedConfig) and symbol in layout.index:
-            theta[layout.index[symbol]] += spread_over_legs(prior.offset, len(layout.index[symbol]), symbol)
-    return theta
+def _read_commands(folder: Path, variant: str, model: ReadingModel) -> tuple[Array | None, dict[str, Array]]:
+    """Return commands (P, C) and what was given of the same poses, of those at which all are known."""
+    path = next((one for one in (folder / _name_commands(variant), folder / COMMANDS) if one.is_file()), None)
+    if path is None:
+        return None, {}
+    channels = [model.channels[k] for k in model.select(model.commanded)]
+    columns = [f"{one.stem}_{one.unit}" for one in channels]
+    table = read_table(path, ("pose", *columns, *model.given))
+    values = table.numbers([*columns, *model.given], gaps=True)
+    known = values[np.isfinite(values[:, len(columns) :]).all(axis=1)]
+    whole = known[np.isfinite(known).all(axis=1)]
+    some = whole if len(whole) else known
+    given = {name: some[:, len(columns) + k] for k, name in enumerate(model.given)}
+    return (whole[:, : len(columns)] if len(whole) and columns else None), given
 
 
-def _set_named(theta: Array, layout: ParameterLayout, values: dict[str, Any]) -> None:
-    """Set parameters (..., D) by name; those of frames and model errors are none of the machine's."""
-    position = {name: k for k, name in enumerate(layout.names)}
-    for name, value in values.items():
-        if name in position:
-            theta[..., position[name]] = value
-
-
-def _find_model_variance(parameters: pd.DataFrame, machine: Machine) -> Array:
-    """Return the posterior mean of τ_i², shape (N,), mm²; zero without a model error."""
-    n_legs = machine.mechanism.n_legs
-    square = (parameters["mean"] ** 2 + parameters["sd"] ** 2).to_dict()
-    return np.array([square.get(TAU, square.get(f"{TAU}[{leg}]", 0.0)) for leg in range(1, n_legs + 1)])
-
-
-def _read_draws(results: Results, variant: str, layout: ParameterLayout, theta: Array) -> Array | None:
-    """Return the posterior's draws as parameter vectors (S, D); None where the results have none."""
-    values = read_draws_of(results, f"posterior/{stem_of(variant)}.nc")
-    if values is None:
-        return None
-    n_draws = len(next(iter(values.values())))
-    draws = np.broadcast_to(theta, (n_draws, layout.size)).copy()
-    _set_named(draws, layout, values)
-    return draws
+def _build_errors(results: Results, variant: str, model: ReadingModel) -> Errors:
+    """Return by what the commands err, by the table of the results."""
+    table = results.table(ERRORS)
+    if table.empty:
+        raise InputError(f"{results.folder}: found no table {ERRORS}.csv, expected results of this version")
+    mine = table[table["variant"] == variant]
+    if list(mine["channel"]) != list(model.commanded):
+        raise InputError(
+            f"{results.folder}: {ERRORS}.csv: found channels {', '.join(mine['channel'])}, expected those that are "
+            f"commanded: {', '.join(model.commanded)}"
+        )
+    sd, tau = mine["noise"].to_numpy(dtype=float), mine["model_error"].to_numpy(dtype=float)
+    columns = [f"correlation_{name}" for name in model.commanded]
+    correlation = np.eye(len(sd))
+    if set(columns) <= set(mine.columns) and mine[columns].notna().all(axis=None):
+        correlation = mine[columns].to_numpy(dtype=float)
+    return Errors(correlation * np.outer(sd, sd), tau**2)

@@ -54,7 +54,7 @@ def find_study_slip(inputs: StudyInputs) -> FoundSlip | None:
 def _suspect(inputs: StudyInputs, variant: VariantConfig, stated: float) -> Suspect:
     """Return a variant's density of all poses, calibration and verification in the order of the table."""
     machine, measured = inputs.machine(variant), inputs.measured
-    noise = inputs.config.measured.actuator_noise_um * MICROMETRE
+    noise = inputs.actuator_noise
     likelihood_of = weigh_poses(machine, measured.poses, noise)
     if isinstance(measured, InstrumentMeasurement) and not measured.has_poses:
         instrument = measured.instrument

@@ -1,69 +1,71 @@
-"""One variant's posterior from config to numbers: the unit of work that runs, is kept and is resumed as a whole."""
+"""A posterior of machines on legs from config to numbers: what runs, is saved and is resumed as a whole."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
+from bayescal.density.errors import TAU
 from bayescal.density.exact import ExactDensity
-from bayescal.density.legs import LegPosterior
-from bayescal.density.prediction import Prediction
+from bayescal.density.legs import LegPosterior, Likelihood
+from bayescal.density.prediction import Prediction, replicate
+from bayescal.experiments.frame.memory import Need, estimate_arrays
 from bayescal.experiments.shared.chi_square import ChiSquare
 from bayescal.experiments.shared.estimate import Arrays, Fit, Subject, fit_posterior
+from bayescal.experiments.shared.search_memory import list_sampling, list_search
 from bayescal.experiments.shared.soundness import find_misfit
-from bayescal.experiments.shared.study_schema import stem_of
-from bayescal.experiments.shared.trees import SAVED_DRAWS, limit_draws, spread
-from bayescal.experiments.shared.variant_tables import FREE, ZERO
+from bayescal.experiments.shared.study_inputs import Task
+from bayescal.experiments.shared.trees import (
+    PRIOR_DRAWS,
+    SAVED_DRAWS,
+    Draws,
+    Group,
+    Readings,
+    build_tree,
+    choose_draws,
+    limit_draws,
+    spread,
+)
 from bayescal.experiments.study.inputs import StudyInputs
-from bayescal.experiments.study.pointwise import SomeDraws, evaluate_poses
-from bayescal.experiments.study.replicates import replicate_prior
 from bayescal.experiments.study.structured import evaluate_structured
 from bayescal.inference.correction import CostlyDensity, pull_back
-from bayescal.inference.exploration import Exploration
+from bayescal.inference.exploration import Exploration, count_walkers
 from bayescal.inference.target import Fittable
 from bayescal.limits import BLUNDER
-from bayescal.numerics.geometry import Array
+from bayescal.numerics.geometry import (
+    Array,
+    matrix_from_rotation_vector,
+    rotation_vector_from_matrix,
+    rotation_vector_of_turn,
+)
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 KEPT_DRAWS = 1920  # of each ensemble, for everything after the diagnostics
 POSE_NUMBERS = 6
-
-
-@dataclass(frozen=True)
-class Task:
-    """A unit of work: a posterior of a variant."""
-
-    variant: str
-    with_model_error: bool
-
-    @property
-    def key(self) -> str:
-        """A name that is also a file name."""
-        return f"{stem_of(self.variant)}-tau-{'free' if self.with_model_error else 'zero'}"
-
-    @property
-    def setting(self) -> str:
-        """The setting of the model error, as tables call it."""
-        return FREE if self.with_model_error else ZERO
-
-    @property
-    def stem(self) -> str:
-        """Name of the posterior's file without its ending."""
-        return stem_of(self.variant) + ("" if self.with_model_error else "-tau-zero")
-
-
-def list_tasks(inputs: StudyInputs) -> list[Task]:
-    """Return all tasks of a study, the long ones first."""
-    names = [variant.name for variant in inputs.config.variants]
-    return [Task(name, with_model_error) for with_model_error in (True, False) for name in names]
+ONLY_SAVED = ("prior", "prior_misfit")
+"""Arrays of a posterior that nothing but its tree has."""
+TRIES = 4  # draws of the prior for each that is wanted: some are no machine
+CHANNELS, UNITS = ("x", "y", "z", "rx", "ry", "rz"), ("mm",) * 3 + ("rad",) * 3
+MEANING = "measured pose, base frame: position and rotation vector"
+SINGLE = 0.5  # numbers of four bytes, in doubles
+COPIES = 3
+"""Of what is saved: as it is computed, as a record, as it is written."""
 
 
 def run_task(inputs: StudyInputs, task: Task) -> Fit:
-    """Compute one task; all numbers depend on the inputs, the config's seed and the task's key alone."""
+    """Compute one task."""
     config = inputs.config
-    return fit_posterior(Legs(inputs, task), config.seed, task.key, config.sampler, config.evidence)
+    return fit_posterior(Legs(inputs, task), config.seed, inputs.name_task(task), config.sampler, config.evidence)
+
+
+def pack(inputs: StudyInputs, task: Task, fit: Fit) -> Fit:
+    """Return a fit with its tree's file in place of what only that has."""
+    return replace(fit.pack(build_study_tree(inputs, task, fit), ONLY_SAVED), y=fit.y[:, :0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,8 +108,18 @@ class Legs(Subject):
         return None if exact is None else build_costly(exact, exploration)
 
     def replicate_prior(self, posterior: Fittable, seed: np.random.SeedSequence) -> Arrays:
-        """Return draws of the prior and what they make of the calibration poses."""
-        return replicate_prior(cast("LegPosterior", posterior), seed)
+        """Return draws of the prior and what they make of the calibration poses.
+
+        That is ``prior_misfit`` (T, P, 6), measured minus replicated poses.
+        """
+        rng, own = np.random.default_rng(seed), cast("LegPosterior", posterior)
+        likelihood, n_legs = own.likelihood, own.likelihood.n_legs
+        values, theta = _draw_prior(own, rng, limit_draws(PRIOR_DRAWS, POSE_NUMBERS * likelihood.n_poses))
+        tau = own.zeta(values)[:, own.errors.place(TAU)]
+        errors = np.broadcast_to(tau, (len(tau), n_legs)) if tau.shape[1] else np.zeros(n_legs)
+        with np.errstate(all="ignore"):
+            made = [replicate(part, theta, errors, rng).misfit for _, part in likelihood.parts()]
+        return {"prior": values, "prior_misfit": np.concatenate([one.astype(np.float32) for one in made], axis=1)}
 
     def measure_misfit(self, posterior: Fittable, mode: Array) -> ChiSquare:
         """Return χ² at a mode (n,) of the poses that are no blunders there."""
@@ -124,40 +136,64 @@ class Legs(Subject):
 
         They are of the hot path, whose covariance is that of the nominal machine, pose by pose.
         """
-        return _evaluate(self.inputs, self.task, cast("LegPosterior", posterior), y, seed)
+        own, held, flat = cast("LegPosterior", posterior), self.inputs.verification, y.reshape(-1, y.shape[-1])
+        chosen = spread(len(flat), limit_draws(SAVED_DRAWS, POSE_NUMBERS * len(held)))
+        structured, pieces = own.likelihood.structured, dict[str, list[Array]]()
+        together: Arrays = {}
+        for use, rng_seed in zip((False, True), seed.spawn(2), strict=True):
+            if not np.any(held == use):
+                continue
+            likelihood, rng = own.likelihood, np.random.default_rng(rng_seed)
+            if use or structured is not None:  # otherwise that of the same poses is at hand
+                likelihood = likelihood.like(self.inputs.likelihood(self.inputs.variant(self.task.variant), use))
+            if structured is not None and likelihood.of_poses is not None:
+                theta, errors = own.theta(flat), own.errors.amplitudes(own.zeta(flat))
+                found, more = evaluate_structured(structured, likelihood.of_poses, theta, errors, chosen, use, rng)
+                together |= more
+            else:
+                found = _evaluate_poses(own, likelihood, flat, chosen, rng)
+            for name, value in found.items():
+                pieces.setdefault(name, []).append(value)
+        back = np.argsort(np.concatenate([np.flatnonzero(held == use) for use in (False, True)]))
+        arrays = {name: np.concatenate(parts)[back] for name, parts in pieces.items()}
+        arrays["log_likelihood"] = arrays["log_likelihood"].T.reshape(*y.shape[:2], -1)
+        return arrays | together
 
 
-def _evaluate(
-    inputs: StudyInputs, task: Task, posterior: LegPosterior, kept: Array, seed: np.random.SeedSequence
+def _evaluate_poses(
+    posterior: LegPosterior, likelihood: Likelihood, y: Array, chosen: np.ndarray, rng: np.random.Generator
 ) -> Arrays:
-    variant, flat = inputs.variant(task.variant), kept.reshape(-1, kept.shape[-1])
-    theta, errors = posterior.theta(flat), posterior.errors.amplitudes(posterior.zeta(flat))
-    chosen = spread(len(flat), limit_draws(SAVED_DRAWS, POSE_NUMBERS * len(inputs.verification)))
-    every = SomeDraws(theta, errors)
-    some = every.choose(chosen)
-    pieces: dict[str, list[Array]] = {}
-    together: Arrays = {}
-    held = inputs.verification
-    for use, rng_seed in zip((False, True), seed.spawn(2), strict=True):
-        if not np.any(held == use):
-            continue
-        structured, rng = posterior.likelihood.structured, np.random.default_rng(rng_seed)
-        likelihood = posterior.likelihood
-        if use or structured is not None:  # otherwise that of the same poses is at hand
-            likelihood = posterior.likelihood.like(inputs.likelihood(variant, use))
-        found: Arrays
-        if structured is not None and likelihood.of_poses is not None:
-            found, more = evaluate_structured(structured, likelihood.of_poses, theta, errors, chosen, use, rng)
-            together |= more
-        else:
-            found = evaluate_poses(posterior, likelihood, flat, every, some, rng)
+    """Return densities of the poses from draws (S, n), ``log_likelihood`` (P, S), and what those chosen predict.
+
+    These are the fields of a `Prediction`, ``misfit`` (P, T, 6) measured minus replicated poses and, where poses may be
+    outliers, ``blunder_probability`` (P,).
+    """
+    theta, zeta, pieces = posterior.theta(y), posterior.zeta(y), dict[str, list[Array]]()
+    errors, expected = posterior.errors.amplitudes(zeta), posterior.errors.outliers.expected
+    for _, part in likelihood.parts():
+        density = posterior.predict_density(part, y) if expected else part.pointwise(theta, errors)
+        made = replicate(part, theta[chosen], errors if errors.ndim == 1 else errors[chosen], rng)
+        misfit = made.misfit.astype(np.float32).swapaxes(0, 1)
+        found = {"log_likelihood": density.T, **vars(made.summarise()), "misfit": misfit}
+        if expected:
+            found["blunder_probability"] = part.outlier_probabilities(theta, posterior.errors, zeta).mean(axis=0)
         for name, value in found.items():
             pieces.setdefault(name, []).append(value)
-    order = np.concatenate([np.flatnonzero(held == use) for use in (False, True)])
-    back = np.argsort(order)
-    arrays = {name: np.concatenate(parts)[back] for name, parts in pieces.items()}
-    arrays["log_likelihood"] = arrays["log_likelihood"].T.reshape(*kept.shape[:2], -1)
-    return arrays | together
+    return {name: values[0] if len(values) == 1 else np.concatenate(values) for name, values in pieces.items()}
+
+
+def _draw_prior(posterior: LegPosterior, rng: np.random.Generator, n_wanted: int) -> tuple[Array, Array]:
+    """Return draws of the prior that are machines, in own units (T, n) and as parameter vectors (T, D)."""
+    values = np.stack([one.draw(TRIES * n_wanted, rng) for one in posterior.all_priors().values()], axis=-1)
+    theta = np.broadcast_to(posterior.sampling.start, (len(values), len(posterior.sampling.start))).copy()
+    theta[:, posterior.sampling.free] = values[:, : posterior.n_geometry]
+    values, theta = (part[posterior.likelihood.layout.inside(theta)] for part in (values, theta))
+    closes = np.ones(len(theta[: 2 * n_wanted]), dtype=bool)
+    with np.errstate(all="ignore"):
+        for _, part in posterior.likelihood.parts():
+            closes &= np.isfinite(part.errors(theta[: 2 * n_wanted])).all(axis=(1, 2))
+    good = np.flatnonzero(closes)[:n_wanted]
+    return values[good], theta[good]
 
 
 def build_costly(exact: ExactDensity, exploration: Exploration) -> CostlyDensity:
@@ -183,3 +219,113 @@ def build_costly(exact: ExactDensity, exploration: Exploration) -> CostlyDensity
 def read_prediction(fit: Fit) -> Prediction:
     """Return the prediction at all poses that a fit holds."""
     return Prediction(**{field.name: fit.evaluated[field.name] for field in fields(Prediction)})
+
+
+# --- the posterior as an ArviZ tree ------------------------------------------------------------------------------
+
+
+def build_study_tree(inputs: StudyInputs, task: Task, fit: Fit) -> xr.DataTree:
+    """Return one posterior with draws of its prior, what both predict, and the data."""
+    priors, arrays = Legs(inputs, task).posterior.all_priors().values(), fit.evaluated
+    (n_chains, n_draws), n_kept = fit.draws.shape[:2], arrays["misfit"].shape[1]
+    chosen = choose_draws(n_chains, n_draws, n_kept)
+    draws, log_density, log_likelihood = (
+        _take(one, chosen) for one in (fit.draws, fit.log_density, arrays["log_likelihood"])
+    )
+    held, readings = inputs.verification, _read_poses(inputs)
+    made = _replicate(readings, _take_replicates(arrays["misfit"], n_chains * n_draws, chosen))
+    log_prior = np.stack([prior.log_density(draws[..., k]) for k, prior in enumerate(priors)], axis=-1)
+    names = np.array(inputs.names)
+    return build_tree(
+        Draws(fit.names, fit.units, draws, log_density, log_prior, arrays["prior"]),
+        Readings(
+            [str(name) for name in names[~held]],
+            CHANNELS,
+            UNITS,
+            readings[~held],
+            made[..., ~held, :],
+            _replicate(readings[~held], arrays["prior_misfit"]),
+            log_likelihood[..., ~held],
+            MEANING,
+        ),
+        _list_groups(inputs, readings, made, log_likelihood),
+        variant=task.variant,
+        model_error="free" if task.with_model_error else "zero",
+        length_unit="mm",
+    )
+
+
+def _take(values: Array, chosen: Array) -> Array:
+    """Return some draws of values (E, S, ...), by their places (E, S') in chains laid end to end."""
+    return values.reshape(-1, *values.shape[2:])[chosen]
+
+
+def _take_replicates(misfit: Array, n_draws: int, chosen: Array) -> Array:
+    """Return the replicates (P, T, 6) of the chosen draws, shape (E, S', P, 6); they were made of the same draws."""
+    made = np.searchsorted(spread(n_draws, misfit.shape[1]), chosen)
+    return misfit.swapaxes(0, 1)[made]
+
+
+def _read_poses(inputs: StudyInputs) -> Array:
+    """Return the poses as measured, shape (P, 6); NaN where a coordinate is not."""
+    poses = inputs.measured.poses
+    known = np.isfinite(poses.rotation).all(axis=(1, 2))[:, None]
+    turn = rotation_vector_from_matrix(np.where(known[..., None], poses.rotation, np.eye(3)))
+    return np.concatenate([poses.position, np.where(known, turn, np.nan)], axis=-1)
+
+
+def _replicate(measured: Array, misfit: Array) -> Array:
+    """Return replicated poses (..., P, 6) from the measured ones (P, 6) and measured minus replicated (..., P, 6)."""
+    rotation = matrix_from_rotation_vector(np.nan_to_num(measured[:, 3:]))
+    turn = rotation_vector_of_turn(matrix_from_rotation_vector(-np.nan_to_num(misfit[..., 3:])) @ rotation)
+    turn = np.where(np.isfinite(measured[:, 3:] - misfit[..., 3:]), turn, np.nan)
+    return np.concatenate([measured[:, :3] - misfit[..., :3], turn], axis=-1).astype(np.float32)
+
+
+def _list_groups(inputs: StudyInputs, readings: Array, made: Array, log_likelihood: Array) -> dict[str, Group]:
+    """Return what is known of the poses besides, and what is predicted of those for verification."""
+    poses, held = inputs.measured.poses, inputs.verification
+    names = [str(name) for name in inputs.names]
+    constant = {
+        "rotation": (("pose", "axis", "platform_axis"), poses.rotation, "1", "measured rotation matrix, base frame"),
+        "covariance": (("pose", "component", "other_component"), poses.covariance, "mm, rad", "of the measured pose"),
+        "actuators": (("pose", "leg"), poses.actuators, "mm", "actuator positions"),
+    }
+    groups = {"constant_data": Group(constant, {"pose": names, "axis": list("xyz"), "platform_axis": list("xyz")})}
+    if held.any():
+        own = {"row": [name for name, one in zip(names, held, strict=True) if one], "channel": list(CHANNELS)}
+        both, unit, over = ("row", "channel"), "mm, rad", ("chain", "draw")
+        predicted = {
+            "readings": ((*over, *both), made[..., held, :], unit, "readings that would be measured"),
+            "log_density": ((*over, "row"), log_likelihood[..., held], "nat", "log-density of each row"),
+        }
+        groups["predictions"] = Group(predicted, own)
+        groups["predictions_constant_data"] = Group({"readings": (both, readings[held], unit, MEANING)}, own)
+    return groups
+
+
+# --- memory ------------------------------------------------------------------------------------------------------
+
+
+def estimate_study(inputs: StudyInputs) -> Need:
+    """Return what a study needs."""
+    sampler, n_poses = inputs.config.sampler, len(inputs.verification)
+    largest = max(
+        (inputs.posterior(variant, with_model_error=True) for variant in inputs.config.variants),
+        key=lambda posterior: posterior.n_parameters,
+    )
+    n = largest.n_parameters
+    kept = sampler.ensembles * min(
+        limit_draws(KEPT_DRAWS, sampler.ensembles * n_poses), sampler.steps * count_walkers(n, sampler.walkers)
+    )
+    numbers = POSE_NUMBERS * n_poses
+    made = min(kept, limit_draws(SAVED_DRAWS, numbers)) * numbers
+    prior = limit_draws(PRIOR_DRAWS, numbers) * numbers
+    sampling = list_sampling(sampler, inputs.config.evidence, n)
+    n_fits, one = len(inputs.list_tasks()), [(n_poses, kept), (SINGLE, made + prior)]
+    return estimate_arrays(
+        {"poses": n_poses, "parameters": n, "posteriors": n_fits},
+        [*((COPIES, *size) for size in one), *list_search(largest), *sampling],
+        "fewer poses or variants",
+        kept=[(n_fits + COPIES, *size) for size in one],
+    )

@@ -1,37 +1,67 @@
-"""Everything a study computes with: its measurements, and the density of each variant."""
+"""A study of poses that an instrument measured, whole or in part, of a platform on legs.
+
+Every fault of its files is found as they are read, before any long computation.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bayescal.config.load import look_up
+from bayescal.config.registry import find_class
+from bayescal.data.actuators import check_moves, check_range
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.data.photogrammetry.joint_deflection import JointDeflection, KappaEstimate, MatrixEstimate
-from bayescal.density.errors import LegTerm, ModelError
+from bayescal.density.errors import KernelLength, KernelScale, LegTerm, ModelError
 from bayescal.density.exact import CommonErrors, ExactDensity
-from bayescal.density.legs import LegPosterior, Likelihood, build_leg_posterior
+from bayescal.density.legs import BATCH, LegPosterior, Likelihood, build_leg_posterior, check_machine
 from bayescal.density.outliers import NORMAL, Contaminated
-from bayescal.density.priors import INDEPENDENT, Prior, SharePrior
-from bayescal.errors import InputError
+from bayescal.density.priors import INDEPENDENT, Prior, SharePrior, build_kernel
+from bayescal.density.structured import StructuredLikelihood, count_nodes
+from bayescal.errors import InputError, PoseInputError, name_faults
+from bayescal.experiments.frame.memory import Need, check_arrays
+from bayescal.experiments.shared.measured import MeasuredReadings, MeasuredVariant, see_legs
+from bayescal.experiments.shared.origin import name_origin
+from bayescal.experiments.shared.readings.instruments import keep_files
 from bayescal.experiments.shared.readings.priors import choose_priors, widen
-from bayescal.experiments.shared.study_schema import StudyConfig, TargetDataConfig, VariantConfig
-from bayescal.experiments.study.kernels import give_kernel, name_kernel
-from bayescal.experiments.study.measurement import Measurement, TargetMeasurement
+from bayescal.experiments.shared.search_memory import check_poses
+from bayescal.experiments.shared.slips import FoundSlip
+from bayescal.experiments.shared.study_inputs import Described, Inputs, Task
+from bayescal.experiments.shared.study_schema import StudyConfig, TargetDataConfig, VariantConfig, stem_of
+from bayescal.experiments.study.measurement import (
+    Measurement,
+    TargetMeasurement,
+    check_measurement,
+    name_actuator_table,
+    name_data,
+    read_measurement,
+)
 from bayescal.experiments.study.pads import Pads, measure_pads
+from bayescal.experiments.study.published import read_published
 from bayescal.files.csv_tables import read_matrix
 from bayescal.machines.deformations import NominalDeformation
-from bayescal.machines.kinematics import Machine
+from bayescal.machines.kinematics import Machine, check_home_pose
 from bayescal.machines.mechanism import Mechanism
-from bayescal.machines.read import build_named_machine
+from bayescal.machines.read import build_named_machine, load_mechanism
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import MICROMETRE
 
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from bayescal.experiments.frame.parallel import Run
+    from bayescal.experiments.shared.estimate import Fit, Subject
+    from bayescal.experiments.study.claims import Claims
+
 
 @dataclass(frozen=True, eq=False)
-class StudyInputs:
+class StudyInputs(Inputs):
     """Config and data of a study.
 
     Attributes
@@ -49,6 +79,11 @@ class StudyInputs:
     measured: Measurement
 
     # --- data ----------------------------------------------------------------------------------------------------
+
+    @property
+    def machine_name(self) -> str:
+        """The mechanism's file."""
+        return self.config.machine
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -70,6 +105,11 @@ class StudyInputs:
         """Standard deviation of a target coordinate, mm."""
         assert isinstance(self.config.measured, TargetDataConfig)
         return self.config.measured.target_noise_um * MICROMETRE
+
+    @property
+    def actuator_noise(self) -> float:
+        """Standard deviation of an actuator's position about what it reads, mm."""
+        return self.config.measured.actuator_noise_um * MICROMETRE
 
     @property
     def displacement(self) -> Array:
@@ -138,11 +178,19 @@ class StudyInputs:
             )
         return self.measured_matrix.matrix
 
+    @property
+    def matrix_covariance(self) -> Array | None:
+        """Covariance of each row of a measured K, shape (N, N, N); None where K was not measured."""
+        if not self.matrix_from_targets or self.measured_matrix is None:
+            return None
+        n = self.mechanism.n_legs
+        legs = np.arange(n)
+        return np.asarray(self.measured_matrix.covariance.reshape(n, n, n, n)[legs, :, legs, :])
+
     def likelihood(self, variant: VariantConfig, verification: bool) -> Likelihood:
         """Return the density of the measurements of one use under a variant."""
-        noise = self.config.measured.actuator_noise_um * MICROMETRE
         extra = self.matrix_variance(variant, verification)
-        return self.measured.likelihood(self.machine(variant), verification, noise, extra)
+        return self.measured.likelihood(self.machine(variant), verification, self.actuator_noise, extra)
 
     def exact_density(self, variant: VariantConfig, posterior: LegPosterior) -> ExactDensity | None:
         """Return the exact density beside a variant's at the calibration poses.
@@ -152,8 +200,8 @@ class StudyInputs:
         poses, structured = posterior.likelihood.of_poses, posterior.likelihood.structured
         if poses is None or posterior.errors.outliers.expected:
             return None
-        noise = self.config.measured.actuator_noise_um * MICROMETRE
-        return ExactDensity(poses, noise, self.matrix_errors(variant, verification=False), structured=structured)
+        errors = self.matrix_errors(variant, verification=False)
+        return ExactDensity(poses, self.actuator_noise, errors, structured=structured)
 
     def matrix_variance(self, variant: VariantConfig, verification: bool) -> Array | None:
         """Return v_ni of the poses of one use (P, N) in mm² where a variant's K was measured, otherwise None.
@@ -181,8 +229,7 @@ class StudyInputs:
         shape (P, N, N²); None where K is none, or known.
         """
         variant = self.variant(name)
-        noise = self.config.measured.actuator_noise_um * MICROMETRE
-        likelihood = self.measured.likelihood(self.machine(variant), False, noise, None)
+        likelihood = self.measured.likelihood(self.machine(variant), False, self.actuator_noise, None)
         if self.matrix_variance(variant, verification=False) is None:
             return likelihood, None
         assert self._pads is not None
@@ -196,8 +243,8 @@ class StudyInputs:
             scale = self.config.leg_error.scale_um * MICROMETRE
             error = ModelError(scale, shared=not self.config.leg_error.per_leg)
         likelihood, terms = self.likelihood(variant, verification=False), list[LegTerm]()
-        if with_model_error and name_kernel(self.config, variant) != INDEPENDENT:
-            likelihood, terms = give_kernel(likelihood, self.config, variant, self.mechanism.actuator_range)
+        if with_model_error and self.name_kernel(variant) != INDEPENDENT:
+            likelihood, terms = _give_kernel(likelihood, self.config, variant, self.mechanism.actuator_range)
         blunders = self.config.blunders
         outliers = NORMAL if blunders is None else Contaminated(SharePrior(blunders.expected_share))
         return build_leg_posterior(likelihood, priors, error, fixed, terms, outliers)
@@ -218,3 +265,213 @@ class StudyInputs:
         known = {name.partition("[")[0] for name in self.priors(variant)[0]}
         stated = dict.fromkeys(name.partition("[")[0] for name in self.config.list_free(variant))
         return tuple(symbol for symbol in stated if symbol in known)
+
+    def name_kernel(self, variant: VariantConfig) -> str:
+        """Return the kernel of a variant's model error: its own, or that of all."""
+        return self.config.leg_error.name_for(variant)
+
+    # --- what a study is asked -----------------------------------------------------------------------------------
+
+    @property
+    def fit_class(self) -> type[Fit]:
+        """A fit without anything of its own."""
+        from bayescal.experiments.shared.estimate import Fit
+
+        return Fit
+
+    @cached_property
+    def machine_files(self) -> tuple[dict[str, bytes], str]:
+        """What the machine is read from, by names in one folder, and where in that folder the config's own one is."""
+        return keep_files(self.config, self.folder)
+
+    def list_commands(self) -> dict[str, str]:
+        """Return the actuator positions of the calibration poses, and K where it was measured, as files."""
+        from bayescal.experiments.study.calibrated import format_actuators
+
+        return format_actuators(self)
+
+    def list_tasks(self) -> list[Task]:
+        """Return a task for every variant with its model error, then without."""
+        return [Task(one.name, free) for free in (True, False) for one in self.config.variants]
+
+    def name_task(self, task: Task) -> str:
+        """Return a task's name, from which its random numbers come."""
+        return f"{stem_of(task.variant)}-tau-{task.setting}"
+
+    def subject(self, task: Task, factor: float = 1.0) -> Subject:
+        """Return the posterior of a variant to be fitted."""
+        from bayescal.experiments.study.fit import Legs
+
+        return Legs(self, task, factor)
+
+    def fit(self, task: Task) -> Fit:
+        """Return a posterior, with its tree's file in place of what only that has."""
+        from bayescal.experiments.study.fit import pack, run_task
+
+        return pack(self, task, run_task(self, task))
+
+    def describe(self, fits: Mapping[Task, Fit], run: Run) -> Described:
+        """Return variants, parameters, errors of poses, and what the targets on the pads show of the joints."""
+        from bayescal.experiments.study.tables import describe_poses
+
+        return describe_poses(self, fits, run)
+
+    def conclude(self, summary: Mapping[str, Any], run: Run) -> dict[str, pd.DataFrame]:
+        """Return least squares, and a publication's claims put to the study."""
+        from bayescal.experiments.study.tables import put_to_claims
+
+        return put_to_claims(self, summary, run)
+
+    @property
+    def claims(self) -> Claims | None:
+        """What a publication claims of the study; InputError for a class that is none, or without targets."""
+        from bayescal.experiments.study.claims import Claims
+
+        name, kind = self.config.claims, Claims
+        if name is None:
+            return None
+        if self.targets is None:
+            raise InputError(f"{self.folder}: claims: found {name!r} without targets, expected measured targets")
+        return find_class("CLAIMS", name, kind, "claims", self.folder, self.folder)()  # type: ignore[type-abstract]
+
+    def estimate_memory(self) -> Need:
+        """Return what the posteriors of all poses take."""
+        from bayescal.experiments.study.fit import estimate_study
+
+        return estimate_study(self)
+
+    def outlook(self) -> list[str]:
+        """Return what each variant's poses can determine."""
+        from bayescal.experiments.study.doubts import list_outlooks
+
+        return list_outlooks(self)
+
+    def find_slip(self) -> FoundSlip | None:
+        """Return what explains data that no variant's machine fits many times better; None where one fits."""
+        from bayescal.experiments.study.doubts import find_study_slip
+
+        return find_study_slip(self)
+
+    def doubt(self) -> list[str]:
+        """Return a slip, or that all poses are shifted alike."""
+        from bayescal.experiments.study.doubts import doubt_zero
+
+        return super().doubt() or doubt_zero(self)
+
+    def measure(self, names: Sequence[str], path: Path, with_model_error: bool) -> dict[str, MeasuredReadings]:
+        """Return variants as measured; InputError where no whole poses were measured by one noise each."""
+        if not self.measured.has_poses:
+            raise InputError(
+                f"{path}: data: found poses measured in part, points, or frames to be found, expected whole poses in "
+                "known frames, since audits and checks of data start from these"
+            )
+        if self.config.blunders is not None:
+            raise InputError(
+                f"{path}: found blunders, expected none: audits and checks have no poses that may be spoilt"
+            )
+        return {name: see_legs(self._measure(self.variant(name), path, with_model_error)) for name in names}
+
+    def _measure(self, variant: VariantConfig, path: Path, with_model_error: bool) -> MeasuredVariant:
+        left, (priors, fixed) = self.matrix_variance(variant, verification=False), self.priors(variant)
+        return MeasuredVariant(
+            name=variant.name,
+            origin=f"{name_origin(self.config.origin.model_dump())}: study {self.config.name}, variant {variant.name}",
+            mechanism=path.parent / self.config.machine,
+            free=self.free(variant),
+            machine=self.machine(variant),
+            priors=priors,
+            fixed=fixed,
+            posterior=self.posterior(variant, with_model_error),
+            poses=self.poses(verification=False),
+            actuator_noise=self.actuator_noise,
+            left_variance=0.0 if left is None else float(left.mean()),
+            actuator_variance=left,
+            shared_errors=self.without_shared_errors(variant.name)[1],
+            described=self.measured.describe(),
+            n_held_back=int(self.verification.sum()),
+        )
+
+
+def load_inputs(config: StudyConfig, folder: Path) -> StudyInputs:
+    """Read all files of a study and check that every variant can be built.
+
+    Raises
+    ------
+    InputError
+        For anything at fault in the config's files, before any long computation.
+    """
+    mechanism = load_mechanism(folder / config.machine)
+    measured = read_measurement(config, folder, mechanism)
+    with name_faults(name_actuator_table(config.measured, folder)):
+        check_range(measured.actuators, mechanism.initial_actuator_positions, mechanism.actuator_range, measured.names)
+        check_moves(measured.actuators[~measured.verification])
+    inputs = StudyInputs(config, folder, mechanism, measured)
+    with name_faults(name_data(config.measured, folder)):
+        try:
+            _ = inputs.deflection  # computed now, so that a fault of the targets on the pads shows at once
+        except PoseInputError as error:
+            raise InputError(f"pose {inputs.names[error.index]!r}: {error.fault}") from error
+    for variant in config.variants:
+        machine = inputs.machine(variant)
+        with name_faults(folder / config.machine):
+            check_home_pose(machine)
+        check_poses(len(measured.names), mechanism.n_legs, machine.layout.size)
+        check_measurement(inputs.measured, machine, config.measured, folder)
+        with name_faults(f"variant {variant.name!r}"):
+            check_machine(inputs.posterior(variant, with_model_error=True))
+            for factor in config.sensitivity.factor:
+                with name_faults(f"sensitivity.factor {factor:g}"):
+                    check_machine(inputs.posterior(variant, True, factor))
+        if variant.published is not None:
+            read_published(folder / variant.published, mechanism.n_legs)
+    known = {block.symbol for variant in config.variants for block in inputs.machine(variant).layout.blocks}
+    for symbol in config.parameters:
+        if symbol not in known:
+            look_up(dict.fromkeys(known), symbol, "parameters", folder)
+    return inputs
+
+
+def _give_kernel(
+    likelihood: Likelihood, config: StudyConfig, variant: VariantConfig, travel: float
+) -> tuple[Likelihood, list[LegTerm]]:
+    """Return the density of poses with the structured model error of a variant, and the terms that it takes beside τ.
+
+    Raises
+    ------
+    InputError
+        Beside blunders, for measurements that are not whole poses, and for more poses than there is memory for.
+    """
+    error = config.leg_error
+    kernel, lengths = error.name_for(variant), error.lengths_for(variant)
+    if config.blunders is not None:
+        raise InputError(
+            f"blunders: found them beside kernel {kernel!r}, by which poses depend on each "
+            f"other, expected kernel {INDEPENDENT!r}, or deformation 'free_matrix' for linear errors"
+        )
+    poses = likelihood.of_poses
+    if poses is None:
+        raise InputError(
+            f"model_error.kernel: found {kernel!r} with poses measured in part, points, or frames to be found, "
+            f"expected whole poses in known frames, or kernel {INDEPENDENT!r}"
+        )
+    _check_kernel(poses.n_poses, poses.n_legs, lengths is not None)
+    terms: list[LegTerm] = [
+        KernelScale(error.kernel_scale_um * MICROMETRE, error.kernel_spread, not error.kernel_per_leg)
+    ]
+    if lengths is not None:
+        terms.append(KernelLength(lengths))
+    found = build_kernel(kernel, error.length_for(variant))
+    return StructuredLikelihood(poses, found, travel, lengths), terms
+
+
+def _check_kernel(n_poses: int, n_legs: int, free_length: bool) -> None:
+    """Raise InputError without memory for a kernel: matrices of all poses by all, the hot loop over all at once.
+
+    Where the length is free there is a matrix for every length at which the density is found, and for every vector.
+    """
+    matrices = 6.0 + (count_nodes(n_poses) + BATCH if free_length else 0.0)
+    check_arrays(
+        {"calibration poses with a kernel of the model error": n_poses},
+        [(matrices, n_poses, n_poses), (6.0, BATCH, n_poses, n_legs)],
+        f"fewer poses or kernel {INDEPENDENT!r}",
+    )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ import pandas as pd
 from rich.console import Console
 
 from bayescal.calibrated.machine import CalibratedMachine
-from bayescal.errors import InputError
+from bayescal.errors import InputError, name_faults
 from bayescal.experiments.frame.memory import Need
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
@@ -18,23 +19,15 @@ from bayescal.experiments.frame.terminal import show_verdict
 from bayescal.experiments.shared.calibrating import Calibrating, load_same
 from bayescal.experiments.shared.headline import list_candidates
 from bayescal.experiments.shared.measured import MeasuredReadings, Measuring
-from bayescal.experiments.shared.readings.inputs import ReadingInputs, list_machines
+from bayescal.experiments.shared.readings.instruments import list_machines
 from bayescal.experiments.shared.readings.machine_kind import MachineExperiment
+from bayescal.experiments.shared.study_inputs import Inputs
 from bayescal.experiments.shared.study_schema import StudyConfig
-from bayescal.experiments.study.by_instrument import ByInstrument
-from bayescal.experiments.study.by_tables import ByTables
-from bayescal.experiments.study.inputs import StudyInputs
-from bayescal.experiments.study.look import list_file_faults
-from bayescal.experiments.study.route import Route
+from bayescal.experiments.study.by_tables import ReadingStudy
+from bayescal.experiments.study.inputs import load_inputs
+from bayescal.experiments.study.measurement import list_file_faults
 from bayescal.experiments.study.terminal import show_comparison, show_ranking
 from bayescal.report.blocks import Page
-
-type Inputs = StudyInputs | ReadingInputs
-
-
-def route_of(data: object) -> Route:
-    """Return how data are computed with: tables of readings, or an instrument's poses."""
-    return ByTables() if isinstance(data, list) else ByInstrument()
 
 
 class Study(MachineExperiment[StudyConfig, Inputs], Measuring, Calibrating):
@@ -52,7 +45,10 @@ class Study(MachineExperiment[StudyConfig, Inputs], Measuring, Calibrating):
 
     def read(self, config: StudyConfig, folder: Path) -> Inputs:
         """Return everything the study computes with."""
-        found: Inputs = route_of(config.data).read(config, folder)
+        if config.by_tables:
+            return ReadingStudy.load(config, folder)
+        found = load_inputs(config, folder)
+        _ = found.claims  # a class at fault shows now
         return found
 
     def list_file_faults(self, content: Mapping[str, Any], folder: Path) -> list[str]:
@@ -61,19 +57,21 @@ class Study(MachineExperiment[StudyConfig, Inputs], Measuring, Calibrating):
 
     def estimate_memory(self, inputs: Inputs) -> Need:
         """Return what the posteriors take."""
-        return route_of(inputs.config.data).estimate_memory(inputs)
+        return inputs.estimate_memory()
 
     def outlook(self, inputs: Inputs) -> list[str]:
         """Return what the data can determine of each variant."""
-        return route_of(inputs.config.data).outlook(inputs)
+        return inputs.outlook()
 
     def doubt(self, inputs: Inputs) -> list[str]:
         """Return what may have happened to data that no machine explains, or only one within wide tolerances."""
-        return route_of(inputs.config.data).doubt(inputs)
+        return inputs.doubt()
 
     def compute(self, inputs: Inputs, run: Run) -> Results:
         """Return posteriors, evidence and predictions of all variants."""
-        return route_of(inputs.config.data).compute(inputs, run)
+        from bayescal.experiments.study.compute import compute_study  # seconds to import, as its inputs are read first
+
+        return compute_study(inputs, run)
 
     def page(self, results: Results) -> Page:
         """Return the page."""
@@ -94,14 +92,20 @@ class Study(MachineExperiment[StudyConfig, Inputs], Measuring, Calibrating):
         self, config: StudyConfig, path: Path, names: Sequence[str], with_model_error: bool
     ) -> dict[str, MeasuredReadings]:
         """Return variants of the study in a file."""
-        return route_of(config.data).measure(config, path, names, with_model_error)
+        chosen = [one for one in config.variants if one.name in names]
+        with name_faults(path) if config.by_tables else nullcontext():
+            wanted = config.model_copy(update={"variants": chosen}) if config.by_tables else config
+            inputs = ReadingStudy.load(wanted, path.parent) if config.by_tables else load_inputs(config, path.parent)
+        return inputs.measure([one.name for one in chosen], path, with_model_error)
 
     def calibrate(
         self, results: Results, variant: str | None, experiment: Path | None, trust: bool
     ) -> CalibratedMachine:
         """Return the machine of a variant of the study."""
         config = self.config_of(results) if experiment is None else load_same(results, experiment, self.schema)
-        return route_of(config.data).calibrate(results, config, variant, experiment, trust)
+        from bayescal.experiments.study.calibrated import calibrate_machine
+
+        return calibrate_machine(results, config, variant, experiment, trust)
 
     def show_comparison(self, table: pd.DataFrame, console: Console) -> None:
         """Print variants of several studies ranked together."""

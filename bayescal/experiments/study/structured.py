@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pandas as pd
 
 from bayescal.density.legs import batches
 from bayescal.density.pose_likelihood import PoseLikelihood
@@ -13,10 +14,11 @@ from bayescal.density.prediction import pointwise_given, predict_structured
 from bayescal.density.priors import LENGTH, LENGTHY, SCALE, is_model_error
 from bayescal.density.structured import StructuredLikelihood
 from bayescal.experiments.shared.estimate import Fit
-from bayescal.experiments.study.kernels import name_kernel
 from bayescal.numerics.geometry import Array
+from bayescal.numerics.units import MICROMETRE
 
 if TYPE_CHECKING:
+    from bayescal.experiments.shared.study_inputs import Task
     from bayescal.experiments.study.inputs import StudyInputs
 
 FEWEST_DRAWS = 20  # with an error, that its scale is told
@@ -80,7 +82,7 @@ def describe_structured(inputs: StudyInputs, variant: str, fit: Fit) -> dict[str
 def _name_kernel(inputs: StudyInputs, variant: str) -> str:
     """Return a variant's kernel with its length, if it has one."""
     config = inputs.variant(variant)
-    name = name_kernel(inputs.config, config)
+    name = inputs.name_kernel(config)
     if name not in LENGTHY:
         return name
     error = inputs.config.leg_error
@@ -133,11 +135,6 @@ def fit_slopes(inputs: StudyInputs, arrays: dict[str, Array]) -> Array:
     return np.asarray(np.linalg.lstsq(travel, arrays["structured_mean"][used], rcond=None)[0].T)
 
 
-def find_telling_actuators(inputs: StudyInputs, arrays: dict[str, Array]) -> np.ndarray:
-    """Return the actuator whose motion tells most of each leg's error, counted from zero, shape (N,)."""
-    return np.asarray(np.argmax(np.abs(fit_slopes(inputs, arrays)), axis=1))
-
-
 def _share(values: Array, explained: Array) -> float:
     """Return the share of the sum of squares that is explained, between 0 and 1; 0 where there is nothing."""
     total = float(np.sum(values**2))
@@ -169,3 +166,29 @@ def explain(inputs: StudyInputs, arrays: dict[str, Array]) -> dict[str, float]:
 def _explain_by(values: Array, design: Array) -> float:
     """Return the share of the sum of squares of values (K,) that a design (K, m) explains."""
     return _share(values, design @ np.linalg.lstsq(design, values, rcond=None)[0])
+
+
+def tabulate_structured(inputs: StudyInputs, fits: Mapping[Task, Fit]) -> pd.DataFrame:
+    """Return the error of every leg at every pose, with its 90 % interval, along the actuator that tells most of it."""
+    n_poses, n_legs = inputs.displacement.shape
+    use = np.where(inputs.verification, "verification", "calibration")
+    frames = []
+    for task, fit in fits.items():
+        arrays = fit.evaluated
+        if "structured_mean" not in arrays:
+            continue
+        actuators = np.argmax(np.abs(fit_slopes(inputs, arrays)), axis=1)  # whose motion says most of each leg's error
+        frames.append(
+            pd.DataFrame(
+                {
+                    "variant": task.variant,
+                    "pose": np.repeat(inputs.names, n_legs),
+                    "use": np.repeat(use, n_legs),
+                    "leg": np.tile(np.arange(1, n_legs + 1), n_poses),
+                    "actuator": np.tile(actuators + 1, n_poses),
+                    "travel_mm": inputs.displacement[:, actuators].ravel(),
+                    **{f"{k}_um": (arrays[f"structured_{k}"] / MICROMETRE).ravel() for k in ("mean", "low", "high")},
+                }
+            )
+        )
+    return pd.concat(frames, ignore_index=True)

@@ -7,7 +7,7 @@ from eliminated_legs import list_coordinates
 
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.shared.readings.inputs import read_inputs
-from bayescal.experiments.study.load import load_inputs
+from bayescal.experiments.study.inputs import load_inputs
 from bayescal.inference.exploration import integrate_posterior
 from bayescal.inference.importance import resample
 from bayescal.inference.schema import EvidenceConfig

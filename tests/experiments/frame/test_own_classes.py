@@ -24,7 +24,7 @@ from bayescal.experiments.frame.load import load, load_experiment
 from bayescal.experiments.frame.run import compute_experiment
 from bayescal.experiments.frame.store import Store
 from bayescal.experiments.selection.inputs import read_selection
-from bayescal.experiments.study.load import load_inputs
+from bayescal.experiments.study.inputs import load_inputs
 from bayescal.machines.read import load_mechanism
 
 pytestmark = pytest.mark.runs

@@ -9,7 +9,8 @@ import pytest
 import studies
 
 from bayescal.experiments.frame.identity import hash_identity, identify
-from bayescal.experiments.frame.load import load
+from bayescal.experiments.frame.load import load_experiment
+from bayescal.experiments.frame.run import check_experiment
 
 FOLDER = studies.EXPERIMENTS / "pose_selection"
 RESULTS = studies.EXPERIMENTS.parent / "results"
@@ -26,11 +27,11 @@ def read(name: str, table: str) -> pd.DataFrame:
 
 @pytest.mark.parametrize("experiment", NAMES)
 def test_results_are_those_of_the_shipped_config(experiment):
-    kind, config = load(FOLDER / f"{experiment}.toml")
+    config = load_experiment(FOLDER / f"{experiment}.toml")
     assert config.name == NAMES[experiment]
     folder = RESULTS / config.name
     found = json.loads((folder / "provenance.json").read_text(encoding="utf-8"))["config_sha256"]
-    assert found == hash_identity(identify(config, FOLDER, kind.files(config, FOLDER)))
+    assert found == hash_identity(identify(config, FOLDER, check_experiment(config, FOLDER)[0]))
     summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
     assert summary["name"] == config.name
     assert summary["headline"]

@@ -13,8 +13,8 @@ from bayescal.density.calibration.prediction import replicate_readings
 from bayescal.density.calibration.terms import Errors
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior, UniformPrior
-from bayescal.experiments.shared.reading_fit import ReadingSubject
 from bayescal.experiments.shared.soundness import measure_pulls
+from bayescal.experiments.study.readings import ReadingSubject
 from bayescal.inference.leave_one_out import leave_out
 
 N_POSES, N_READINGS, SD = 3, 6, 0.3

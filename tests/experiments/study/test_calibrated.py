@@ -194,7 +194,7 @@ def test_without_convergence_only_by_force_and_the_file_says_so(study, refuse, c
 
 def test_results_of_earlier_versions_take_the_studys_config(study, refuse, call):
     shutil.rmtree("out/machine")
-    assert "out/machine/mechanism.toml: no such file" in refuse("export", "out")
+    assert "out: found results without their machine" in refuse("export", "out")
     call("export", "out", "--experiment", "study.toml", "--out", "machine")
     assert load_calibrated(Path("machine")).covariance is not None
 
@@ -234,7 +234,7 @@ def test_a_certificate_states_a_budget_and_how_it_was_checked(study, call):
     for said in ("noise of the actuators", "ISO 9283 pose accuracy AP", "ISO 230-2 accuracy A of z", "predicted"):
         assert said in page
     assert "targets.csv" in page  # the files that it goes back to
-    n_measured = len(Path("out/machine/measured.csv").read_text().splitlines()) - 2
+    n_measured = len(Path("out/machine/commands.csv").read_text().splitlines()) - 2
     assert figures["workspace"] == f"over the box of the {n_measured} poses that calibrated the machine"
     assert figures["share_extrapolated"] == 0.0
     parts = figures["standard_uncertainty"]

@@ -74,7 +74,7 @@ def test_ninety_percent_intervals_cover_from_targets_on(twin, config, from_prior
 
 def test_shipped_twin_is_recovered(twin, config):
     """The study's own data: every parameter of the matrix variant within four posterior sds of the truth."""
-    from bayescal.experiments.study.load import load_inputs
+    from bayescal.experiments.study.inputs import load_inputs
 
     inputs = load_inputs(config, TELESCOPE)
     posterior = inputs.posterior(inputs.variant("six_pus/matrix"), with_model_error=True)

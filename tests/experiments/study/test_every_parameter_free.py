@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bayescal.experiments.frame.load import load_experiment
-from bayescal.experiments.study.load import load_inputs
+from bayescal.experiments.study.inputs import load_inputs
 from bayescal.inference.exploration import explore
 from bayescal.inference.mode import find_mode
 

@@ -116,7 +116,8 @@ def test_poses_fed_back_are_the_targets(fed):
 @pytest.mark.slow
 def test_poses_of_the_telescope_fed_back_give_its_evidence(tmp_path):
     """By sampling, as the study itself does; κ free in place of K, which targets alone tell."""
-    from bayescal.experiments.study.fit import Task, run_task
+    from bayescal.experiments.shared.study_inputs import Task
+    from bayescal.experiments.study.fit import run_task
 
     shutil.copytree(studies.TELESCOPE, tmp_path, dirs_exist_ok=True)
     config = tmp_path / "study.toml"

@@ -11,7 +11,7 @@ from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.shared.leg_slips import list_rereads
 from bayescal.experiments.study.doubts import find_study_slip
-from bayescal.experiments.study.load import load_inputs
+from bayescal.experiments.study.inputs import load_inputs
 from bayescal.experiments.study.tables import format_poses
 from bayescal.files.csv_tables import read_table
 

@@ -22,7 +22,7 @@ from bayescal.experiments.frame.identity import hash_identity
 from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.frame.run import Finished, run_experiment
 from bayescal.experiments.study import compute
-from bayescal.experiments.study.fit import list_tasks, run_task
+from bayescal.experiments.study.compute import run_task
 from bayescal.limits import MOVED_LIMIT, PARETO_K_LIMIT
 
 pytestmark = pytest.mark.runs
@@ -157,8 +157,9 @@ def test_results_directory_holds_everything_and_nothing_is_left_beside_it(result
     assert {"summary.json", "provenance.json", "tables", "posterior"} <= names
     tables = {path.name for path in (result.out / "tables").iterdir()}
     assert {
-        f"{one}.csv" for one in ("variants", "parameters", "poses", "pose_errors", "sensitivity", "least_squares")
+        f"{one}.csv" for one in ("variants", "parameters", "poses", "pose_errors", "errors", "least_squares")
     } <= tables
+    assert "sensitivity.csv" not in tables  # no other width was asked for
     assert not list(folder.glob("**/*.partial"))
 
 
@@ -214,13 +215,6 @@ def test_tables_agree_with_the_summary(result, summary):
             fit = summary["variants"][row["variant"]]
             one = fit if table == "free" else fit["without_model_error"]
             assert row["log_evidence"] == pytest.approx(one["log_evidence"], rel=1e-8)
-    sensitivity = pd.read_csv(result.out / "tables" / "sensitivity.csv")
-    assert list(sensitivity["factor"]) == [1.0, 1.0]
-    # the priors of the config itself: the fit's own evidence
-    for row in sensitivity.to_dict("records"):
-        assert row["log_evidence"] == pytest.approx(
-            summary["variants"][row["variant"]]["log_evidence_importance"], rel=1e-8
-        )
     for name in ("poses", "pose_errors"):
         table = pd.read_csv(result.out / "tables" / f"{name}.csv")
         assert len(table) == 2 * len(VARIANTS) * (studies.N_CALIBRATION + studies.N_VERIFICATION)
@@ -278,9 +272,9 @@ def test_interrupted_and_resumed_equals_uninterrupted(result, folder, monkeypatc
 
     monkeypatch.setattr(compute, "run_task", count)
     run(folder / "study.toml", out, resume=True, title="Tiny study")
-    assert len(calls) - n_before == len(list_tasks(studies.load_study(folder / "study.toml"))) - n_finished
+    assert len(calls) - n_before == len(studies.load_study(folder / "study.toml").list_tasks()) - n_finished
     assert without_wall_seconds(out) == without_wall_seconds(result.out)
-    for name in ("parameters", "pose_errors", "sensitivity"):
+    for name in ("parameters", "pose_errors"):
         table = f"tables/{name}.csv"
         assert (out / table).read_bytes() == (result.out / table).read_bytes()
     assert not out.with_name(out.name + ".partial").exists()
@@ -317,7 +311,8 @@ def test_numerical_failure_of_one_task_keeps_all_others(tmp_path, monkeypatch):
         run(path, tmp_path / "out")
     assert not (tmp_path / "out").exists()
     kept = {file.stem for file in (tmp_path / "out.partial").glob("*.npz")}
-    assert kept == {f"sampling-{task.key}" for task in calls} - {f"sampling-{calls[1].key}"}
+    names = [f"sampling-{studies.load_study(path).name_task(task)}" for task in calls]
+    assert kept == {*names} - {names[1]}
     monkeypatch.setattr(compute, "run_task", run_task)
     assert run(path, tmp_path / "out", resume=True).out.is_dir()
 

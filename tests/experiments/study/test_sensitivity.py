@@ -15,7 +15,7 @@ from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.shared.prior_widths import WidthTask, begin_widths, list_width_tasks, tabulate_widths
 from bayescal.experiments.study.compute import choose_free, compute_posteriors, weigh
-from bayescal.experiments.study.fit import list_tasks, run_task
+from bayescal.experiments.study.fit import run_task
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.inference.exploration import explore
 from bayescal.inference.importance import ImportanceEvidence
@@ -62,10 +62,10 @@ def test_the_evidence_of_a_factor_is_that_of_a_study_with_such_priors(tmp_path, 
     inputs = load(tmp_path / "own", ("factor = [1.0]", f"factor = [1.0, {factor}]"), EFFORT)
     scaled = (("sd = 2.0", f"sd = {2.0 * factor}"), ("sd = 0.01", f"sd = {0.01 * factor}"))
     other = load(tmp_path / "other", *scaled, EFFORT)
-    free, factors = choose_free(inputs, compute_posteriors(inputs, Run())), inputs.config.sensitivity.factor
+    free, factors = choose_free(compute_posteriors(inputs, Run())), inputs.config.sensitivity.factor
     widths = begin_widths(weigh, inputs, free, factors, Run())()
     table = tabulate_widths(free, widths, factors).set_index(["factor", "variant"])
-    for task in list_tasks(other)[:2]:
+    for task in other.list_tasks()[:2]:
         importance = run_task(other, task).importance
         expected = (importance.log_evidence, importance.standard_error)
         found = table.loc[(factor, task.variant)]
@@ -77,10 +77,10 @@ def test_the_evidence_of_a_factor_is_that_of_a_study_with_such_priors(tmp_path, 
 
 def test_a_factor_of_one_is_the_fit_itself(tmp_path):
     inputs = load(tmp_path, ("factor = [1.0]", "factor = [1.0, 0.5, 1.0000001]"))
-    fits = list_tasks(inputs)
+    fits = inputs.list_tasks()
     fit = SimpleNamespace(modes=np.zeros((1, 2)), importance=ImportanceEvidence(7.0, 0.1, 0.5, 0.1, 1000))
     widths = list_width_tasks({task.variant: fit for task in fits}, inputs.config.sensitivity.factor)
-    assert len(fits) == len({task.key for task in fits}) == 4
+    assert len(fits) == len({inputs.name_task(task) for task in fits}) == 4
     assert len(widths) == len({task.key for task in widths}) == 4
     assert {task.factor for task in widths} == {0.5, 1.0000001}
 

@@ -15,7 +15,7 @@ from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.simulation.twin import build_twin, format_survey, simulate_survey
 from bayescal.experiments.study.doubts import find_study_slip
-from bayescal.experiments.study.load import load_inputs
+from bayescal.experiments.study.inputs import load_inputs
 
 type Rows = list[list[str]]
 

@@ -9,8 +9,8 @@ import pandas as pd
 import pytest
 
 from bayescal.experiments.shared.stacking import compare_variants, find_tied, tabulate_comparison
-from bayescal.experiments.study import held_out
-from bayescal.experiments.study.held_out import describe_stacking
+from bayescal.experiments.study import tables
+from bayescal.experiments.study.tables import describe_stacking
 from bayescal.inference.leave_one_out import LeftOut
 
 N_POSES, N_HELD, N_DRAWS = 40, 6, 400
@@ -80,7 +80,7 @@ def test_the_stacked_prediction_is_better_than_either(fits):
     for use in ("calibration", "verification"):
         assert found[use]["position_error_mm"]["mean"] < 0.002  # each by itself: 0.02
         assert found[use]["interval_90_coverage"] == 1.0
-    joint = [held_out._joint_density(fits[name], Inputs.verification) for name in ("left", "right")]
+    joint = [tables._joint_density(fits[name], Inputs.verification) for name in ("left", "right")]
     assert min(joint) < found["elpd"] < max(joint)
 
 

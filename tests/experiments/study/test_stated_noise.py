@@ -17,8 +17,7 @@ from bayescal.experiments.frame.run import run_experiment
 from bayescal.experiments.shared.chi_square import ChiSquare
 from bayescal.experiments.shared.soundness import find_misfit, measure_pulls
 from bayescal.experiments.simulation.twin import build_twin, format_survey, simulate_survey
-from bayescal.experiments.study.inputs import StudyInputs
-from bayescal.experiments.study.load import load_inputs
+from bayescal.experiments.study.inputs import StudyInputs, load_inputs
 from bayescal.inference.exploration import explore
 
 pytestmark = pytest.mark.runs

@@ -12,12 +12,11 @@ from saved_trees import check_tree, scale_power
 from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.shared.estimate import Fit
 from bayescal.experiments.shared.packing import pack_tree
+from bayescal.experiments.shared.study_inputs import Task
 from bayescal.experiments.shared.trees import choose_draws, write_packed
-from bayescal.experiments.study.fit import Task, run_task
-from bayescal.experiments.study.held_out import compute_pits
-from bayescal.experiments.study.inputs import StudyInputs
-from bayescal.experiments.study.load import load_inputs
-from bayescal.experiments.study.trees import _replicate, build_study_tree
+from bayescal.experiments.study.fit import _replicate, build_study_tree, run_task
+from bayescal.experiments.study.inputs import StudyInputs, load_inputs
+from bayescal.experiments.study.tables import compute_pits
 from bayescal.numerics.geometry import matrix_from_rotation_vector, rotation_vector_from_matrix
 
 TASKS = [Task("six_pus/matrix", True), Task("six_pus/matrix", False)]

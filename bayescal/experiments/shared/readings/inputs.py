@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from bayescal.calibrated.exported import keep_machines
 from bayescal.density.calibration.likelihood import CalibrationLikelihood, CalibrationPosterior
 from bayescal.density.calibration.measurements import Measurements
 from bayescal.density.calibration.terms import Errors
@@ -21,7 +20,7 @@ from bayescal.experiments.shared.outlook import tell_outlook
 from bayescal.experiments.shared.reading_slips import Suspicion, check_reach
 from bayescal.experiments.shared.readings.beside import Beside, read_beside
 from bayescal.experiments.shared.readings.errors import build_terms
-from bayescal.experiments.shared.readings.instruments import list_seen_files, read_instruments, read_model
+from bayescal.experiments.shared.readings.instruments import keep_files, read_instruments, read_model
 from bayescal.experiments.shared.readings.noise import build_noise, stated_noise
 from bayescal.experiments.shared.readings.priors import choose_priors, widen
 from bayescal.experiments.shared.readings.reading_tables import PoseReadings, read_tables
@@ -155,17 +154,9 @@ def read_inputs(config: StudyConfig, folder: Path) -> ReadingInputs:
         with name_faults(f"variant {one.name!r}"):
             variants[one.name] = _build(config, one, models[one.name], readings, deviations, folder, symbols)
     beside = [read_beside(one, folder, model) for one in config.beside]
-    files, kept = keep_machines(
-        [folder / name for name in list_machines(config)], list_seen_files(config, folder), folder
-    )
     unused = readings.tell_unused({name for one in variants.values() for name in one.model.names})
     name = getattr(model, "name", config.machine)
-    return ReadingInputs(config, name, variants, beside, files, kept[folder], unused)
-
-
-def list_machines(config: StudyConfig) -> list[str]:
-    """Return the files of the machine, those of single variants too."""
-    return list(dict.fromkeys(one.machine or config.machine for one in config.variants))
+    return ReadingInputs(config, name, variants, beside, *keep_files(config, folder), unused)
 
 
 def _build(

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
+from bayescal.calibrated.exported import keep_machines
 from bayescal.config.classes import choose, name_failures
 from bayescal.config.load import read_toml
 from bayescal.config.registry import list_sources
@@ -83,7 +84,7 @@ def read_model(config: Placed, variant: Seen, path: Path, folder: Path) -> Readi
     return Legs(read_machine(path, seen, config.deformation, folder), inclined=inclined)
 
 
-def list_seen_files(config: StudyConfig, folder: Path) -> list[Path]:
+def _list_seen(config: StudyConfig, folder: Path) -> list[Path]:
     """Return what variants see a mechanism by besides its file: K, and classes of one's own."""
     seen = [one for one in config.variants if one.model is not None]
     files = [
@@ -92,9 +93,20 @@ def list_seen_files(config: StudyConfig, folder: Path) -> list[Path]:
         for what, name in zip(("MODELS", "DEFORMATIONS"), one.seen, strict=True)
         for file in list_sources(what, name, folder)
     ]
-    if any(one.deformation == "matrix" for one in seen):
+    if config.deformation.matrix != "targets" and any(one.deformation == "matrix" for one in seen):
         files.append(folder / config.deformation.matrix)
     return list(dict.fromkeys(files))
+
+
+def list_machines(config: StudyConfig) -> list[str]:
+    """Return the files of the machine, those of single variants too."""
+    return list(dict.fromkeys(one.machine or config.machine for one in config.variants))
+
+
+def keep_files(config: StudyConfig, folder: Path) -> tuple[dict[str, bytes], str]:
+    """Return what the machines are read from, by names in one folder, and where in that folder the config's own is."""
+    files, places = keep_machines([folder / name for name in list_machines(config)], _list_seen(config, folder), folder)
+    return files, places[folder]
 
 
 def leave_instruments(

@@ -1,4 +1,4 @@
-"""Legs that err by a function of the pose: what a plan then tells, against dense covariances and the exact density."""
+"""The Jacobian as a table; legs that err by a function of the pose against dense covariances and exact densities."""
 
 from __future__ import annotations
 
@@ -18,7 +18,9 @@ from bayescal.experiments.audit.design import load_audit, read_inputs
 from bayescal.experiments.audit.schema import AuditConfig
 from bayescal.identifiability.design import FunctionOfPose
 from bayescal.identifiability.information import information_of_rows, marginalise
-from bayescal.identifiability.sensitivity import compute_sensitivity, inform
+from bayescal.identifiability.sensitivity import compute_sensitivity, inform, tabulate_jacobian
+from bayescal.machines.kinematics import solve_forward_kinematics
+from bayescal.numerics.geometry import compute_pose_error
 
 KERNELS = [LinearKernel(), SmoothKernel(1.5)]
 
@@ -107,3 +109,31 @@ def test_design_reaches_the_plan():
     assert (function.kernel.name, function.scale) == ("linear", pytest.approx(0.02))
     with pytest.raises(ValueError, match="structured_error"):
         read_design(structured_error={"kernel": "cubic", "scale_um": 20.0})
+
+
+# --- the Jacobian as a table ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["l[1]", "a_x[4]", "b_z[6]"])
+def test_columns_are_derivatives_of_the_pose(name):
+    machine = machines.build_machine("none")
+    actuators = machines.table_3_actuators()[:3]
+    table = tabulate_jacobian(machine, actuators, [name])
+    k = machine.layout.names.index(name)
+    poses = []
+    for sign in (-1.0, 1.0):
+        theta = machine.layout.nominal.copy()
+        theta[k] += sign * 1e-4
+        poses.append(solve_forward_kinematics(machine, theta, actuators))
+    low, high = poses
+    slope = compute_pose_error(high.position, high.rotation, low.position, low.rotation) / 2e-4
+    assert table.index.names == ["pose", "component"]
+    np.testing.assert_allclose(table[name].to_numpy().reshape(3, 6), slope, rtol=1e-5, atol=1e-9)
+
+
+def test_all_parameters_by_default_in_their_order():
+    machine = machines.build_machine("none")
+    table = tabulate_jacobian(machine, machines.table_3_actuators()[0])
+    assert list(table.columns) == list(machine.layout.names)
+    assert table.shape == (6, machine.layout.size)
+    assert "l[1]" in table.to_string()

@@ -1,0 +1,409 @@
+"""A posterior of tables of readings, the poses unknown, from config to numbers, and what its study says of all."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+import pandas as pd
+from scipy.stats import chi2
+
+from bayescal.density.calibration.likelihood import CalibrationPosterior
+from bayescal.density.calibration.prediction import ReadingPredictions, predict_readings, replicate_readings
+from bayescal.density.prediction import compute_elpd
+from bayescal.experiments.frame.parallel import Run
+from bayescal.experiments.shared.chi_square import ChiSquare
+from bayescal.experiments.shared.estimate import Arrays, Fit, Subject, fit_posterior
+from bayescal.experiments.shared.function_errors import FoundFunctions, find_functions, tabulate_functions
+from bayescal.experiments.shared.readings.inputs import ReadingInputs, Variant
+from bayescal.experiments.shared.readings.knowledge import (
+    Knowledge,
+    assess,
+    list_next,
+    list_ridges,
+    name_data,
+    plain,
+    tabulate_accuracy,
+)
+from bayescal.experiments.shared.soundness import fit_rows
+from bayescal.experiments.shared.stacking import tabulate_comparison
+from bayescal.experiments.shared.study_inputs import Described, Task
+from bayescal.experiments.shared.trees import Draws, Readings, build_tree, limit_draws
+from bayescal.experiments.shared.variant_tables import NOISE, describe_fit, tabulate_left_out, tabulate_parameters
+from bayescal.experiments.study.calibrated import ERRORS, tabulate_errors
+from bayescal.inference.exploration import explore
+from bayescal.inference.importance import resample
+from bayescal.inference.stages import stage
+from bayescal.inference.target import Fittable
+from bayescal.numerics.geometry import Array
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+PRIOR_DRAWS = 300
+ONLY_SAVED = ("log_likelihood", "replicated", "prior", "prior_replicated")
+PROPOSED = 8  # draws of the proposal for each that is used
+IMPROBABLE = 0.01  # probability under the stated noise below which a pose's residuals contradict it
+DISTRUSTED = 0.5  # mean of a pose's precision below which a robust density takes it for an outlier
+
+
+@dataclass(frozen=True, eq=False)
+class Residuals:
+    """What the best machine leaves of the readings at P poses.
+
+    Attributes
+    ----------
+    pose : ndarray, shape (P, q)
+    left, noise : ndarray, shape (P, K)
+        Measured minus read, NaN where nothing was, and the noise at the best machine; in the channels' units.
+    square : ndarray, shape (P,)
+        r².
+    trust : ndarray, shape (P,)
+        Mean of the pose's precision; one but for robust densities.
+    freedom : ndarray of int, shape (P,)
+        Readings less coordinates.
+    """
+
+    pose: Array
+    left: Array
+    noise: Array
+    square: Array
+    trust: Array
+    freedom: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """What one fold tells.
+
+    Attributes
+    ----------
+    rows : ndarray of int, shape (V,)
+        The held-back poses, of the variant's.
+    elpd : float
+        Log predictive density of all their readings together.
+    efficiency, pareto_k : float
+        Of the posterior's draws.
+    predictions : ReadingPredictions
+        Its poses count within ``rows``.
+    """
+
+    rows: np.ndarray
+    elpd: float
+    efficiency: float
+    pareto_k: float
+    predictions: ReadingPredictions
+
+
+@dataclass(frozen=True, eq=False)
+class ReadingFit(Fit):
+    """A fit of readings, and all that is said of its variant.
+
+    Attributes
+    ----------
+    functions : FoundFunctions or None
+        Errors that are functions.
+    residuals : Residuals
+        At the best mode.
+    knowledge : Knowledge
+    beside : list of ndarray
+        What its draws make of values from elsewhere.
+    held : list of Held
+        The prediction of poses kept for verification.
+    errors : DataFrame
+        By what each commanded channel errs.
+    """
+
+    functions: FoundFunctions | None
+    residuals: Residuals
+    knowledge: Knowledge
+    beside: list[Array]
+    held: list[Held]
+    errors: pd.DataFrame
+
+
+def fit_variant(inputs: ReadingInputs, name: str) -> ReadingFit:
+    """Return all that is found of a variant; its random numbers depend on the config's seed and the name alone."""
+    variant, config = inputs.variants[name], inputs.config
+    subject = ReadingSubject(variant.posterior().anchored())
+    posterior = subject.density
+    fit = fit_posterior(subject, config.seed, name, config.sampler, config.evidence)
+    rng = np.random.default_rng([config.seed, 9, zlib.crc32(name.encode())])
+    functions = find_functions(posterior, fit.kept, posterior.likelihood.draw_common(*posterior.at(fit.kept), rng))
+    packed = fit.pack(subject.build_tree(fit, name), ONLY_SAVED)
+    covariance = np.atleast_2d(np.cov(fit.kept[:, : posterior.n_geometry], rowvar=False))
+    with stage("held-back poses"):
+        held = [hold_back(inputs, (name, 0), fit.kept)] if variant.verification.any() else []
+    with stage("accuracy"):
+        return ReadingFit(
+            **vars(packed),
+            functions=functions,
+            residuals=_explain(posterior, fit),
+            knowledge=assess(config, variant, posterior, fit.kept.mean(axis=0), covariance),
+            beside=[one.evaluate(variant.whole, posterior.theta(fit.kept)) for one in inputs.beside],
+            held=held,
+            errors=tabulate_errors(config, variant, fit.kept),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class ReadingSubject(Subject):
+    """A posterior of readings.
+
+    Attributes
+    ----------
+    density : CalibrationPosterior
+    """
+
+    density: CalibrationPosterior
+
+    @property
+    def posterior(self) -> CalibrationPosterior:
+        """The posterior."""
+        return self.density
+
+    def evaluate(self, posterior: Fittable, y: Array, seed: np.random.SeedSequence) -> Arrays:
+        """Return the rows' log-densities (E, S, P), and the readings that some draws predict, (E, S', P, K)."""
+        flat, own = y.reshape(-1, y.shape[-1]), cast("CalibrationPosterior", posterior)
+        density = own.pointwise(flat)
+        some = self._thin(y)
+        made = replicate_readings(own, some.reshape(-1, y.shape[-1]), np.random.default_rng(seed))
+        replicated = made.reshape(*some.shape[:2], *made.shape[1:]).astype(np.float32)
+        found: dict[str, Any] = {"log_likelihood": density.reshape(*y.shape[:2], -1), "replicated": replicated}
+        return found
+
+    def _thin(self, values: Array) -> Array:
+        """Return what is of the draws that predict, from something of all, (E, S, ...)."""
+        n_draws = values.shape[0] * values.shape[1]
+        return values[:, :: -(-n_draws // limit_draws(n_draws, self.posterior.likelihood.data.values.size))]
+
+    def replicate_prior(self, posterior: Fittable, seed: np.random.SeedSequence) -> Arrays:
+        """Return draws of the prior that are machines, (T, n), and their readings at the expected poses (T, P, K)."""
+        own, rng = cast("CalibrationPosterior", posterior), np.random.default_rng(seed)
+        y = own.draw_prior(limit_draws(PRIOR_DRAWS, own.likelihood.data.values.size), rng)
+        with np.errstate(all="ignore"):
+            made = replicate_readings(own, y, rng, own.likelihood.start)
+        there = np.isfinite(made).all(axis=(1, 2), where=own.likelihood.data.present)
+        return {"prior": own.natural(y[there]), "prior_replicated": made[there].astype(np.float32)}
+
+    def measure_misfit(self, posterior: Fittable, mode: Array) -> ChiSquare:
+        """Return χ² of what no pose explains at the mode (n,)."""
+        own = cast("CalibrationPosterior", posterior)
+        white, slope = own.likelihood.reduced_rows(*own.around(mode), own.errors, own.zeta(mode))
+        n = slope.shape[-1]  # the geometry, then coefficients of errors common to all rows, whose prior is N(0, 1)
+        held = np.concatenate([mode[: own.n_geometry], np.zeros(n - own.n_geometry)])
+        return fit_rows(white, slope, held, np.eye(n), int(own.likelihood.n_spare.sum())).chi_square
+
+    def build_tree(self, fit: Fit, variant: str) -> xr.DataTree:
+        """Return the fit with draws of its prior, what both predict, and the data."""
+        likelihood, arrays = self.posterior.likelihood, fit.evaluated
+        priors, channels = self.posterior.all_priors().values(), likelihood.model.channels
+        draws, density, rows = (self._thin(one) for one in (fit.draws, fit.log_density, arrays["log_likelihood"]))
+        readings = Readings(
+            likelihood.data.poses,
+            [one.name for one in channels],
+            [one.unit for one in channels],
+            likelihood.data.values,
+            arrays["replicated"],
+            arrays["prior_replicated"],
+            rows,
+            "readings as measured",
+        )
+        log_prior = np.stack([prior.log_density(draws[..., k]) for k, prior in enumerate(priors)], axis=-1)
+        return build_tree(
+            Draws(fit.names, fit.units, draws, density, log_prior, arrays["prior"]), readings, variant=variant
+        )
+
+
+def _explain(posterior: CalibrationPosterior, fit: Fit) -> Residuals:
+    """Return the residuals of the best machine at the calibration poses."""
+    likelihood, mode = posterior.likelihood, fit.mode[None]
+    zeta, (white, stand) = posterior.zeta(mode), likelihood.explain(*posterior.at(mode))
+    (own, tau), tails = likelihood.noise(posterior.errors, zeta), posterior.errors.tails(zeta)
+    given = {key: value[None] for key, value in likelihood.data.given.items()}
+    read = likelihood.model.read(posterior.theta(mode)[:, None], stand.pose, given)
+    residual = likelihood.residuals(*posterior.at(mode))
+    common = white.colour(stand.error - residual)  # what errors common to all rows explain beyond the pose
+    left = (likelihood.comparison.subtract(likelihood.data.values, read) - common)[0]
+    square = np.einsum("pk,pk->p", residual[0], residual[0])
+    return Residuals(
+        stand.pose[0],
+        np.where(likelihood.data.present, left, np.nan),
+        np.sqrt(own[0] ** 2 + tau[0] ** 2) * np.ones_like(left),
+        square,
+        tails.trust(square[None], likelihood.n_spare)[0],
+        likelihood.n_readings - stand.pose.shape[-1],
+    )
+
+
+def list_folds(inputs: ReadingInputs, variant: Variant) -> list[np.ndarray]:
+    """Return which poses are held back together, masks (P,): those for verification, or random folds of all."""
+    n, folds = variant.data.n_poses, inputs.config.validation.folds
+    if variant.verification.any():
+        return [variant.verification]
+    order = np.random.default_rng([inputs.config.seed, 6]).permutation(n)
+    return [np.isin(np.arange(n), order[k::folds]) for k in range(min(folds, n))]
+
+
+def hold_back(inputs: ReadingInputs, task: tuple[str, int], known: Array | None = None) -> Held:
+    """Return how the held-back poses of a variant's fold are predicted from the others.
+
+    Where these are the poses for verification, ``known`` are draws (T, n) of the posterior that has been found already.
+    """
+    variant, fold = inputs.variants[task[0]], task[1]
+    held = list_folds(inputs, variant)[fold]
+    posterior, effort = variant.posterior(~held).anchored(), inputs.config.validation.draws
+    first, second = np.random.SeedSequence([inputs.config.seed, 7, fold, zlib.crc32(variant.name.encode())]).spawn(2)
+    rng = np.random.default_rng(second)
+    efficiency, pareto_k = 1.0, float("nan")
+    if known is None:
+        found = explore(posterior, first, inputs.config.sampler.walkers, max_pilots=0)  # draws are weighed anyway
+        drawn = resample(found.straight.log_density, found.proposal, rng, PROPOSED * effort, effort)
+        y, efficiency, pareto_k = found.straight.y_from_x(drawn.draws), drawn.efficiency, drawn.pareto_k
+    else:
+        y = known[np.linspace(0, len(known) - 1, min(effort, len(known))).astype(int)]
+    likelihood = variant.likelihood(held)
+    with np.errstate(all="ignore"):
+        elpd = compute_elpd(posterior.predict_density(likelihood, y))
+        predictions = predict_readings(posterior, likelihood, y, rng)
+    return Held(np.flatnonzero(held), elpd, efficiency, pareto_k, predictions)
+
+
+def describe_readings(inputs: ReadingInputs, fits: Mapping[Task, Fit], run: Run) -> Described:
+    """Return the tables of all variants and their rows as the summary has them; folds are predicted in tasks."""
+    found = {task.variant: cast("ReadingFit", fit) for task, fit in fits.items()}
+    folds = {
+        f"{name} {fold + 1}": (name, fold)
+        for name, variant in inputs.variants.items()
+        if not variant.verification.any()
+        for fold in range(len(list_folds(inputs, variant)))
+    }
+    predicted = run.map("held-back poses", hold_back, inputs, folds, (Held,)) if folds else {}
+    held = {
+        name: [*fit.held, *(predicted[task] for task, (owner, _) in folds.items() if owner == name)]
+        for name, fit in found.items()
+    }
+    every, units = [(inputs.variants[name], fit) for name, fit in found.items()], inputs.config.units
+    predictions = pd.DataFrame([row for variant, _ in every for row in _list_predictions(variant, held[variant.name])])
+    rows = pd.DataFrame([_describe(*one, held[one[0].name], predictions) for one in every])
+    variants = tabulate_comparison(rows, {name: fit.left_out for name, fit in found.items()}, "data")
+    tables = {
+        "variants": variants,
+        "parameters": pd.concat([_list_parameters(*one) for one in every], ignore_index=True),
+        "residuals": _table(_list_residuals(*one) for one in every),
+        "poses": pd.concat([_list_poses(*one) for one in every], ignore_index=True),
+        "predictions": predictions,
+        "accuracy": pd.concat([tabulate_accuracy(one, fit.knowledge, units) for one, fit in every], ignore_index=True),
+        "ridges": _table(list_ridges(variant, fit.knowledge) for variant, fit in every),
+        "next": _table(list_next(variant, fit.knowledge) for variant, fit in every),
+        "beside": _table(_list_beside(inputs, *one) for one in every),
+        **tabulate_functions([(name, fit.functions) for name, fit in found.items()]),
+        ERRORS: pd.concat([fit.errors for fit in found.values()], ignore_index=True),
+    }
+    known = {str(row.pop("variant")): plain(row) for row in variants.to_dict("records")}
+    summary = {
+        "member": next(iter(inputs.variants.values())).model.member,
+        "states_tool": all(one.model.states_tool for one in inputs.variants.values()),
+        **({"unused": inputs.unused} if inputs.unused else {}),
+    }
+    return Described(known, {name: table for name, table in tables.items() if not table.empty}, summary)
+
+
+def _table(rows: Iterable[Iterable[Mapping[str, Any]]]) -> pd.DataFrame:
+    return pd.DataFrame([row for some in rows for row in some])
+
+
+def _describe(variant: Variant, fit: ReadingFit, held: list[Held], predictions: pd.DataFrame) -> dict[str, Any]:
+    left = fit.residuals
+    freedom = int(left.freedom.sum()) - len(fit.names)
+    row: dict[str, Any] = {
+        "variant": variant.name,
+        "title": variant.config.title,
+        "data": name_data(variant),
+        "robust": variant.config.outliers.expected,
+        "n_poses": len(left.square),
+        "n_equations": int(left.freedom.sum()),
+        **describe_fit(fit),
+        "elpd": sum(one.elpd for one in held) if held else float("nan"),
+        "misfit": float(np.sqrt(left.square.sum() / freedom)) if freedom > 0 else float("nan"),
+    }
+    if not predictions.empty:
+        mine = predictions[(predictions["variant"] == variant.name) & ~predictions["external"]]
+        row |= {"held_readings": len(mine), "inside_90": float(mine["inside"].mean()) if len(mine) else float("nan")}
+    return row
+
+
+def _list_parameters(variant: Variant, fit: ReadingFit) -> pd.DataFrame:
+    posterior = variant.posterior()
+    start = list(variant.model.layout.nominal[posterior.sampling.free])
+    medians = posterior.errors.natural(np.zeros(posterior.errors.n_parameters))
+    start += [float(x) if unit == "1" else 0.0 for unit, x in zip(posterior.errors.units, medians, strict=True)]
+    verdicts = [*fit.knowledge.verdicts, *[NOISE] * posterior.errors.n_parameters]
+    return tabulate_parameters(variant.name, fit, start, verdicts)
+
+
+def _list_residuals(variant: Variant, fit: ReadingFit) -> Iterator[dict[str, Any]]:
+    poses = variant.data.pick(~variant.verification)
+    for k, name in enumerate(poses.poses):
+        for channel in np.flatnonzero(poses.present[k]):
+            yield {
+                "variant": variant.name,
+                "pose": name,
+                "channel": variant.model.channels[channel].name,
+                "unit": variant.model.channels[channel].unit,
+                "measured": poses.values[k, channel],
+                "residual": fit.residuals.left[k, channel],
+                "noise": fit.residuals.noise[k, channel],
+            }
+
+
+def _list_poses(variant: Variant, fit: ReadingFit) -> pd.DataFrame:
+    left = fit.residuals
+    chance = chi2.sf(left.square, np.maximum(left.freedom, 1))
+    coordinates = {f"{c.name}_{c.unit}": left.pose[:, k] for k, c in enumerate(variant.model.coordinates)}
+    used = variant.data.pick(~variant.verification)
+    contradicting = (left.trust < DISTRUSTED) | ((not variant.config.outliers.expected) & (chance < IMPROBABLE))
+    own = {"equations": left.freedom, "square": left.square, "chance": chance, "trust": left.trust}
+    common = tabulate_left_out(variant.name, fit, used.poses, np.zeros(used.n_poses, dtype=bool))
+    return common.assign(**coordinates, **own, contradicting=contradicting)
+
+
+def _list_predictions(variant: Variant, held: list[Held]) -> Iterator[dict[str, Any]]:
+    for one in held:
+        found = one.predictions
+        for k, (row, channel) in enumerate(zip(one.rows[found.pose], found.channel, strict=True)):
+            yield {
+                "variant": variant.name,
+                "pose": variant.data.poses[row],
+                "channel": variant.model.channels[channel].name,
+                "external": variant.model.channels[channel].external,
+                "unit": variant.model.channels[channel].unit,
+                "measured": found.measured[k],
+                "mean": found.mean[k],
+                "sd": found.sd[k],
+                "low": found.low[k],
+                "high": found.high[k],
+                "inside": bool(found.inside[k]),
+            }
+
+
+def _list_beside(inputs: ReadingInputs, variant: Variant, fit: ReadingFit) -> Iterator[dict[str, Any]]:
+    for source, values in zip(inputs.beside, fit.beside, strict=True):
+        mean, sd = values.mean(axis=0), values.std(axis=0)
+        for k, name in enumerate(source.quantities):
+            if np.ptp(values[:, k]) == 0.0 and np.isnan(source.sd[k]):  # held fixed: there is nothing to compare
+                continue
+            yield {
+                "variant": variant.name,
+                "beside": source.title,
+                "source": source.source,
+                "quantity": name,
+                "unit": source.units[k],
+                "mean": mean[k],
+                "sd": sd[k],
+                "value": source.values[k],
+                "value_sd": source.sd[k],
+            }

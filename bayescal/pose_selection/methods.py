@@ -1,0 +1,521 @@
+"""Methods of pose selection by name: what each has to supply, what it returns, and the one way in, `select`."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections import deque
+from dataclasses import dataclass, field
+from itertools import product
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from scipy.optimize import OptimizeResult, minimize
+from threadpoolctl import threadpool_limits
+
+from bayescal.config.sections import Section
+from bayescal.errors import InputError, NumericalError
+from bayescal.numerics.geometry import Array
+from bayescal.pose_selection.criteria import Scorer
+from bayescal.pose_selection.domain import PlacedPoses, PoseDomain
+from bayescal.pose_selection.problem import SelectionProblem
+
+ATTEMPTS = 100
+GAIN = 1e-12
+"""Of the criterion's size: less is rounding, no improvement."""
+CHUNK = 100  # random sets judged at once
+WITHIN = 1e-9  # in shares of a limit: a pose no further out is within it
+STEP = 0.01
+"""Of differences, in shares of the box's half width."""
+NODES = np.array([-2.0, -1.0, 1.0, 2.0])
+WEIGHTS = np.array([1.0, -8.0, 8.0, -1.0]) / 12.0
+
+
+@dataclass(frozen=True, eq=False)
+class Selection:
+    """Poses to measure.
+
+    Attributes
+    ----------
+    method, criterion : str
+        Names.
+    index : ndarray of int, shape (n,), or None
+        Which candidates; None where poses lie between them.
+    shares : ndarray, shape (n, d)
+        Coordinates in the domain's unit box.
+    placed : PlacedPoses
+        Displacements from home and actuator positions.
+    value : float
+        The criterion, found anew from the poses' rows; larger is better.
+    trace : ndarray, shape (T,)
+        The criterion after each iteration, that of the start first.
+    n_evaluations : int
+        How many sets were judged.
+    converged : bool
+        Whether the method ended by itself.
+    reason : str
+        Why it ended.
+    """
+
+    method: str
+    criterion: str
+    index: np.ndarray | None
+    shares: Array
+    placed: PlacedPoses
+    value: float
+    trace: Array
+    n_evaluations: int
+    converged: bool
+    reason: str
+
+    @property
+    def actuators(self) -> Array:
+        """Actuator positions to command, shape (n, N), mm."""
+        return self.placed.actuators
+
+
+class SelectionMethod(ABC):
+    """A method of pose selection; its options are its fields.
+
+    One of somebody else's is named in a config, ``method = "own.py:Own"``; what its table says beside the keys of every
+    choice is checked by its ``Config``.
+    """
+
+    name: ClassVar[str]
+    title: ClassVar[str]
+    source: ClassVar[str]
+    Config: ClassVar[type[Section]] = Section
+
+    @classmethod
+    def from_config(cls, config: Any) -> Self:
+        """Return the method with the options of a section of a config."""
+        return cls(**dict(config))
+
+    @abstractmethod
+    def select(self, problem: SelectionProblem, rng: np.random.Generator) -> Selection:
+        """Return the poses that the method selects."""
+
+    def _from_candidates(
+        self,
+        problem: SelectionProblem,
+        index: np.ndarray,
+        trace: list[float],
+        n_evaluations: int,
+        reason: str,
+        converged: bool = True,
+    ) -> Selection:
+        index = np.sort(index)
+        candidates = problem.candidates
+        return Selection(
+            self.name,
+            problem.criterion.name,
+            index,
+            candidates.shares[index],
+            candidates.domain.place(candidates.shares[index]),
+            problem.value_of(problem.blocks[index]),
+            np.array(trace),
+            n_evaluations,
+            converged,
+            reason,
+        )
+
+
+@dataclass(frozen=True)
+class RandomSets(SelectionMethod):
+    """The best of random sets; its trace holds the criterion of each (Yu, Wu and Wang 2023, figure 7).
+
+    Attributes
+    ----------
+    n_sets : int
+        How many; 1 for a single random set.
+    """
+
+    n_sets: int = 1000
+
+    name: ClassVar[str] = "random"
+    title: ClassVar[str] = "Best of random sets"
+    source: ClassVar[str] = "Random sampling"
+
+    def select(self, problem: SelectionProblem, rng: np.random.Generator) -> Selection:
+        """Return the best of the sets."""
+        if self.n_sets < 1:
+            raise InputError(f"random: found {self.n_sets} sets, expected at least 1")
+        sets = np.stack([problem.draw_set(rng) for _ in range(self.n_sets)])
+        values = np.empty(len(sets))
+        for k in range(0, len(sets), CHUNK):
+            rows = problem.blocks[sets[k : k + CHUNK]].reshape(
+                -1, problem.n * problem.blocks.shape[1], problem.n_parameters
+            )
+            base = np.broadcast_to(problem.base, (len(rows), *problem.base.shape))
+            stacked = np.concatenate([base, rows], axis=1)
+            values[k : k + CHUNK] = problem.criterion.value(stacked, problem.n_measured + problem.n)
+        best = sets[int(np.argmax(values))]
+        return self._from_candidates(problem, best, values.tolist(), len(sets), f"{len(sets)} sets judged")
+
+
+@dataclass(frozen=True)
+class Exchanging(SelectionMethod):
+    """A method that goes from set to set of candidates by exchanging members.
+
+    Attributes
+    ----------
+    start : tuple of int, optional
+        Candidates to start from in place of random ones that determine the parameters.
+    """
+
+    start: tuple[int, ...] | None = field(default=None, kw_only=True)
+
+    def _begin(self, problem: SelectionProblem, rng: np.random.Generator) -> tuple[Scorer, float, np.ndarray]:
+        """Return a scorer with the first set, what it is worth, and which distinct candidates are outside, (C,).
+
+        InputError where the given set is not one of n distinct candidates, or no random one determines the parameters.
+        """
+        scorer, start = problem.scorer(), self.start
+        if start is not None:
+            within = all(0 <= k < len(problem.candidates) for k in start)
+            if len(set(start)) != problem.n or len(start) != problem.n or not within:
+                raise InputError(f"start: found candidates {list(start)}, expected {problem.n} different ones")
+            scorer.start(start)
+            value = scorer.value()
+        else:
+            for _ in range(ATTEMPTS):
+                scorer.start(problem.draw_set(rng).tolist())
+                value = scorer.value()
+                if np.isfinite(value) and value != 0.0:
+                    break
+            else:
+                raise InputError(
+                    f"candidates: found no set of {problem.n} in {ATTEMPTS} random ones that determines the "
+                    "parameters, expected more poses or other candidates"
+                )
+        outside = problem.candidates.distinct.copy()
+        outside[scorer.members] = False
+        return scorer, value, outside
+
+
+@dataclass(frozen=True)
+class Detmax(Exchanging):
+    """DETMAX with excursions of one pose, from one set: add the best, drop the worst, until the two are the same.
+
+    Attributes
+    ----------
+    max_iterations : int
+    """
+
+    max_iterations: int = 1000
+
+    name: ClassVar[str] = "detmax"
+    title: ClassVar[str] = "DETMAX"
+    source: ClassVar[str] = "Mitchell 1974"
+
+    def select(self, problem: SelectionProblem, rng: np.random.Generator) -> Selection:
+        """Return the set where the exchange ends."""
+        scorer, value, outside = self._begin(problem, rng)
+        trace = [value]
+        for _ in range(self.max_iterations if outside.any() else 0):
+            added, _ = scorer.best_added(outside)
+            scorer.add(added)
+            outside[added] = False
+            dropped, value = scorer.best_dropped()
+            better = dropped != added and value > trace[-1] + GAIN * abs(trace[-1])
+            if not better:  # the same, or one as good: it would go round for ever
+                scorer.drop(added)
+                break
+            scorer.drop(dropped)
+            outside[dropped] = True
+            trace.append(value)
+        ended = len(trace) <= self.max_iterations
+        reason = "the pose added is the pose dropped" if ended else f"{self.max_iterations} iterations"
+        return self._from_candidates(
+            problem, np.array(scorer.members), trace, scorer.n_evaluations, reason, converged=ended
+        )
+
+
+@dataclass(frozen=True)
+class TabuDetmax(Exchanging):
+    """DETMAX with a list of poses that may not come back for a while, which leads out of local optima; keeps the best.
+
+    Attributes
+    ----------
+    list_length : int
+        m: how many poses may not be added. They are random at the start; the pose dropped joins the end, the first of
+        the list becomes free.
+    iterations : int
+    leave : bool
+        Whether the pose just added must stay, so that the set may become worse and leave a local optimum. As printed it
+        may be dropped at once: then no set is worse than the one before, and the list only sees to it that other
+        poses are tried.
+    """
+
+    list_length: int = 100
+    iterations: int = 219
+    leave: bool = False
+
+    name: ClassVar[str] = "tabu"
+    title: ClassVar[str] = "Improved DETMAX with a tabu list"
+    source: ClassVar[str] = "Mitchell 1974, with a tabu list after Glover 1989"
+
+    def select(self, problem: SelectionProblem, rng: np.random.Generator) -> Selection:
+        """Return the best set seen."""
+        distinct = problem.candidates.distinct
+        if self.list_length < 0 or problem.n + self.list_length >= distinct.sum():
+            raise InputError(
+                f"tabu: found a list of {self.list_length} beside {problem.n} poses, expected fewer than "
+                f"the {distinct.sum()} distinct candidates together"
+            )
+        scorer, best, outside = self._begin(problem, rng)
+        best_set, trace = list(scorer.members), [best]
+        tabu = deque(rng.permutation(np.flatnonzero(outside))[: self.list_length].tolist())
+        outside[list(tabu)] = False
+        for _ in range(self.iterations):
+            added, _ = scorer.best_added(outside)
+            scorer.add(added)
+            outside[added] = False
+            dropped, value = scorer.best_dropped()
+            if self.leave and dropped == added:
+                values = scorer.values_dropped()
+                values[scorer.members.index(added)] = -np.inf
+                place = int(np.argmax(values))
+                dropped, value = scorer.members[place], float(values[place])
+            scorer.drop(dropped)
+            tabu.append(dropped)
+            outside[tabu.popleft()] = True
+            trace.append(value)
+            if value > best:
+                best, best_set = value, list(scorer.members)
+        reason = f"{self.iterations} iterations, the best set kept"
+        return self._from_candidates(problem, np.array(best_set), trace, scorer.n_evaluations, reason)
+
+
+@dataclass(frozen=True)
+class Exchange(Exchanging):
+    """Eliminate and add; where the pose that matters least stays the best choice, the next one is tried.
+
+    In the manner of IOOPS, which adds the pose by a local optimisation over the workspace, this over the candidates.
+    What is found cannot be improved by exchanging any one pose.
+
+    Attributes
+    ----------
+    max_iterations : int
+        Exchanges.
+    """
+
+    max_iterations: int = 1000
+
+    name: ClassVar[str] = "exchange"
+    title: ClassVar[str] = "Exchange (eliminate and add, from the candidates)"
+    source: ClassVar[str] = "Fedorov 1972; Daney, Papegay and Madeline 2005"
+
+    def select(self, problem: SelectionProblem, rng: np.random.Generator) -> Selection:
+        """Return the set where the exchange ends."""
+        scorer, value, outside = self._begin(problem, rng)
+        trace = [value]
+        ended = False
+        while not ended and len(trace) <= self.max_iterations:
+            better = _improve(scorer, outside, trace[-1]) if outside.any() else None
+            ended = better is None
+            if better is not None:
+                trace.append(better)
+        reason = "no pose can be exchanged for a better one" if ended else f"{self.max_iterations} exchanges"
+        return self._from_candidates(
+            problem, np.array(scorer.members), trace, scorer.n_evaluations, reason, converged=ended
+        )
+
+
+def _improve(scorer: Scorer, outside: np.ndarray, value: float) -> float | None:
+    """Exchange one member, the least needed first; return the new value, or None where nothing is better."""
+    without = scorer.values_dropped()
+    scorer.n_evaluations += len(without)
+    members = list(scorer.members)
+    for place in np.argsort(-without, kind="stable"):
+        dropped = members[place]
+        scorer.drop(dropped)
+        added, found = scorer.best_added(outside)
+        if found > value + GAIN * abs(value):
+            scorer.add(added)
+            outside[added], outside[dropped] = False, True
+            return found
+        scorer.start(members)
+    return None
+
+
+class PoseObjective:
+    """The criterion of a problem as a function of the poses themselves, anywhere in the domain, with its gradient.
+
+    With Γ the criterion's derivative by the information, the gradient by a coordinate x of a pose with rows B is
+    2 tr(Γ Bᵀ ∂B/∂x). The rows themselves come from exact first derivatives of the closure. Their derivatives ∂B/∂x,
+    the closure's second ones, would have to be written for every model; they are found by differences of fourth order
+    over long steps, the same for any model, of relative error below 1e-8.
+
+    Attributes
+    ----------
+    n_evaluations : int
+        How many sets have been judged.
+    """
+
+    def __init__(self, problem: SelectionProblem) -> None:
+        self.problem = problem
+        self.domain = problem.candidates.domain
+        self.n_evaluations = 0
+
+    def value(self, shares: Array) -> float:
+        """Return the criterion of poses (n, d) in the unit box."""
+        self.n_evaluations += 1
+        return self.problem.value_of(self._rows(shares))
+
+    def value_and_gradient(self, shares: Array) -> tuple[float, Array]:
+        """Return the criterion of poses (n, d) in the unit box, and its gradient, shape (n, d)."""
+        self.n_evaluations += 1
+        problem, n, d = self.problem, *shares.shape
+        every = self._rows(np.concatenate([shares, self._moved(shares)]))
+        blocks, moved = every[:n], every[n:].reshape(n, d, len(NODES), *every.shape[1:])
+        stacked = np.concatenate([problem.base, blocks.reshape(-1, problem.n_parameters)])
+        by_information = problem.criterion.gradient(stacked, problem.n_measured + n)
+        slopes = np.einsum("m,ndmkl->ndkl", WEIGHTS, moved) / STEP
+        return problem.value_of(blocks), 2.0 * np.einsum("nkl,ndkl->nd", blocks @ by_information, slopes)
+
+    def margins(self, shares: Array) -> Array:
+        """Return what is left of each constraint, shape (n * m,)."""
+        return self.domain.margins(self._place(shares)).ravel()
+
+    def margin_slopes(self, shares: Array) -> Array:
+        """Return the derivatives of `margins` by all coordinates, shape (n * m, n * d)."""
+        n, d = shares.shape
+        moved = self.domain.margins(self._place(self._moved(shares))).reshape(n, d, len(NODES), -1)
+        own = np.einsum("v,ndvm->nmd", WEIGHTS, moved) / STEP
+        result = np.zeros((n, own.shape[1], n, d))
+        result[np.arange(n), :, np.arange(n)] = own
+        return result.reshape(n * own.shape[1], n * d)
+
+    @staticmethod
+    def _moved(shares: Array) -> Array:
+        d = shares.shape[1]
+        steps = STEP * NODES[:, None] * np.eye(d)[:, None]  # (d, nodes, d)
+        return (shares[:, None, None] + steps).reshape(-1, d)
+
+    def _place(self, shares: Array) -> PlacedPoses:
+        placed = self.domain.place(shares)
+        if not placed.found.all():
+            raise NumericalError(
+                "poses: found one out of the machine's reach at the edge of the box while optimising it"
+            )
+        return placed
+
+    def _rows(self, shares: Array) -> Array:
+        return self.problem.criterion.rows(self.domain.knowledge, self.domain.linearise(self._place(shares), "pose"))
+
+
+@dataclass(frozen=True)
+class Continuous(SelectionMethod):
+    """Local optimisation of all poses of a set that another method found.
+
+    Bounds of the box alone are kept by L-BFGS-B; where the actuators' range or the workspace might be left inside of
+    the box, SLSQP keeps them as inequalities.
+
+    Attributes
+    ----------
+    start : SelectionMethod
+        Finds the poses to start from.
+    max_iterations : int
+    tolerance : float
+        Relative change of the criterion at which it ends.
+    """
+
+    start: SelectionMethod = field(default_factory=Exchange)
+    max_iterations: int = 300
+    tolerance: float = 1e-10
+
+    name: ClassVar[str] = "continuous"
+    title: ClassVar[str] = "All poses at once, continuous"
+    source: ClassVar[str] = "Local optimisation with exact gradients"
+
+    def select(self, problem: SelectionProblem, rng: np.random.Generator) -> Selection:
+        """Return the local optimum; the start where the optimiser found nothing better within the constraints."""
+        start = self.start.select(problem, rng)
+        objective = PoseObjective(problem)
+        domain = problem.candidates.domain
+        trace = [start.value]
+        result = self._minimise(objective, domain, start, trace)
+        shares = np.clip(result.x.reshape(start.shares.shape), -1.0, 1.0)
+        placed = domain.place(shares)
+        kept = bool(placed.found.all() and np.all(domain.margins(placed) >= -WITHIN))
+        value = objective.value(shares) if kept else -np.inf
+        if value <= start.value:
+            shares, placed, value = start.shares, start.placed, start.value
+        return Selection(
+            self.name,
+            problem.criterion.name,
+            None,
+            shares,
+            placed,
+            value,
+            np.array(trace),
+            start.n_evaluations + objective.n_evaluations,
+            bool(result.success),
+            str(result.message),
+        )
+
+    def _minimise(
+        self, objective: PoseObjective, domain: PoseDomain, start: Selection, trace: list[float]
+    ) -> OptimizeResult:
+        shape, scale = start.shares.shape, abs(start.value)
+
+        def minus(x: Array) -> tuple[float, Array]:
+            value, gradient = objective.value_and_gradient(x.reshape(shape))
+            trace_now[0] = value
+            return -value / scale, -gradient.ravel() / scale
+
+        trace_now = [start.value]
+        options = {"maxiter": self.max_iterations, "ftol": self.tolerance}
+        arguments = {
+            "fun": minus,
+            "x0": start.shares.ravel(),
+            "jac": True,
+            "bounds": [(-1.0, 1.0)] * start.shares.size,
+            "callback": lambda _: trace.append(trace_now[0]),
+        }
+        if not _may_break(domain):
+            return minimize(method="L-BFGS-B", options=options | {"maxls": 40}, **arguments)
+        constraint = {
+            "type": "ineq",
+            "fun": lambda x: objective.margins(x.reshape(shape)),
+            "jac": lambda x: objective.margin_slopes(x.reshape(shape)),
+        }
+        return minimize(method="SLSQP", constraints=[constraint], options=options, **arguments)
+
+
+def _may_break(domain: PoseDomain) -> bool:
+    """Return whether a constraint beside the box is broken at one of its corners, or cannot be judged there."""
+    corners = np.array(list(product((-1.0, 1.0), repeat=domain.n_coordinates)))
+    try:
+        return not bool(domain.allows(domain.place(corners)).all())
+    except NumericalError:
+        return True
+
+
+METHODS: dict[str, type[SelectionMethod]] = {
+    method.name: method for method in (RandomSets, Detmax, TabuDetmax, Exchange, Continuous)
+}
+
+
+def select(problem: SelectionProblem, method: str | SelectionMethod, rng: np.random.Generator) -> Selection:
+    """Return the poses that a method selects.
+
+    Parameters
+    ----------
+    problem : SelectionProblem
+    method : str or SelectionMethod
+        A name of `METHODS`, with its usual options, or a method with its own.
+    rng : Generator
+        The only source of chance.
+
+    Raises
+    ------
+    InputError
+        For an unknown name, or where the method cannot work on the problem.
+    """
+    if isinstance(method, str):
+        if method not in METHODS:
+            raise InputError(f"method: found {method!r}, expected one of {', '.join(METHODS)}")
+        method = METHODS[method]()
+    with threadpool_limits(1):  # many small matrices: more threads only wait for each other
+        return method.select(problem, rng)
