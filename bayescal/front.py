@@ -32,6 +32,7 @@ from bayescal.loaded import LoadedResults, StudyResult, Table, load_results, nam
 from bayescal.machines.mechanism import Mechanism
 from bayescal.machines.read import load_mechanism, read_reading_model
 from bayescal.machines.readings import Channel, ReadingMachine, ReadingModel
+from bayescal.machines.readings.legs import list_leg_channels
 from bayescal.numerics.units import units_like
 
 if TYPE_CHECKING:
@@ -60,7 +61,7 @@ class MachineFiles:
     entry : str
         The machine's own file there.
     seen : ReadingModel or Mechanism
-        What it reads; of a mechanism's file the legs alone, whose channels depend on a variant's model.
+        What it reads; of a mechanism's file the legs alone, whose parameters depend on a variant's model.
     """
 
     files: dict[str, bytes]
@@ -72,14 +73,15 @@ class MachineFiles:
         """The machine by its channels; InputError for a mechanism's file, which has none by itself."""
         if isinstance(self.seen, Mechanism):
             raise InputError(
-                f"{self.entry}: found a mechanism, whose channels depend on a variant's model, expected kind = 'legs'"
+                f"{self.entry}: found a mechanism, whose parameters depend on a variant's model, expected kind = 'legs'"
             )
         return self.seen
 
     @property
     def channels(self) -> Sequence[Channel]:
-        """Its channels; none of a mechanism's file."""
-        return () if isinstance(self.seen, Mechanism) else self.seen.channels
+        """Its channels; of a mechanism's file those of its legs, whatever model they are seen by."""
+        seen = self.seen
+        return list_leg_channels(seen.n_legs, inclined=True) if isinstance(seen, Mechanism) else seen.channels
 
     @property
     def name(self) -> str:

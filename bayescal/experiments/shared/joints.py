@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from bayescal.machines.deformations import NoDeformation
-from bayescal.machines.kinematics import ForwardKinematics, build_machine, solve_forward_kinematics
+from bayescal.machines.kinematics import build_machine, solve_forward_kinematics
 from bayescal.machines.mechanism import Mechanism
 from bayescal.machines.models import MODELS
 from bayescal.numerics.geometry import Array
@@ -39,7 +39,9 @@ def tabulate_joints(mechanism: Mechanism, actuators: Array, names: Sequence[str]
     """
     start, names = mechanism.initial_actuator_positions, [HOME, *map(str, names[:MOST_POSES])]
     actuators = np.vstack([start, actuators[:MOST_POSES]])
-    found = _find_poses(mechanism, actuators)
+    model = next(one for one in ("six_pus", "six_ups") if MODELS[one].drive == mechanism.drive)
+    machine = build_machine(MODELS[model], mechanism, NoDeformation())  # on perfect joints, whatever is identified
+    found = solve_forward_kinematics(machine, machine.layout.nominal, actuators, check=False)
     upper = found.position[:, None] + mechanism.platform_points @ np.swapaxes(found.rotation, -1, -2)
     lower = np.broadcast_to(mechanism.base_points, upper.shape)
     if mechanism.drive == "base":
@@ -51,13 +53,6 @@ def tabulate_joints(mechanism: Mechanism, actuators: Array, names: Sequence[str]
         reach = mechanism.actuator_range * mechanism.directions
         rows += [_tabulate(HOME, "from", lower[0] - reach), _tabulate(HOME, "to", lower[0] + reach)]
     return pd.concat(rows, ignore_index=True).round(DECIMALS) if rows else pd.DataFrame(columns=list(COLUMNS))
-
-
-def _find_poses(mechanism: Mechanism, actuators: Array) -> ForwardKinematics:
-    """Return poses of the mechanism on legs with perfect joints, whatever else is identified of it."""
-    model = next(one for one in ("six_pus", "six_ups") if MODELS[one].drive == mechanism.drive)
-    machine = build_machine(MODELS[model], mechanism, NoDeformation())
-    return solve_forward_kinematics(machine, machine.layout.nominal, actuators, check=False)
 
 
 def _tabulate(pose: str, joint: str, points: Array) -> pd.DataFrame:

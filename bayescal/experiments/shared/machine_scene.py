@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import pandas as pd
 
@@ -35,7 +35,6 @@ def build_scene(
     joints: pd.DataFrame,
     offsets: Mapping[Joint, Triple] | None = None,
     spreads: Mapping[Joint, Triple] | None = None,
-    name: str = "machine",
 ) -> Scene | None:
     """Return the drawing of a machine on legs; None without its joints.
 
@@ -45,14 +44,16 @@ def build_scene(
         From `joints.tabulate_joints`.
     offsets, spreads : mapping of joint to triple, optional
         How far joints were found from nominal and how well that is known, mm.
-    name : str
     """
     if joints.empty:
         return None
     offsets, spreads = offsets or {}, spreads or {}
     poses = list(dict.fromkeys(joints["pose"]))
     legs = sorted({int(leg) for leg in joints["leg"]})
-    places = _read_places(joints)
+    places: dict[tuple[str, str, int], Triple] = {
+        (str(row["pose"]), str(row["joint"]), int(row["leg"])): (row["x_mm"], row["y_mm"], row["z_mm"])
+        for row in joints.to_dict("records")
+    }
     points: list[ScenePoint] = []
     for joint in SYMBOLS:
         for leg in legs:
@@ -76,17 +77,9 @@ def build_scene(
     magnified = choose_magnification(points)
     told = FOUND if any(any(one) for one in offsets.values()) else KNOWN
     caption = CAPTION.format(DRIVES[has_guides]) + (told.format(format_plain(magnified)) if magnified else "")
-    return Scene(
-        name, caption, _describe(n, len(poses) - 1), tuple(points), tuple(lines), tuple(poses), tuple(labels), magnified
-    )
-
-
-def _read_places(joints: pd.DataFrame) -> dict[tuple[str, str, int], Triple]:
-    """Return where each joint stands by pose, joint and leg, mm."""
-    return {
-        (str(row["pose"]), str(row["joint"]), int(row["leg"])): (row["x_mm"], row["y_mm"], row["z_mm"])
-        for row in joints.to_dict("records")
-    }
+    poses_said = f"; {len(poses) - 1} poses can be chosen" if len(poses) > 1 else ""
+    alt = f"Drawing of a machine with {n} legs between the joints of its base and those of its platform{poses_said}."
+    return Scene("machine", caption, alt, tuple(points), tuple(lines), tuple(poses), tuple(labels), magnified)
 
 
 def _order(points: Sequence[ScenePoint], first: int) -> tuple[int, ...]:
@@ -94,11 +87,6 @@ def _order(points: Sequence[ScenePoint], first: int) -> tuple[int, ...]:
     x, y = (sum(p.at[0][axis] for p in points) / len(points) for axis in (0, 1))
     around = sorted(range(len(points)), key=lambda k: math.atan2(points[k].at[0][1] - y, points[k].at[0][0] - x))
     return tuple(first + k for k in around)
-
-
-def _describe(n_legs: int, n_poses: int) -> str:
-    poses = f"; {n_poses} poses can be chosen" if n_poses else ""
-    return f"Drawing of a machine with {n_legs} legs between the joints of its base and those of its platform{poses}."
 
 
 def read_joint_columns(parameters: pd.DataFrame, column: str) -> dict[Joint, Triple]:
@@ -110,15 +98,13 @@ def read_joint_columns(parameters: pd.DataFrame, column: str) -> dict[Joint, Tri
         One row per parameter with columns symbol (``a_x`` to ``b_z``), leg and the wanted one, mm.
     column : str
     """
-    return dict(_find_joints(parameters, column))
-
-
-def _find_joints(parameters: pd.DataFrame, column: str) -> Iterator[tuple[Joint, Triple]]:
     values = {(str(row["symbol"]), int(row["leg"])): float(row[column]) for row in parameters.to_dict("records")}
+    found: dict[Joint, Triple] = {}
     for joint, symbol in SYMBOLS.items():
         for leg in sorted({leg for _, leg in values if leg}):
             x, y, z = (values.get((f"{symbol}_{axis}", leg), 0.0) for axis in AXES)
-            yield (joint, leg), (x, y, z)
+            found[joint, leg] = (x, y, z)
+    return found
 
 
 def build_line_scene(

@@ -24,7 +24,6 @@ from bayescal.report.blocks import Block, Column, Definitions, Page, Section, Ta
 from bayescal.report.numbers import format_plain
 from bayescal.report.scene import Group, Scene, SceneLine, ScenePoint, Triple
 
-KIND = "Machine"
 NOWHERE: Triple = (0.0, 0.0, 0.0)
 REACH = 0.35  # of the drawn arrow of gravity, in units of the largest distance of a joint
 SYMBOLS = (
@@ -69,7 +68,7 @@ def _make_page(
     name: str, headline: str, shown: tuple[Block, ...], table: Table, parts: str = "legs", symbols: tuple[str, ...] = ()
 ) -> Page:
     sections = (Section("The machine", shown, "machine"), Section(f"Joints and {parts}", (table,), "joints", "Joints"))
-    return Page(KIND, name, name, "", headline, (), sections, symbols=symbols)
+    return Page("Machine", name, name, "", headline, (), sections, symbols=symbols)
 
 
 def _tabulate(caption: str, columns: Sequence[Column], numbers: Array) -> Table:
@@ -87,33 +86,24 @@ def _list_joint_columns(first: str) -> list[Column]:
 
 
 def _describe_mechanism(mechanism: Mechanism) -> Page:
-    moves = "struts change their lengths" if mechanism.drive == "strut" else "actuators move the joints at the base"
+    drive = "struts change their lengths" if mechanism.drive == "strut" else "actuators move the joints at the base"
     travel = format_plain(mechanism.actuator_range)
-    headline = f"{mechanism.n_legs} legs; {moves}, by at most {travel} mm from the initial position."
-    actuators, names = _choose_poses(mechanism)
+    headline = f"{mechanism.n_legs} legs; {drive}, by at most {travel} mm from the initial position."
+    n = mechanism.n_legs
+    moves = np.vstack([np.ones((1, n)), -np.ones((1, n)), np.eye(n)])  # half-way to their ends, together and one by one
+    names = ["all out", "all in", *(f"actuator {leg} out" for leg in range(1, n + 1))]
+    actuators = mechanism.initial_actuator_positions + 0.5 * mechanism.actuator_range * moves
     scene = build_scene(tabulate_joints(mechanism, actuators, names))
     if scene is None:
         raise InputError(f"mechanism {mechanism.name!r}: found no home pose, expected legs that reach the platform")
-    return _make_page(mechanism.name, headline, (scene,), _tabulate_legs(mechanism))
-
-
-def _choose_poses(mechanism: Mechanism) -> tuple[Array, list[str]]:
-    """Return actuator positions half-way to their ends, together and one by one, shape (2 + N, N), mm."""
-    start, reach = mechanism.initial_actuator_positions, mechanism.actuator_range
-    n = mechanism.n_legs
-    moves = np.vstack([np.ones((1, n)), -np.ones((1, n)), np.eye(n)])
-    names = ["all out", "all in", *(f"actuator {leg} out" for leg in range(1, n + 1))]
-    return start + 0.5 * reach * moves, names
-
-
-def _tabulate_legs(mechanism: Mechanism) -> Table:
     columns, parts = _list_joint_columns("Leg"), [mechanism.base_points, mechanism.platform_points]
     if mechanism.drive == "base":
         columns += [Column(axis, group="u, direction") for axis in AXES]
         parts.append(mechanism.directions)
     columns += [Column("l", "mm", symbolic=True), Column("rho0", "mm", symbolic=True)]
     numbers = np.column_stack([*parts, mechanism.leg_lengths, mechanism.initial_actuator_positions])
-    return _tabulate("Joints and legs as designed; b in the platform's frame.", columns, numbers)
+    table = _tabulate("Joints and legs as designed; b in the platform's frame.", columns, numbers)
+    return _make_page(mechanism.name, headline, (scene,), table)
 
 
 # --- other machines ----------------------------------------------------------------------------------------------

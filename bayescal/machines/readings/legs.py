@@ -55,6 +55,13 @@ TURN = 0.5 * np.pi  # rad, the largest half width of a workspace about an axis
 UPRIGHT = 1.0 - 1e-9  # of a leg's direction along z, beyond which x is taken for horizontal
 
 
+def list_leg_channels(n_legs: int, inclined: bool) -> tuple[Channel, ...]:
+    """Return what N legs may read, whatever model they are seen by, and the pose as an instrument sees it."""
+    kinds = (("rho", "mm"), *((kind, "rad") for kind in TILTS if inclined))
+    internal = [Channel(f"{kind}[{leg}]", unit) for kind, unit in kinds for leg in range(1, n_legs + 1)]
+    return (*internal, *POSE_CHANNELS)
+
+
 @dataclass(frozen=True, eq=False)
 class Legs(ReadingModel):
     """A machine of N legs with their encoders and inclinometers, and the pose as an instrument sees it.
@@ -96,10 +103,8 @@ class Legs(ReadingModel):
 
     @cached_property
     def sensors(self) -> tuple[Channel, ...]:
-        """Encoders, inclinometers about e1 and e2, then the pose seen from beside the machine."""
-        kinds = (("rho", "mm"), *((kind, "rad") for kind in TILTS if self.inclined))
-        internal = [Channel(f"{kind}[{leg}]", unit) for kind, unit in kinds for leg in range(1, self.n_legs + 1)]
-        return (*internal, *POSE_CHANNELS)
+        """Encoders, inclinometers about e1 and e2, then the pose as an instrument sees it."""
+        return list_leg_channels(self.n_legs, self.inclined)
 
     @cached_property
     def _tilts(self) -> tuple[str, ...]:

@@ -13,18 +13,7 @@ from bayescal.experiments.frame.results import Row
 from bayescal.experiments.shared import knowledge_page
 from bayescal.experiments.shared.origin import name_origin
 from bayescal.experiments.study.page.results import VERDICTS, StudyResults, get_number
-from bayescal.report.blocks import (
-    Block,
-    Cell,
-    Column,
-    Counts,
-    Level,
-    Section,
-    Statement,
-    Table,
-    make_pairs,
-    make_table,
-)
+from bayescal.report.blocks import Block, Cell, Column, Counts, Level, Section, Statement, Table, make_pairs, make_table
 from bayescal.report.numbers import NOTHING, format_estimate, format_fixed, format_significant, join_words
 
 SHOWN_TARGETS = 20

@@ -52,6 +52,7 @@ NINETY = 1.645
 FAR = 2.5  # binomial deviations of a coverage that are no chance
 FEW = 40  # held-back readings, from which little can be said of coverage
 SHOWN = 10
+MOST_NAMED = 25  # poses with a name below the axis, legible on a telephone too
 BARS = (
     "each bar is as high as the largest error, the line across it is the mean, both as numbers. Errors of the "
     "posterior mean prediction with model error"
@@ -359,7 +360,7 @@ def _draw_poses(poses: pd.DataFrame) -> Drawing:
     axes.bar(place[~contradicting], size[~contradicting], color=LEG_COLOURS[0], width=0.7)
     axes.bar(place[contradicting], size[contradicting], color=RED, width=0.7)
     axes.axhline(1.0, color=GREY, linewidth=0.8)
-    step = max(1, len(poses) // 50)
+    step = -(-len(poses) // MOST_NAMED)
     axes.set_xticks(place[::step], [quote(str(name)) for name in poses["pose"]][::step], rotation=60)
     axes.tick_params(axis="x", labelsize=7.5)
     axes.set_ylabel("Residual / noise")

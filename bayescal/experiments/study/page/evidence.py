@@ -88,10 +88,7 @@ def tabulate_evidence(study: StudyResults) -> Table:
             *(_estimate(fit, by) for by in ("importance", "bridge")),
             (Column("Difference", f"nat, limit {AGREEMENT}"), _limited(gap, gap <= AGREEMENT, 3)),
             (Column("efficiency", "%", "Importance sampling"), format_fixed(100 * fit["efficiency"], 0)),
-            (
-                Column("Pareto k", f"limit {PARETO_K_LIMIT}", "Importance sampling"),
-                _limited(k, k <= PARETO_K_LIMIT, 2),
-            ),
+            (Column("Pareto k", f"limit {PARETO_K_LIMIT}", "Importance sampling"), _limited(k, k <= PARETO_K_LIMIT, 2)),
         ]
         row += _describe_correction(fit) if exact else []
         row.append((Column("Reported", kind="text"), str(fit["log_evidence_by"])))

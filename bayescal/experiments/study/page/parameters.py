@@ -64,6 +64,7 @@ ODD = 0.25  # of the other models' values, below which a published row looks mis
 MISPRINT = 10.0
 PRIOR_90 = 1.645  # prior standard deviations to the 5 and 95 % points of a normal prior
 MANY = 8  # symbols from which the panels are three in a row
+MOST_NAMED = 25  # parameters with a name each below an axis, legible on a telephone too
 
 
 def show_parameters(study: StudyResults) -> Section:
@@ -128,7 +129,12 @@ def _draw_reduction(parameters: pd.DataFrame, titles: dict[str, str]) -> Drawing
     axes.axhline(1.0, color=GREY, linewidth=0.8)
     axes.set_yscale("log")
     axes.set_ylabel("Posterior sd / tolerance")
-    axes.set_xticks(range(len(names)), [quote(name) for name in names], rotation=60)
+    ticks = {name: [k] for k, name in enumerate(names)}
+    if len(names) > MOST_NAMED:  # the entries of a symbol share its name
+        ticks = {}
+        for k, name in enumerate(names):
+            ticks.setdefault(name.partition("[")[0], []).append(k)
+    axes.set_xticks([float(np.mean(own)) for own in ticks.values()], [quote(name) for name in ticks], rotation=60)
     axes.tick_params(axis="x", labelsize=8.0)
     axes.grid(axis="y")
     figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=2)

@@ -16,13 +16,7 @@ import pandas as pd
 
 from bayescal.errors import InputError
 from bayescal.experiments.frame.results import NUMBER, SUMMARY_FILE, Kinds, Results, Row, check_keys, list_rows
-from bayescal.experiments.shared.headline import (
-    Candidate,
-    choose_best,
-    group_candidates,
-    label_title,
-    list_candidates,
-)
+from bayescal.experiments.shared.headline import Candidate, choose_best, group_candidates, label_title, list_candidates
 from bayescal.experiments.shared.study_schema import stem_of
 from bayescal.experiments.shared.trees import name_file
 from bayescal.numerics.geometry import matrix_from_rotation_vector, rotation_vector_of_turn
@@ -455,16 +449,12 @@ def _read_draws(file: h5py.File) -> dict[str, Array]:
         if values.ndim < 2 or symbol in OF_KERNELS:
             continue  # coordinates; scale and length of an error, not of the machine
         every = np.asarray(values, dtype=np.float64).reshape(*values.shape[:2], -1)
-        names = [symbol] if values.ndim == 2 else [f"{symbol}[{one}]" for one in _list_entries(values)]
+        names = [symbol]
+        if values.ndim > 2:  # entries are called as the file calls them, else by numbers from one
+            entries = values.dims[2][0][()] if len(values.dims[2]) else range(1, values.shape[2] + 1)
+            names = [f"{symbol}[{one.decode() if isinstance(one, bytes) else one}]" for one in entries]
         draws |= {name: every[..., k] for k, name in enumerate(names)}
     return draws
-
-
-def _list_entries(values: h5py.Dataset) -> list[str]:
-    """Return what stands in the brackets of parameters' names: as the file has it, else numbers from one."""
-    if not len(values.dims[2]):
-        return [str(k + 1) for k in range(values.shape[2])]
-    return [one.decode() if isinstance(one, bytes) else str(one) for one in values.dims[2][0][()]]
 
 
 def _read_replicates(file: h5py.File) -> Array | None:

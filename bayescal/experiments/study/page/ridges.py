@@ -128,10 +128,7 @@ def _illustrate(study: StudyResults) -> Figure:
 
 
 def _draw(
-    draws: pd.DataFrame,
-    nominal: pd.Series,
-    scales: Mapping[str, tuple[float, str]],
-    pairs: Sequence[tuple[str, str]],
+    draws: pd.DataFrame, nominal: pd.Series, scales: Mapping[str, tuple[float, str]], pairs: Sequence[tuple[str, str]]
 ) -> Drawing:
     """Return the correlations of one leg's parameters, a column of draws each, and the draws of chosen pairs.
 

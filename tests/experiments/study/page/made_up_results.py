@@ -82,43 +82,23 @@ def describe_fit(title: str, log_evidence: float, shift: float, with_model_error
         "interval_90_coverage": 0.9 if with_model_error else 0.4,
         "bound_95_coverage": 1.0,
     }
+    evidence = {"log_evidence": log_evidence, "log_evidence_importance": log_evidence}
     return {
         "title": title,
         "data": "4 poses",
         "n_parameters": 14,
-        "log_evidence": log_evidence,
-        "log_evidence_se": 0.01,
-        "log_evidence_importance": log_evidence,
-        "log_evidence_importance_se": 0.01,
+        **evidence,
         "log_evidence_bridge": log_evidence + 0.02,
-        "log_evidence_bridge_se": 0.01,
+        **{f"{name}_se": 0.01 for name in (*evidence, "log_evidence_bridge")},
         "log_evidence_by": "importance",
-        "efficiency": 0.4,
-        "pareto_k": 0.3,
-        "elpd": log_evidence / 5 if "verification" in uses else None,
-        "elpd_loo": log_evidence + 50,
-        "elpd_loo_se": 5.0,
-        "elpd_loo_difference": 0.0,
-        "elpd_loo_difference_se": 4.0,
-        "stacking_weight": 0.5,
-        "loo_pareto_k_max": 0.5,
-        "loo_refitted": 0,
-        "loo_unreliable": 0,
-        "converged": True,
-        "problems": "",
-        "rhat_max": 1.001,
-        "ess_bulk_min": 4000.0,
-        "ess_tail_min": 3000.0,
-        "acceptance": 0.4,
-        "wall_seconds": 10.0,
+        **{"efficiency": 0.4, "pareto_k": 0.3, "acceptance": 0.4, "wall_seconds": 10.0},
+        **{"elpd": log_evidence / 5 if "verification" in uses else None, "elpd_loo": log_evidence + 50},
+        **{"elpd_loo_se": 5.0, "elpd_loo_difference": 0.0, "elpd_loo_difference_se": 4.0, "stacking_weight": 0.5},
+        **{"loo_pareto_k_max": 0.5, "loo_refitted": 0, "loo_unreliable": 0},
+        **{"converged": True, "problems": "", "rhat_max": 1.001, "ess_bulk_min": 4000.0, "ess_tail_min": 3000.0},
         **dict.fromkeys(uses, errors),
-        "distance_from_nominal_mm": shift,
-        "distance_from_nominal_prior_sd": shift / 2,
-        "misfit": 1.01,
-        "misfit_chi2": 205.0,
-        "misfit_dof": 200.0,
-        "pulls_chi2": 11.0,
-        "pulls_dof": 10.0,
+        **{"distance_from_nominal_mm": shift, "distance_from_nominal_prior_sd": shift / 2, "misfit": 1.01},
+        **{"misfit_chi2": 205.0, "misfit_dof": 200.0, "pulls_chi2": 11.0, "pulls_dof": 10.0},
     }
 
 
@@ -320,16 +300,20 @@ def write_results(
     drive="base",
     name="results",
     structured=None,
+    edits=None,
 ) -> Path:
-    """Write a results directory below a parent and return its path; ``change`` edits the summary in place."""
+    """Write a results directory below a parent and return its path.
+
+    ``change``, one or several, edits the summary in place; ``edits`` edit tables, in place or by what they return.
+    """
     folder = parent / name
     folder.mkdir()
     uses = USES if verification else {"calibration": USES["calibration"]}
     summary = describe_summary(uses, variants) | {"drive": drive}
     if publication is not None or claims:
         summary["publication"] = publication or PUBLICATION
-    if change is not None:
-        change(summary)
+    for one in [change] if callable(change) else change or ():
+        one(summary)
     provenance = {"name": "tiny", "seed": 1, "config": describe_config(variants, published), "python": "3.12"}
     provenance |= {"platform": "linux", "files": {"t.csv": "f" * 64}, "versions": {"numpy": "2"}}
     tables = {
@@ -348,16 +332,34 @@ def write_results(
         tables["flexure"] = tabulate_flexure()
     if structured is not None:
         tables["structured"] = structured
+    for table, edit in (edits or {}).items():
+        edited = edit(tables[table])
+        tables[table] = tables[table] if edited is None else edited
     posteriors = {f"posterior/{variant.replace('/', '-')}.nc": write_draws for variant in variants if draws}
     frame.write_results(frame.Results(summary, tables, posteriors, provenance), folder, tables_in="tables")
     return folder
 
 
-def edit_table(folder, name, change) -> None:
-    """Change a table of a results directory in place."""
-    table = frame.read_results(folder).table(name)
-    change(table)
-    table.to_csv(folder / "tables" / f"{name}.csv", index=False)
+def set_fit(variant, setting="free", **values):
+    """Return a change of a summary: numbers of a posterior, the variants ranked by their evidence as it then is."""
+
+    def change(summary):
+        fit = summary["variants"][variant]
+        (fit if setting == "free" else fit["without_model_error"]).update(values)
+        summary["rankings"][0].sort(key=lambda name: -summary["variants"][name]["log_evidence"])
+
+    return change
+
+
+def set_rows(where, **values):
+    """Return a change of a table: values of the rows that have others, one for all or one for each."""
+
+    def change(table):
+        chosen = np.logical_and.reduce([table[column] == value for column, value in where.items()])
+        for column, value in values.items():
+            table.loc[chosen, column] = value
+
+    return change
 
 
 def edit_config(folder, change) -> None:

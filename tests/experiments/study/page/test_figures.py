@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from made_up_results import PUBLICATION, TWELVE, edit_table, read_page, read_study, render_text, write_results
+from made_up_results import PUBLICATION, TWELVE, read_page, read_study, render_text, set_rows, write_results
 from matplotlib import rc_context
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_hex
@@ -32,17 +32,13 @@ pytestmark = pytest.mark.runs
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """Return the results directory that all tests of this file read."""
-    folder = write_results(tmp_path_factory.mktemp("twelve"), variants=TWELVE, flexure=True, publication=PUBLICATION)
-
-    def change(table):
-        chosen = (
-            (table["variant"] == "beam/linear") & (table["model_error"] == "free") & (table["use"] == "calibration")
-        )
-        table.loc[chosen, "position_error_mm"] = [0.010, 0.020, 0.030, 0.080]
-        table.loc[chosen, "orientation_error_deg"] = [0.010, 0.020, 0.030, 0.040]
-
-    edit_table(folder, "pose_errors", change)
-    return folder
+    change = set_rows(
+        {"variant": "beam/linear", "model_error": "free", "use": "calibration"},
+        position_error_mm=[0.010, 0.020, 0.030, 0.080],
+        orientation_error_deg=[0.010, 0.020, 0.030, 0.040],
+    )
+    shown = {"flexure": True, "publication": PUBLICATION, "edits": {"pose_errors": change}}
+    return write_results(tmp_path_factory.mktemp("twelve"), variants=TWELVE, **shown)
 
 
 @pytest.fixture(scope="module")
@@ -208,7 +204,7 @@ def test_parameters_show_the_first_of_the_best_models(drawn):
 
 
 def test_moves_of_the_joints_are_measured_over_all_points(twelve):
-    joints = locate_joints(twelve.parameters[twelve.parameters["model_error"] == "free"])
+    joints = locate_joints(twelve.free)
     assert joints.groupby(["variant", "point"]).size().eq(2).all()
     # every coordinate moves by the shift in leg 1, by twice the shift in leg 2: rms of √2 and √8
     moves = measure_moves(joints)
@@ -218,7 +214,7 @@ def test_moves_of_the_joints_are_measured_over_all_points(twelve):
 
 def test_joints_have_a_mark_per_deformation(drawn, twelve):
     figure = drawn("hardpoints")
-    joints = locate_joints(twelve.parameters[twelve.parameters["model_error"] == "free"])
+    joints = locate_joints(twelve.free)
     factor = find_magnification(joints)
     base = joints[(joints["point"] == "a") & joints["variant"].str.startswith("six_pus/")].set_index(["variant", "leg"])
     drawn = {line.get_marker(): line for line in figure.axes[0].lines if line.get_linestyle() == "None"}

@@ -6,7 +6,7 @@ import re
 
 import pytest
 from html_reader import Reader
-from made_up_results import PUBLICATION, TWELVE, edit_config, render_text, write_report
+from made_up_results import PUBLICATION, TWELVE, edit_config, render_text, set_fit, write_report
 
 from bayescal.errors import InputError
 
@@ -78,9 +78,7 @@ def test_without_verification_poses_the_figures_are_drawn(make_results, pictures
 
 
 def test_data_origin_and_failures_stand_before_the_headline(make_results):
-    def change(summary):
-        summary["variants"]["pus/linear"] |= {"converged": False, "problems": "bulk ESS 12, limit 1000"}
-
+    change = set_fit("pus/linear", converged=False, problems="bulk ESS 12, limit 1000")
     text = render_text(make_results(change))
     places = [text.index(s) for s in ("made up for a test", "bulk ESS 12", 'class="headline"', 'id="ranking"')]
     assert places == sorted(places)
@@ -141,9 +139,7 @@ def test_a_study_of_anybodys_machine_has_no_word_of_a_publication(make_results, 
 
 
 def test_failed_convergence_opens_the_diagnostics(make_results):
-    def change(summary):
-        summary["variants"]["beam/none"] |= {"converged": False, "problems": "bulk ESS 12, limit 1000"}
-
+    change = set_fit("beam/none", converged=False, problems="bulk ESS 12, limit 1000")
     text = render_text(make_results(change, variants=TWELVE))
     assert "Do not rely on these numbers yet." in text
     assert "beam/none, with model error: bulk ESS 12, limit 1000" in text

@@ -1,102 +1,324 @@
-"""Twelve variants: what is tied, what is told apart, and what deformation and model are worth, each by itself."""
+"""What the page says follows the numbers: headline, failures and sentences, of two variants and of twelve."""
 
 from __future__ import annotations
 
-import json
+from typing import Any, NamedTuple
 
+import numpy as np
 import pytest
-from made_up_results import TWELVE, edit_table, read_study
+from made_up_results import TWELVE, TWO, read_page, read_study, set_fit, set_rows
 
-from bayescal.experiments.study.page.ranking import tabulate_effects, tabulate_ranking
+from bayescal.experiments.study.page.ranking import tabulate_effects, tabulate_ranking, tabulate_stacking
 from bayescal.experiments.study.page.soundness import title_failures
-from bayescal.experiments.study.page.verdict import describe_lead, state_headline, state_verdict
+from bayescal.experiments.study.page.verdict import describe_lead, measure_error, state_headline, state_verdict
+from bayescal.report.blocks import Level, Table
+
+MATRIX = "6-PUS, beam and stiffness with the matrix deformation"
 
 
-def find_statement(results, lead: str, words: str = "") -> str:
-    """Return the one statement of the verdict with that lead and words."""
-    (text,) = (s.text for s in state_verdict(results) if s.lead == lead and words in s.text)
-    return text
+class Case(NamedTuple):
+    """What a change of numbers makes one sentence of the verdict say, found by its lead and words, apart by " … "."""
+
+    lead: str
+    level: Level
+    words: str
+    change: Any = None
+    edits: dict[str, Any] = {}  # noqa: RUF012 - of a tuple, never changed
+    variants: dict[str, tuple[float, float]] = TWO
+    verification: bool = True
 
 
-def raise_evidence(name: str, value: float):
-    """Return a change of the summary that sets one variant's log-evidence and ranks anew."""
+def raise_evidence(name: str, value: float, **others: float):
+    """Return a change of the summary that sets one variant's log-evidence."""
+    return set_fit(name, log_evidence=value, log_evidence_importance=value, log_evidence_bridge=value, **others)
 
-    def change(summary):
-        fit = summary["variants"][name]
-        fit["log_evidence"] = value
-        fit["log_evidence_importance"] = fit["log_evidence_bridge"] = value
-        summary["rankings"][0].sort(key=lambda n: -summary["variants"][n]["log_evidence"])
+
+def scatter(table):
+    """Let elpd of one variant differ from that of the others by far more than on average."""
+    chosen = (table["variant"] == "jacobian/matrix") & (table["use"] == "calibration")
+    table.loc[chosen, "elpd_loo"] += np.resize([100.0, -100.0], chosen.sum())
+
+
+def lower_but(variant):
+    """Return a change of the evidences at other widths: one variant far behind, an unreliable one of another."""
+
+    def change(table):
+        table.loc[table["variant"] == "pus/none", "log_evidence"] -= 1000.0
+        set_rows({"variant": variant, "factor": 0.5}, pareto_k=0.9)(table)
 
     return change
 
 
-def test_a_tie_is_said_to_be_one(make_results):
-    results = read_study(make_results(variants=TWELVE))
-    assert describe_lead(results) == (
-        "6-PUS, beam and stiffness with the matrix deformation fit the measurements best and equally well: "
-        "0.40 nat of log-evidence between them; Jacobian/matrix follows 150.0 nat behind."
+CASES = {
+    "lead": Case("Evidence", "plain", "best, by 20.0 nat over pus/none … 10⁸ to 1"),
+    **{
+        words: Case("Evidence", "plain", words, set_fit("pus/none", log_evidence=120.0 - lead))
+        for words, lead in (
+            ("fit equally well", 0.5),
+            ("preferred, not decisively", 3.0),
+            ("explains the measurements best", 8.0),
+        )
+    },
+    "accuracy": Case(
+        "Accuracy",
+        "plain",
+        "4.0 µm mean and 9.0 µm largest position error … 0.0010° mean and 0.0020° largest orientation error",
+    ),
+    "no verification": Case("Accuracy", "plain", "used in the fit; none were held back", verification=False),
+    "LOO agrees": Case(
+        "Prediction", "good", "Leave-one-out cross-validation (elpd LOO) agrees: pus/linear first, 20.0 ± 2.0 nat ahead"
+    ),
+    "held-back poses agree": Case("Prediction", "good", "(elpd, all together) agree: pus/linear first, 4.0 ± 1.4 nat"),
+    "LOO disagrees": Case(
+        "Prediction",
+        "bad",
+        "(elpd LOO) disagrees: pus/none first, 130.0 ± 2.0 nat ahead of pus/linear",
+        set_fit("pus/none", elpd_loo=300.0),
+    ),
+    "held-back poses disagree": Case(
+        "Prediction",
+        "bad",
+        "(elpd, all together) disagree: pus/none first, 66.0 ± 1.4 nat ahead of pus/linear",
+        set_fit("pus/none", elpd=90.0),
+    ),
+    "LOO of a tie": Case(
+        "Prediction",
+        "good",
+        "(elpd LOO) agrees: the same 3 lead with 0.4 nat between them, 149.6 ± 6.0 nat ahead of "
+        "Jacobian/matrix … no pair that the evidence distinguishes is reversed by more than two standard errors",
+        variants=TWELVE,
+    ),
+    "LOO of another leader": Case(
+        "Prediction",
+        "bad",
+        "disagrees: Jacobian/none first, 150.0 ± 16.0 nat ahead of stiffness/matrix",
+        set_fit("jacobian/none", elpd_loo=1700.0),
+        variants=TWELVE,
+    ),
+    "held-back poses hardly separate": Case(
+        "Prediction",
+        "plain",
+        "held back … hardly separate the best",
+        set_fit("jacobian/matrix", elpd=300.0),
+        variants=TWELVE,
+    ),
+    "LOO hardly separates": Case(
+        "Prediction", "plain", "(elpd LOO) … hardly separates the best", edits={"poses": scatter}, variants=TWELVE
+    ),
+    # one goes before three linear, three none and Jacobian/linear; the other passes three linear by too little
+    "reversed pairs": Case(
+        "Prediction",
+        "good",
+        "LOO … further down 7 pairs come clearly in the other order",
+        (set_fit("jacobian/none", elpd_loo=1300.0), set_fit("six_pus/none", elpd_loo=1263.0)),
+        variants=TWELVE,
+    ),
+    "refitted poses": Case(
+        "Prediction",
+        "plain",
+        "3 poses were left out by runs of their own",
+        set_fit("jacobian/none", loo_refitted=3),
+        variants=TWELVE,
+    ),
+    "bad poses": Case(
+        "Prediction",
+        "warning",
+        "beam/none (11 poses)",
+        (set_fit("jacobian/none", loo_refitted=3), set_fit("beam/none", loo_unreliable=11)),
+        variants=TWELVE,
+    ),
+    "deformation": Case(
+        "Deformation",
+        "plain",
+        "With the same model, matrix is ahead of linear by 290.0 nat (6-PUS, beam and "
+        "stiffness) and 50.0 nat (Jacobian); of none by 300.0 nat (6-PUS, Jacobian, beam and stiffness).",
+        raise_evidence("jacobian/linear", 1300.0),
+        variants=TWELVE,
+    ),
+    "model": Case(
+        "Model",
+        "plain",
+        "With the matrix deformation, 6-PUS, beam and stiffness fit equally well (0.4 nat) … "
+        "Jacobian 149.9 nat below 6-PUS … "
+        "with the linear deformation, Jacobian leads, 6-PUS, beam and stiffness 90.0 to 90.4 nat below",
+        raise_evidence("jacobian/linear", 1300.0),
+        variants=TWELVE,
+    ),
+    "pairs": Case(
+        "Pairs",
+        "plain",
+        "Of 66 pairs of variants 57 are distinguishable, by 9.6 nat or more … the other 9 lie within 0.4 nat.",
+        variants=TWELVE,
+    ),
+    "convergence": Case("Checks", "good", "All 4 posteriors converged … Both evidence estimators agree"),
+    "no convergence": Case(
+        "Checks",
+        "bad",
+        "1 of 4 posteriors",
+        set_fit("pus/none", "zero", converged=False, problems="R-hat 1.050, limit 1.01"),
+    ),
+    "disagreeing evidences": Case(
+        "Checks", "bad", "1 of 4 posteriors", set_fit("pus/linear", log_evidence_bridge=121.5)
+    ),
+    "stable": Case("Stability", "good", "ranking is stable"),
+    "unstable": Case(
+        "Stability",
+        "bad",
+        "ranking is not stable over priors 0.5 to 2 times as wide as the study's … pus/none at 0.5 ×",
+        edits={"sensitivity": set_rows({"variant": "pus/none", "factor": 0.5}, log_evidence=200.0)},
+    ),
+    "unreliable": Case(
+        "Stability", "warning", "evidences near the best is unreliable", edits={"sensitivity": lower_but("pus/linear")}
+    ),
+    "passed": Case(
+        "Stability",
+        "good",
+        f"{MATRIX} stay first, never by less than 149.6 nat … Jacobian/none passes 4 variants at 0.5 ×",
+        edits={"sensitivity": set_rows({"variant": "jacobian/none", "factor": 0.5}, log_evidence=1205.0)},
+        variants=TWELVE,
+    ),
+    "model error": Case("Model error", "plain", "needs the model error τ"),
+    "model error of a tie": Case(
+        "Model error",
+        "plain",
+        "need the model error τ: without it their log-evidence falls by 30.0 nat … "
+        "With τ = 0 everywhere the same 3 lead by 149.6 nat, within 0.4 nat.",
+        variants=TWELVE,
+    ),
+    "another leader without model error": Case(
+        "Model error", "warning", "pus/none leads by 29.0 nat", set_fit("pus/none", "zero", log_evidence=119.0)
+    ),
+    "too narrow": Case("Coverage", "warning", "Without model error … too narrow … pus/none (40 %, verification 40 %)"),
+    "wide enough": Case("Coverage", "plain", "With model error, the 90 % predictive intervals"),
+}
+
+
+@pytest.mark.parametrize("case", CASES.values(), ids=CASES)
+def test_a_sentence_follows_the_numbers(case, make_results):
+    folder = make_results(
+        case.change, edits=case.edits, variants=case.variants, verification=case.verification, draws=False
     )
-    assert results.find_leaders() == ["six_pus/matrix", "beam/matrix", "stiffness/matrix"]
-    assert results.split(results.chosen)[0] == "six_pus"
+    said = [one for one in state_verdict(read_study(folder)) if one.lead == case.lead]
+    (found,) = (one for one in said if all(words in one.text for words in case.words.split(" … ")))
+    assert found.level == case.level
+    if case.lead not in ("Prediction", "Coverage") and case.level != "warning":
+        assert len(said) == 1
+
+
+def test_what_is_not_so_is_not_said(make_results):
+    edits = {"sensitivity": lower_but("pus/none")}
+    verdict = state_verdict(read_study(make_results(edits=edits, verification=False)))
+    assert not any("unreliable" in one.text or "held back for verification" in one.text for one in verdict)
+    (wide,) = (one.text for one in verdict if one.text.startswith("With model error"))
+    assert "too narrow" not in wide
+
+
+def test_of_a_single_width_no_stability_is_claimed(make_results):
+    edits = {"sensitivity": lambda table: table[table["factor"] != 0.5]}
+    folder = make_results(variants=TWELVE, edits=edits)
+    assert "Stability" not in {statement.lead for statement in state_verdict(read_study(folder))}
+
+
+# --- headline and failures -------------------------------------------------------------------------------------------
 
 
 def test_the_headline_says_what_to_use_and_how_good_it_is(make_results):
-    results = read_study(make_results(variants=TWELVE))
-    assert state_headline(results) == (
+    page = read_page(make_results(name="two"))
+    assert page.headline.startswith("Use pus with the linear deformation; largest error on 2 held-back poses 9.0 µm")
+    assert not page.failures
+    assert state_headline(read_study(make_results(variants=TWELVE))) == (
         "Use 6-PUS with the matrix deformation, the simplest of three that fit equally well; largest error on 2 "
         "held-back poses 9.0 µm, mean 4.0 µm. Accuracy requirements: none stated; to judge them "
         "run an audit of this study."
     )
-    told = make_results(lambda s: s.update(measurement_noise_um={"verification": 7.04}), variants=TWELVE, name="told")
-    assert "mean 4.0 µm; the measurement's own noise is 7.0 µm rms." in state_headline(read_study(told))
-
-    def simplify(summary):
-        summary["variants"]["stiffness/matrix"]["n_parameters"] = 12
-
-    simple = read_study(make_results(simplify, variants=TWELVE, name="simple"))
-    assert state_headline(simple).startswith("Use stiffness with the matrix deformation, the simplest of three")
-    assert simple.split(simple.chosen)[0] == "stiffness"
+    noise = make_results(lambda s: s.update(measurement_noise_um={"verification": 7.04}), variants=TWELVE, name="noise")
+    assert "mean 4.0 µm; the measurement's own noise is 7.0 µm rms." in state_headline(read_study(noise))
+    simple = make_results(set_fit("stiffness/matrix", n_parameters=12), variants=TWELVE, name="simple")
+    assert state_headline(read_study(simple)).startswith("Use stiffness with the matrix deformation, the simplest of t")
 
 
 def test_nothing_is_advised_where_what_may_be_best_did_not_converge(make_results):
-    def fail(summary):
-        summary["variants"]["stiffness/matrix"] |= {"converged": False, "problems": "bulk ESS 12, limit 1000"}
-
+    fail = set_fit("stiffness/matrix", converged=False, problems="bulk ESS 12, limit 1000")
     text = state_headline(read_study(make_results(fail, variants=TWELVE)))
     assert text.startswith("Use none yet: stiffness/matrix did not converge and may be better (best so far: 6-PUS with")
 
 
-def test_a_tie_ends_where_the_evidence_tells_apart(make_results):
-    results = read_study(make_results(raise_evidence("beam/matrix", 1503.0), variants=TWELVE))
-    assert describe_lead(results).startswith("beam/matrix is preferred, not decisively, by 3.0 nat over stiffness/mat")
-    assert results.split(results.chosen)[0] == "beam"
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (
+            set_fit("pus/none", "zero", converged=False, problems="R-hat 1.050, limit 1.01"),
+            "pus/none, without model error (τ = 0): R-hat 1.050, limit 1.01",
+        ),
+        (
+            set_fit("pus/linear", log_evidence_bridge=121.5),
+            "pus/linear, with model error: the two log-evidences differ by 1.50 nat, limit 0.1",
+        ),
+    ],
+)
+def test_problems_of_either_setting_are_failures(make_results, change, said):
+    assert [(one.text, one.level) for one in read_page(make_results(change)).failures] == [(said, "bad")]
 
 
-def test_an_uncertain_estimate_is_no_difference(make_results):
-    def change(summary):
-        raise_evidence("beam/matrix", 1503.0)(summary)
-        summary["variants"]["beam/matrix"]["log_evidence_se"] = 2.0
-
-    assert len(read_study(make_results(change, variants=TWELVE)).find_leaders()) == 3
-
-
-def test_deformation_and_model_are_named_by_themselves(make_results):
-    results = read_study(make_results(raise_evidence("jacobian/linear", 1300.0), variants=TWELVE))
-    assert find_statement(results, "Deformation") == (
-        "With the same model, matrix is ahead of linear by 290.0 nat (6-PUS, beam and stiffness) and 50.0 nat "
-        "(Jacobian); of none by 300.0 nat (6-PUS, Jacobian, beam and stiffness)."
-    )
-    model = find_statement(results, "Model")
-    assert "With the matrix deformation, 6-PUS, beam and stiffness fit equally well (0.4 nat)" in model
-    assert "Jacobian 149.9 nat below 6-PUS" in model
-    assert "with the linear deformation, Jacobian leads, 6-PUS, beam and stiffness 90.0 to 90.4 nat below" in model
+@pytest.mark.parametrize(
+    ("setting", "words"),
+    [("free", "Do not rely on these numbers yet"), ("zero", "all without model error; the ranking")],
+)
+def test_failures_say_whether_they_reach_the_ranking(make_results, setting, words):
+    fail = set_fit("jacobian/none", setting, converged=False)
+    assert words in title_failures(read_study(make_results(fail, variants=TWELVE)))
 
 
-def test_pairs_told_apart_are_counted(make_results):
-    results = read_study(make_results(variants=TWELVE))
-    text = find_statement(results, "Pairs")
-    assert text.startswith("Of 66 pairs of variants 57 are distinguishable, by 9.6 nat or more")
-    assert text.endswith("the other 9 lie within 0.4 nat.")
+# --- groups of variants ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("change", "lead", "leaders"),
+    [
+        (
+            (),
+            f"{MATRIX} fit the measurements best and equally well: "
+            "0.40 nat of log-evidence between them; Jacobian/matrix follows 150.0 nat behind.",
+            ["six_pus/matrix", "beam/matrix", "stiffness/matrix"],
+        ),
+        (
+            raise_evidence("beam/matrix", 1503.0),
+            "beam/matrix is preferred, not decisively, by 3.0 nat over stiffness/mat",
+            ["beam/matrix"],
+        ),
+        (
+            raise_evidence("beam/matrix", 1503.0, log_evidence_se=2.0),  # an uncertain estimate is no difference
+            MATRIX,
+            ["six_pus/matrix", "beam/matrix", "stiffness/matrix"],
+        ),
+        (
+            raise_evidence("beam/matrix", 1498.95),  # within a nat of the best, not of each other
+            "6-PUS and stiffness with the matrix deformation fit",
+            ["six_pus/matrix", "stiffness/matrix"],
+        ),
+        (
+            lambda summary: summary["models"].update(beam="beam theory"),
+            "6-PUS, beam theory and stiffness with the matrix deformation",
+            ["six_pus/matrix", "beam/matrix", "stiffness/matrix"],
+        ),
+    ],
+)
+def test_a_tie_ends_where_the_evidence_distinguishes(make_results, change, lead, leaders):
+    study = read_study(make_results(change, variants=TWELVE, draws=False))
+    assert describe_lead(study).startswith(lead)
+    assert study.find_leaders() == leaders
+    assert study.group(["six_pus/matrix", "beam/matrix", "stiffness/matrix"])[0] == leaders
+    assert study.split(study.chosen)[0] == leaders[0].partition("/")[0]
+
+
+def test_names_of_variants(make_results):
+    study = read_study(make_results(variants=TWELVE, draws=False))
+    assert study.label("six_pus/matrix") == "6-PUS/matrix"
+    assert study.name_variants(["six_pus/none", "beam/none"]) == "6-PUS and beam without deformation"
+    assert study.name_variants(["six_pus/none", "beam/matrix"], "or") == "6-PUS/none or beam/matrix"
+
+
+# --- the ranking -----------------------------------------------------------------------------------------------------
 
 
 def test_effects_are_tabulated_with_letters_of_the_groups(make_results):
@@ -108,94 +330,40 @@ def test_effects_are_tabulated_with_letters_of_the_groups(make_results):
     assert tabulate_effects(read_study(make_results(name="one_model"))) is None
 
 
-def test_names_of_the_files_are_said(make_results):
-    notes = [s.text for s in tabulate_ranking(read_study(make_results(variants=TWELVE)), "free").notes]
-    assert notes == ["In config and results 6-PUS is six_pus and Jacobian is jacobian: 6-PUS/matrix is six_pus/matrix."]
+def test_the_ranking_shows_differences_with_their_errors_and_names_of_the_files(make_results):
+    table = tabulate_ranking(read_study(make_results(variants=TWELVE)), "free")
+    place = [(column.group, column.title) for column in table.columns].index(("elpd LOO", "behind the best"))
+    shown = {row[1].text: row[place].text for row in table.rows}
+    assert shown["stiffness/matrix"] == "0.0"
+    assert shown["Jacobian/matrix"] == "−150.0 ± 4.0"
+    assert [one.text for one in table.notes] == [
+        "In config and results 6-PUS is six_pus and Jacobian is jacobian: 6-PUS/matrix is six_pus/matrix."
+    ]
 
 
-def test_groups_hold_what_lies_within_a_nat_of_their_best(make_results):
-    results = read_study(make_results(raise_evidence("beam/matrix", 1498.95), variants=TWELVE))
-    names = ["six_pus/matrix", "beam/matrix", "stiffness/matrix"]
-    assert results.group(names) == [["six_pus/matrix", "stiffness/matrix"], ["beam/matrix"]]
+def test_without_verification_poses_the_ranking_has_no_column_of_them(make_results):
+    page = read_page(make_results(verification=False))
+    ranking = next(block for block in page.sections[0].blocks if isinstance(block, Table))
+    assert ("Position error, mean / max", "verification") not in {(c.group, c.title) for c in ranking.columns}
 
 
-def test_the_same_leaders_in_prediction_agree(make_results):
-    results = read_study(make_results(variants=TWELVE))
-    text = find_statement(results, "Prediction", "LOO")
-    assert "agrees: the same 3 lead with 0.4 nat between them, 149.6 ± 6.0 nat ahead of Jacobian/matrix" in text
-    assert "no pair that the evidence distinguishes is reversed by more than two standard errors" in text
+def test_a_difference_has_the_standard_error_of_its_poses(make_results):
+    study = read_study(make_results(variants=TWELVE))
+    table = study.table("poses").query("model_error == 'free' and use == 'calibration'")
+    pointwise = table.pivot(index="pose", columns="variant", values="elpd_loo")
+    difference = pointwise["beam/none"] - pointwise["six_pus/none"]
+    expected = np.sqrt(len(difference) * difference.var(ddof=0))
+    assert measure_error(study, "beam/none", "six_pus/none", "calibration") == pytest.approx(expected)
 
 
-def test_a_leader_that_predicts_badly_is_not_hidden(make_results):
-    def change(summary):
-        summary["variants"]["jacobian/none"]["elpd_loo"] = 1700.0
-        summary["variants"]["jacobian/matrix"]["elpd"] = 300.0
+def test_stacked_variants_have_weights_and_errors(make_results):
+    def stack(summary):
+        fit = summary["variants"]["beam/matrix"]
+        errors = {use: fit[use] for use in ("calibration", "verification")}
+        summary["stacked"] = {"weights": {"beam/matrix": 0.25, "six_pus/matrix": 0.75}, **errors}
 
-    results = read_study(make_results(change, variants=TWELVE))
-    loo = next(s for s in state_verdict(results) if "LOO" in s.text)
-    assert loo.level == "bad"
-    assert "disagrees: Jacobian/none first, 150.0 ± 16.0 nat ahead of stiffness/matrix" in loo.text
-    held = find_statement(results, "Prediction", "held back")
-    assert "hardly separate the best" in held
-
-
-def test_reversed_pairs_further_down_are_counted(make_results):
-    def change(summary):
-        # one goes before three linear, three none and Jacobian/linear; the other passes three linear by too little
-        summary["variants"]["jacobian/none"]["elpd_loo"] = 1300.0
-        summary["variants"]["six_pus/none"]["elpd_loo"] = 1263.0
-
-    results = read_study(make_results(change, variants=TWELVE))
-    assert "further down 7 pairs come clearly in the other order" in find_statement(results, "Prediction", "LOO")
-
-
-def test_who_passes_whom_at_another_tolerance_is_named(make_results):
-    folder = make_results(variants=TWELVE)
-
-    def change(table):
-        table.loc[(table["variant"] == "jacobian/none") & (table["factor"] == 0.5), "log_evidence"] = 1205.0
-
-    edit_table(folder, "sensitivity", change)
-    text = find_statement(read_study(folder), "Stability")
-    assert "6-PUS, beam and stiffness with the matrix deformation stay first, never by less than 149.6 nat" in text
-    assert "Jacobian/none passes 4 variants at 0.5 ×" in text
-
-
-def test_of_a_single_tolerance_no_stability_is_claimed(make_results):
-    folder = make_results(variants=TWELVE)
-    path = folder / "tables" / "sensitivity.csv"
-    path.write_text("".join(line for line in path.read_text().splitlines(True) if ",0.5," not in line))
-    provenance = json.loads((folder / "provenance.json").read_text())
-    provenance.pop("table_rows", None)  # of the table as it was
-    (folder / "provenance.json").write_text(json.dumps(provenance))
-    assert "Stability" not in {statement.lead for statement in state_verdict(read_study(folder))}
-
-
-def test_leaders_without_model_error_are_compared_as_a_group(make_results):
-    results = read_study(make_results(variants=TWELVE))
-    text = find_statement(results, "Model error")
-    assert "need the model error τ: without it their log-evidence falls by 30.0 nat" in text
-    assert "With τ = 0 everywhere the same 3 lead by 149.6 nat, within 0.4 nat." in text
-
-
-@pytest.mark.parametrize(
-    ("free", "words"), [(True, "Do not rely on these numbers yet"), (False, "all without model error; the ranking")]
-)
-def test_failures_say_whether_they_reach_the_ranking(make_results, free, words):
-    def change(summary):
-        fit = summary["variants"]["jacobian/none"]
-        (fit if free else fit["without_model_error"])["converged"] = False
-
-    assert words in title_failures(read_study(make_results(change, variants=TWELVE)))
-
-
-def test_names_of_variants(make_results):
-    results = read_study(make_results(variants=TWELVE))
-    assert results.label("six_pus/matrix") == "6-PUS/matrix"
-    assert results.name_variants(["six_pus/none", "beam/none"]) == "6-PUS and beam without deformation"
-    assert results.name_variants(["six_pus/none", "beam/matrix"], "or") == "6-PUS/none or beam/matrix"
-
-
-def test_a_model_has_the_title_that_the_study_gives_it(make_results):
-    results = read_study(make_results(lambda summary: summary["models"].update(beam="beam theory"), variants=TWELVE))
-    assert "6-PUS, beam theory and stiffness with the matrix deformation" in describe_lead(results)
+    assert tabulate_stacking(read_study(make_results(variants=TWELVE))) is None
+    table = tabulate_stacking(read_study(make_results(stack, variants=TWELVE, name="stacked")))
+    assert [row[0].text for row in table.rows] == ["6-PUS/matrix", "beam/matrix", "all, stacked"]
+    assert [row[1].text for row in table.rows] == ["75", "25", "100"]
+    assert all(len(row) == len(table.columns) for row in table.rows)
