@@ -21,11 +21,12 @@ from telescope_problem import write_results
 import numpy as np
 
 from bayescal.experiments.audit.audit import analyse, run_audit
-from bayescal.experiments.audit.changes import evaluate_change
-from bayescal.experiments.audit.inputs import AuditInputs, read_inputs
+from bayescal.experiments.audit.audit import evaluate_change
+from bayescal.experiments.audit.design import read_inputs
+from bayescal.experiments.audit.legs import LegPlan
 from bayescal.identifiability.sensitivity import compute_measured_poses, compute_sensitivity
 from bayescal.experiments.audit.schema import WhatIfConfig
-from bayescal.experiments.audit.load import load_audit
+from bayescal.experiments.audit.design import load_audit
 from bayescal.experiments.frame.parallel import Run
 from bayescal.numerics.geometry import Array, compute_pose_error
 
@@ -34,7 +35,7 @@ STEP = 1e-4  # of a tolerance
 REPEATS = 5
 
 
-def differentiate(inputs: AuditInputs) -> Array:
+def differentiate(inputs: LegPlan) -> Array:
     """Return the derivative of the measured poses by the free parameters from central differences, (P, 6, n)."""
     knowledge = inputs.knowledge
     n = len(knowledge.sd)

@@ -115,7 +115,7 @@ def _seldom_propose(request, monkeypatch):
     """Leave the poses that an audit proposes to the tests that ask for them, and to those of whole runs."""
     apart = {"proposes", "finished"} & set(request.fixturenames)
     if not apart and ("/audit/" in request.node.nodeid or "/identifiability/" in request.node.nodeid):
-        monkeypatch.setattr("bayescal.experiments.audit.inputs.AuditInputs.propose", _decline)
+        monkeypatch.setattr("bayescal.experiments.audit.legs.LegPlan.propose", _decline)
 
 
 def _decline(inputs):

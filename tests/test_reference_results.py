@@ -8,8 +8,7 @@ import pandas as pd
 import pytest
 
 from bayescal.experiments.audit.audit import analyse
-from bayescal.experiments.audit.inputs import read_inputs
-from bayescal.experiments.audit.load import load_audit
+from bayescal.experiments.audit.design import load_audit, read_inputs
 from bayescal.experiments.frame.identity import hash_identity, identify
 from bayescal.experiments.frame.load import load
 

@@ -12,7 +12,7 @@ from papers import pose_methods
 
 from bayescal.config.registry import list_references
 from bayescal.errors import InputError
-from bayescal.experiments.audit.load import load_audit
+from bayescal.experiments.audit.design import load_audit
 from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.shared.study_schema import StudyConfig
 from bayescal.machines.mechanism import ExternalLoad

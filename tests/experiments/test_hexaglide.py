@@ -9,8 +9,7 @@ import pytest
 import studies
 import telescope_machines as machines
 
-from bayescal.experiments.audit.inputs import read_inputs
-from bayescal.experiments.audit.load import load_audit
+from bayescal.experiments.audit.design import load_audit, read_inputs
 from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.frame.run import run_experiment
 from bayescal.identifiability.ridges import find_legs, list_laws

@@ -13,8 +13,7 @@ from scipy.stats import norm
 
 from bayescal.errors import InputError
 from bayescal.experiments.audit.audit import analyse
-from bayescal.experiments.audit.inputs import read_inputs
-from bayescal.experiments.audit.load import load_audit
+from bayescal.experiments.audit.design import load_audit, read_inputs
 from bayescal.identifiability.calibration import (
     Calibrations,
     compare_kept,

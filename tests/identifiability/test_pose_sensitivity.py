@@ -14,8 +14,7 @@ from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.priors import LinearKernel, SmoothKernel
 from bayescal.density.structured import StructuredLikelihood
 from bayescal.errors import InputError
-from bayescal.experiments.audit.inputs import read_inputs
-from bayescal.experiments.audit.load import load_audit
+from bayescal.experiments.audit.design import load_audit, read_inputs
 from bayescal.experiments.audit.schema import AuditConfig
 from bayescal.identifiability.design import FunctionOfPose
 from bayescal.identifiability.information import information_of_rows, marginalise

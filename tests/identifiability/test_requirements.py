@@ -11,10 +11,9 @@ import telescope_machines as machines
 from scipy.stats import norm
 
 from bayescal.errors import InputError, NumericalError
-from bayescal.experiments.audit.audit import analyse, run_audit
-from bayescal.experiments.audit.changes import evaluate_change
-from bayescal.experiments.audit.inputs import close_legs, read_inputs
-from bayescal.experiments.audit.load import load_audit
+from bayescal.experiments.audit.audit import analyse, evaluate_change, run_audit
+from bayescal.experiments.audit.design import load_audit, read_inputs
+from bayescal.experiments.audit.legs import close_legs
 from bayescal.experiments.audit.results import summarise, tabulate, tabulate_variants
 from bayescal.experiments.audit.schema import WhatIfConfig
 from bayescal.experiments.frame.parallel import Run

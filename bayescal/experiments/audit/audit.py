@@ -1,4 +1,4 @@
-"""The audit as a whole: from a design to everything that is said of it."""
+"""The audit as a whole: what a plan determines, and what other plans of measurement would, one by one and swept."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ from typing import Literal
 
 import numpy as np
 
-from bayescal.experiments.audit.changes import ChangeEffect, SweepPoint, check_changes, evaluate_changes
+from bayescal.errors import InputError
 from bayescal.experiments.audit.planned import Planned
+from bayescal.experiments.audit.schema import WhatIfConfig
 from bayescal.experiments.frame.parallel import Run
 from bayescal.identifiability.directions import Direction, Verdict, find_directions, judge_parameters
 from bayescal.identifiability.information import Information
@@ -17,11 +18,24 @@ from bayescal.identifiability.ridges import Ridge
 from bayescal.identifiability.selection import ReducedSet, Selection, judge_reduced, select_parameters
 from bayescal.identifiability.structure import Structure
 from bayescal.limits import NINETY_FIVE
+from bayescal.numerics.geometry import Array
 
 type Harm = Literal["harmless", "noticeable", "harmful", "unknown"]
 
 HARMLESS = 0.1  # of a limit, that the remaining uncertainty along a direction may take
 HARMFUL = 1.0
+MOST_POSES = 10_000
+USUAL = (
+    WhatIfConfig(name="twice the poses", poses_factor=2.0),
+    WhatIfConfig(name="ten times the poses", poses_factor=10.0),
+    WhatIfConfig(name="half the measurement noise", noise_factor=0.5),
+    WhatIfConfig(name="a tenth of the measurement noise", noise_factor=0.1),
+    WhatIfConfig(name="a tenth of the actuator noise", actuator_noise_factor=0.1),
+    WhatIfConfig(name="a tenth of both noises", noise_factor=0.1, actuator_noise_factor=0.1),
+    WhatIfConfig(name="twice the displacements", workspace_factor=2.0),
+    WhatIfConfig(name="five times the displacements", workspace_factor=5.0),
+)
+"""Changes of any plan that are looked at where the config names none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +60,39 @@ class Analysis:
     directions: list[Direction]
     verdicts: tuple[Verdict, ...]
     reduced: ReducedSet | None
+
+
+@dataclass(frozen=True, eq=False)
+class ChangeEffect:
+    """What a changed plan would tell.
+
+    Attributes
+    ----------
+    name : str
+    n_poses : int
+    information : Information or None
+        None where the machine cannot take the changed poses.
+    beyond_range : bool
+        Whether the actuators would have to reach further than they do.
+    required_sd : dict of requirement to float
+        Predicted sd over the workspace, in inner units.
+    """
+
+    name: str
+    n_poses: int
+    information: Information | None
+    beyond_range: bool
+    required_sd: dict[str, float]
+
+    def contraction_along(self, directions: Array) -> Array:
+        """Return the contraction of directions (n, k); NaN where the machine cannot take the poses."""
+        if self.information is None:
+            return np.full(directions.shape[1], np.nan)
+        return self.information.contraction_along(directions)
+
+
+type SweepPoint = tuple[str, float, ChangeEffect]
+"""A point of a sweep: ``noise``, ``poses`` or ``workspace``, the value, and what is then determined."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +166,7 @@ def judge(inputs: Planned) -> Audit:
 
 
 def run_audit(inputs: Planned, run: Run) -> Audit:
-    """Return the audit of a plan; one of poses chosen I-optimally stands among the changes."""
+    """Return the audit of a plan; one of poses chosen I-optimally is among the changes."""
     return complete(judge(inputs), run)
 
 
@@ -127,6 +174,75 @@ def complete(audit: Audit, run: Run) -> Audit:
     """Return an audit with its ridges in words and with other plans."""
     inputs = audit.inputs
     check_changes(inputs)
-    ridges = inputs.describe(audit.analysis.directions)
     what_ifs, sweeps = evaluate_changes(inputs, audit.forecast, run)
-    return replace(audit, ridges=ridges, what_ifs=what_ifs, sweeps=sweeps)
+    return replace(audit, ridges=inputs.describe(audit.analysis.directions), what_ifs=what_ifs, sweeps=sweeps)
+
+
+# --- other plans -----------------------------------------------------------------------------------------------------
+
+
+def list_changes(inputs: Planned) -> list[WhatIfConfig]:
+    """Return the config's what-ifs, or the usual ones where it lists none."""
+    return list(inputs.config.what_if) or [*USUAL, *inputs.list_changes()]
+
+
+def check_changes(inputs: Planned) -> None:
+    """Raise InputError where a what-if names a sensor or poses that are not there, or more poses than anybody takes."""
+    for change in inputs.config.what_if:
+        count = round(change.poses_factor * inputs.n_poses)
+        if count > MOST_POSES:
+            raise InputError(
+                f"what_if {change.name!r}: poses_factor: found {count} poses, expected at most {MOST_POSES}"
+            )
+        if change.sensors is not None or change.poses is not None:
+            inputs.change(change)
+
+
+def evaluate_change(inputs: Planned, change: WhatIfConfig, forecast: Forecast | None) -> ChangeEffect:
+    """Return what a changed plan would tell; the workspace and its requirements stay."""
+    count = max(1, round(change.poses_factor * inputs.n_poses))
+    try:
+        return evaluate_plan(change.name, inputs.change(change), forecast)
+    except InputError:
+        return ChangeEffect(change.name, count, None, False, {})
+
+
+def evaluate_plan(name: str, changed: Planned, forecast: Forecast | None) -> ChangeEffect:
+    """Return what another plan would tell; accuracy only where the present plan has a forecast."""
+    beyond = changed.is_beyond_range
+    try:
+        information = changed.inform()
+        required = {}
+        if forecast is not None:
+            own = changed.forecast()
+            covariance = own.covariance(information.covariance) + own.noise
+            required = {one.name: one.size(covariance) for one in changed.requirements}
+    except InputError:
+        return ChangeEffect(name, changed.n_poses, None, beyond, {})
+    return ChangeEffect(name, changed.n_poses, information, beyond, required)
+
+
+def evaluate_changes(inputs: Planned, forecast: Forecast, run: Run) -> tuple[list[ChangeEffect], list[SweepPoint]]:
+    """Return what changed plans would tell, the last with poses that are proposed, and all points of the sweeps."""
+    changes, n, swept = list_changes(inputs), inputs.n_poses, inputs.config.sweep
+    points = [("noise", value, WhatIfConfig(name="", noise_factor=value)) for value in swept.noise]
+    points += [("poses", float(value), WhatIfConfig(name="", poses_factor=value / n)) for value in swept.poses]
+    points += [("workspace", value, WhatIfConfig(name="", workspace_factor=value)) for value in swept.workspace]
+    tasks: dict[str, WhatIfConfig | None] = {f"{k} {change.name}": change for k, change in enumerate(changes)}
+    tasks["I-optimal poses"] = None
+    tasks |= {f"{sweep} {k}": change for k, (sweep, _, change) in enumerate(points)}
+    found = list(run.map("other plans", _evaluate, (inputs, forecast), tasks, (ChangeEffect,)).values())
+    what_ifs, others = found[: len(changes) + 1], found[len(changes) + 1 :]
+    sweeps = [(sweep, value, one) for (sweep, value, _), one in zip(points, others, strict=True) if one]
+    return [one for one in what_ifs if one is not None], sweeps
+
+
+def _evaluate(shared: tuple[Planned, Forecast], change: WhatIfConfig | None) -> ChangeEffect | None:
+    inputs, forecast = shared
+    if change is not None:
+        return evaluate_change(inputs, change, forecast)
+    try:
+        proposed = inputs.propose()
+    except InputError:
+        return None  # there are none for this plan
+    return None if proposed is None else evaluate_plan(*proposed, forecast)

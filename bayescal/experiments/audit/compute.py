@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from bayescal.experiments.audit.accuracy import compute_accuracy
 from bayescal.experiments.audit.audit import Audit, complete, judge
-from bayescal.experiments.audit.inputs import AuditDesign, AuditInputs, prepare
+from bayescal.experiments.audit.design import AuditDesign, prepare_legs
+from bayescal.experiments.audit.draws import LeftOut, audit_posterior, plot_ridges, tabulate_plots
+from bayescal.experiments.audit.legs import LegPlan
 from bayescal.experiments.audit.planned import Planned
-from bayescal.experiments.audit.posterior import LeftOut, audit_posterior
-from bayescal.experiments.audit.reading_compute import compute_readings, summarise_choices
-from bayescal.experiments.audit.reading_inputs import ReadingAudit
 from bayescal.experiments.audit.results import describe_variant, summarise, tabulate, tabulate_variants
-from bayescal.experiments.audit.ridge_curves import plot_ridges, tabulate_plots
+from bayescal.experiments.audit.sensor_sets import FoundSets, search_sensors, tabulate_sets
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.shared.joints import tabulate_joints
@@ -28,33 +28,45 @@ from bayescal.numerics.geometry import Array
 PROFILES = 4  # where the design names none
 
 
-def compute_audit(inputs: AuditDesign | ReadingAudit, run: Run) -> Results:
+def compute_audit(inputs: AuditDesign, run: Run) -> Results:
     """Return everything an audit says: of all variants how they compare, of the best one all the rest."""
+    config, asked = inputs.config, inputs.sensors
     with np.errstate(all="ignore"):
-        plans: Mapping[str, Planned]
-        if isinstance(inputs, ReadingAudit):
-            plans, tables = inputs.plans, compute_readings(inputs, run)
+        plans: Mapping[str, Planned] = inputs.channels
+        if inputs.channels:
+            tables = compute_accuracy(inputs.channels, run)
         else:
-            prepared = prepare(inputs, run)
-            plans, tables = {prepared.config.variants[0].name: prepared}, {"joints": _tabulate_joints(prepared)}
+            legs = prepare_legs(inputs, run)
+            mechanism, names = legs.knowledge.machine.mechanism, [f"pose {k + 1}" for k in range(legs.n_poses)]
+            plans = {config.variants[0].name: legs}
+            tables = {"joints": tabulate_joints(mechanism, legs.plan.actuators, names)}
+        if asked is not None:
+            tables |= tabulate_sets(asked, run.once("sets of sensors", search_sensors, asked, (FoundSets,)))
         judged = {name: judge(one) for name, one in plans.items()}
         best = choose_best(judged)
         audit = complete(judged[best], run)
-        simulated = _simulate(audit, run)
-        averaged = _average(audit, run)
+        simulated, averaged = _simulate(audit, run), None
+        if config.expected_over_draws:
+            averaged = run.once("expected over machines", _average_machines, audit.inputs)
         summary = summarise(audit)
         tables |= tabulate_variants(judged) | tabulate(summary, audit)
-        if isinstance(audit.inputs, AuditInputs):
+        if isinstance(audit.inputs, LegPlan):
             tables |= _draw_legs(audit.inputs, audit, summary, run)
     summary["best"] = best
     summary["variants"] = {name: describe_variant(one) for name, one in judged.items()}
-    if isinstance(inputs, ReadingAudit):
-        summary |= summarise_choices(inputs)
+    if inputs.channels:
+        summary["candidates"] = None if config.selection is None else config.selection.candidates
+        summary["pose_selection"] = None if config.selection is None else config.selection.method
+        summary["sensor_choice"] = None
+        if asked is not None:
+            candidates = [one.name for one in asked.choices]
+            summary["sensor_choice"] = {"candidates": candidates, "always": asked.section.always}
+        summary["aligned"] = config.aligned
     if averaged is not None:
         for said, share in zip(summary["parameters"].values(), averaged, strict=True):
             said["posterior_sd_over_draws"] = float(share) * said["prior_sd"]
-    for name, calibrations in simulated.items():
-        summary[name] = _summarise_calibrations(audit, name, calibrations)
+    for name, (case, calibrations) in simulated.items():
+        summary[name] = _summarise_calibrations(audit, case, calibrations)
     return Results(summary, tables)
 
 
@@ -72,11 +84,12 @@ def choose_best(audits: Mapping[str, Audit]) -> str:
     return min(audits, key=order)
 
 
-def _draw_legs(inputs: AuditInputs, audit: Audit, summary: dict[str, Any], run: Run) -> dict[str, pd.DataFrame]:
+def _draw_legs(inputs: LegPlan, audit: Audit, summary: dict[str, Any], run: Run) -> dict[str, pd.DataFrame]:
     """Return profiles and what draws of the posterior show of the ridges; a summary is told of the draws."""
     level = audit_posterior(inputs, audit, run)
     plots = plot_ridges(inputs, audit, level)
-    profiles = _profile(inputs, audit, run)
+    # all profiles are one batch: side by side they share each iteration
+    profiles = run.once("profiles", _compute_profiles, (inputs, choose_profiles(inputs, audit)), (Profile,))
     if isinstance(level, LeftOut):
         summary["posterior_left_out"] = level.reason
     else:
@@ -88,18 +101,10 @@ def _draw_legs(inputs: AuditInputs, audit: Audit, summary: dict[str, Any], run: 
     return tabulate_plots(plots) | _tabulate_profiles(inputs, profiles)
 
 
-def _tabulate_joints(inputs: AuditInputs) -> pd.DataFrame:
-    """Return where the machine's joints stand at home and at the plan's poses."""
-    plan = inputs.plan
-    return tabulate_joints(
-        inputs.knowledge.machine.mechanism, plan.actuators, [f"pose {k + 1}" for k in range(plan.n_poses)]
-    )
-
-
 # --- profiles ----------------------------------------------------------------------------------------------------
 
 
-def choose_profiles(inputs: AuditInputs, audit: Audit) -> list[str]:
+def choose_profiles(inputs: LegPlan, audit: Audit) -> list[str]:
     """Return the config's profiles; where it names none, a known parameter and some that ridges are named after."""
     if inputs.plan.function is not None:
         return []  # their deviance has independent errors
@@ -117,17 +122,12 @@ def choose_profiles(inputs: AuditInputs, audit: Audit) -> list[str]:
     return list(chosen.values())
 
 
-def _profile(inputs: AuditInputs, audit: Audit, run: Run) -> list[Profile]:
-    """Return the profiles, all of them as one batch: side by side they share each iteration."""
-    return run.once("profiles", _compute_profiles, (inputs, choose_profiles(inputs, audit)), (Profile,))
-
-
-def _compute_profiles(task: tuple[AuditInputs, list[str]]) -> list[Profile]:
+def _compute_profiles(task: tuple[LegPlan, list[str]]) -> list[Profile]:
     inputs, names = task
     return compute_profiles(inputs.knowledge, inputs.plan, names)
 
 
-def _tabulate_profiles(inputs: AuditInputs, profiles: list[Profile]) -> dict[str, pd.DataFrame]:
+def _tabulate_profiles(inputs: LegPlan, profiles: list[Profile]) -> dict[str, pd.DataFrame]:
     units, knowledge = inputs.units, inputs.knowledge
     named = {name: units.name(unit) for name, unit in zip(knowledge.names, knowledge.units, strict=True)}
     factors = np.array([units.factor(unit) for unit in knowledge.units])
@@ -141,15 +141,8 @@ def _tabulate_profiles(inputs: AuditInputs, profiles: list[Profile]) -> dict[str
             rows.append({"parameter": profile.name, "unit": named[profile.name], "value": value, **deviances})
             for other in followers:
                 name, at = knowledge.names[other], profile.path[k, other] / factors[other]
-                paths.append(
-                    {
-                        "parameter": profile.name,
-                        "value": value,
-                        "other": name,
-                        "other_unit": named[name],
-                        "other_value": at,
-                    }
-                )
+                follows = {"other": name, "other_unit": named[name], "other_value": at}
+                paths.append({"parameter": profile.name, "value": value, **follows})
     tables = {"profiles": pd.DataFrame(rows), "profile_paths": pd.DataFrame(paths)}
     return {name: table for name, table in tables.items() if len(table)}
 
@@ -217,9 +210,10 @@ def _list_cases(audit: Audit) -> dict[str, Case]:
     return cases
 
 
-def _simulate(audit: Audit, run: Run) -> dict[str, Simulated]:
-    classes = (Simulated, Comparison, Kept)
-    return run.map("simulated calibrations", _simulate_case, audit.inputs, _list_cases(audit), classes)
+def _simulate(audit: Audit, run: Run) -> dict[str, tuple[Case, Simulated]]:
+    classes, cases = (Simulated, Comparison, Kept), _list_cases(audit)
+    found = run.map("simulated calibrations", _simulate_case, audit.inputs, cases, classes)
+    return {name: (case, found[name]) for name, case in cases.items()}
 
 
 def _simulate_case(inputs: Planned, case: Case) -> Simulated:
@@ -233,20 +227,14 @@ def _simulate_case(inputs: Planned, case: Case) -> Simulated:
     return Simulated(n, converged, simulated.n_redrawn, comparison, beside)
 
 
-def _average(audit: Audit, run: Run) -> Array | None:
-    """Return posterior sds in tolerances as root mean squares over machines of the tolerances, shape (n,)."""
-    if audit.inputs.config.expected_over_draws == 0:
-        return None
-    return run.once("expected over machines", _average_machines, audit.inputs)
-
-
 def _average_machines(inputs: Planned) -> Array:
+    """Return posterior sds in tolerances as root mean squares over machines of the tolerances, shape (n,)."""
     n, rng = inputs.config.expected_over_draws, np.random.default_rng([inputs.config.seed, 7])
     return np.sqrt(np.diagonal(inputs.average(n, rng)))
 
 
-def _summarise_calibrations(audit: Audit, name: str, simulated: Simulated) -> dict[str, Any]:
-    case, found = _list_cases(audit)[name], simulated.comparison
+def _summarise_calibrations(audit: Audit, case: Case, simulated: Simulated) -> dict[str, Any]:
+    found = simulated.comparison
     symbols = [audit.inputs.symbols[k] for k in case.fitted]
     result = {}
     for symbol in dict.fromkeys(symbols):
@@ -278,7 +266,7 @@ def _summarise_calibrations(audit: Audit, name: str, simulated: Simulated) -> di
 def _summarise_symbol(audit: Audit, places: np.ndarray, part: np.ndarray, found: Comparison) -> dict[str, Any]:
     """Return what simulated calibrations say of a symbol's parameters: places among all, part among those fitted."""
     inputs, units = audit.inputs, audit.inputs.units
-    unit = inputs.parameter_units[places[0]]
+    unit = inputs.parameters.units[places[0]]
     scale = inputs.sd[places] / units.factor(unit)
     claimed, predicted, simulated = (
         float(np.sqrt(np.mean((value[part] * scale) ** 2))) for value in (found.claimed, found.predicted, found.found)

@@ -9,11 +9,10 @@ from typing import Any
 
 from rich.console import Console
 
-from bayescal.experiments.audit.changes import check_changes
+from bayescal.experiments.audit.audit import check_changes
 from bayescal.experiments.audit.compute import compute_audit
-from bayescal.experiments.audit.inputs import AuditDesign, read_design
+from bayescal.experiments.audit.design import AuditDesign, read_design
 from bayescal.experiments.audit.page.build import build_page
-from bayescal.experiments.audit.reading_inputs import ReadingAudit, read_audit
 from bayescal.experiments.audit.schema import AuditConfig
 from bayescal.experiments.audit.terminal import show_audit
 from bayescal.experiments.frame.load import load
@@ -30,7 +29,7 @@ DERIVATIVES = 60
 """Arrays of all rows by all parameters that an audit holds at most, as measured with 10,000 poses."""
 
 
-class Audit(MachineExperiment[AuditConfig, AuditDesign | ReadingAudit]):
+class Audit(MachineExperiment[AuditConfig, AuditDesign]):
     """What a machine's measurements can and cannot determine."""
 
     schema = AuditConfig
@@ -58,34 +57,32 @@ class Audit(MachineExperiment[AuditConfig, AuditDesign | ReadingAudit]):
             found |= experiment.modules(study, (folder / config.data.study).parent)
         return found
 
-    def read(self, config: AuditConfig, folder: Path) -> AuditDesign | ReadingAudit:
+    def read(self, config: AuditConfig, folder: Path) -> AuditDesign:
         """Return machine and plan, read and checked."""
-        if not config.sees_platform:
-            return read_audit(config, folder)
         design = read_design(config, folder)
-        if design.planned is not None:
-            check_changes(design.planned)
+        if design.legs is not None:
+            check_changes(design.legs)
         return design
 
     def list_file_faults(self, content: Mapping[str, Any], folder: Path) -> list[str]:
         """Return what is wrong with the machine's file by itself."""
         return look_at_machine(content, folder)[1]
 
-    def estimate_memory(self, inputs: AuditDesign | ReadingAudit) -> Need:
+    def estimate_memory(self, inputs: AuditDesign) -> Need:
         """Return what the derivatives at all planned poses take, the what-ifs' among them."""
-        if isinstance(inputs, ReadingAudit):
-            sensors = {} if inputs.sensors is None else {"": inputs.sensors}
-            largest = find_largest(inputs.variants | sensors)
-            counts = {"planned poses": len(largest.start), "parameters": len(largest.priors)}
-            return estimate_arrays(counts, list_variant(largest), "fewer poses")
-        if inputs.planned is None:
+        if inputs.channels:
+            variants = {name: one.variant for name, one in inputs.channels.items()}
+            largest = find_largest(variants if inputs.sensors is None else variants | {"": inputs.sensors.variant})
+            n_poses, n_parameters, held = len(largest.start), len(largest.priors), list_variant(largest)
+        elif inputs.legs is not None:
+            n_poses, n_parameters = inputs.legs.n_poses, len(inputs.legs.names)
+            n_legs = inputs.legs.knowledge.machine.mechanism.n_legs
+            held = [(DERIVATIVES, n_poses * max(DEGREES_OF_FREEDOM, n_legs), n_parameters)]
+        else:
             return Need()
-        n_poses, n_parameters = inputs.planned.plan.n_poses, len(inputs.planned.knowledge.names)
-        n_rows = n_poses * max(DEGREES_OF_FREEDOM, inputs.planned.knowledge.machine.mechanism.n_legs)
-        counts = {"planned poses": n_poses, "parameters": n_parameters}
-        return estimate_arrays(counts, [(DERIVATIVES, n_rows, n_parameters)], "fewer poses")
+        return estimate_arrays({"planned poses": n_poses, "parameters": n_parameters}, held, "fewer poses")
 
-    def compute(self, inputs: AuditDesign | ReadingAudit, run: Run) -> Results:
+    def compute(self, inputs: AuditDesign, run: Run) -> Results:
         """Return everything the audit says."""
         return compute_audit(inputs, run)
 

@@ -3,20 +3,30 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from typing import Any, Self
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
+from bayescal.errors import InputError
 from bayescal.experiments.audit.schema import AuditConfig, WhatIfConfig
 from bayescal.identifiability.calibration import Calibrations
 from bayescal.identifiability.directions import Direction
 from bayescal.identifiability.information import Information
-from bayescal.identifiability.requirements import Forecast, Requirement
+from bayescal.identifiability.requirements import COMPONENTS, Forecast, Requirement
 from bayescal.identifiability.ridges import Ridge
 from bayescal.identifiability.structure import Structure
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import Units
+
+
+class FreeParameters(NamedTuple):
+    """Names, inner units, standard deviations of the priors and nominal values of n parameters, (n,) each."""
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    sd: Array
+    nominal: Array
 
 
 class Planned(ABC):
@@ -38,23 +48,18 @@ class Planned(ABC):
 
     @property
     @abstractmethod
+    def parameters(self) -> FreeParameters:
+        """The free parameters."""
+
+    @property
     def names(self) -> tuple[str, ...]:
-        """Names of the free parameters."""
+        """Their names."""
+        return self.parameters.names
 
     @property
-    @abstractmethod
-    def parameter_units(self) -> tuple[str, ...]:
-        """Their inner units."""
-
-    @property
-    @abstractmethod
     def sd(self) -> Array:
         """Standard deviations of their priors, shape (n,)."""
-
-    @property
-    @abstractmethod
-    def nominal(self) -> Array:
-        """Their nominal values, shape (n,)."""
+        return self.parameters.sd
 
     @property
     def symbols(self) -> tuple[str, ...]:
@@ -107,23 +112,28 @@ class Planned(ABC):
     def describe_variant(self) -> dict[str, Any]:
         """Return what measures: ``title``, ``data`` and the number of equations."""
 
+    def summarise_ridges(self, ridges: Sequence[Ridge]) -> dict[str, Any]:
+        """Return what ``summary.json`` says of all ridges together; nothing here."""
+        del ridges
+        return {}
+
     @abstractmethod
     def summarise_plan(self) -> dict[str, Any]:
         """Return machine and plan for ``summary.json``."""
 
     # --- other plans, and checks -----------------------------------------------------------------------------------
 
-    @abstractmethod
     def list_changes(self) -> list[WhatIfConfig]:
-        """Return the changes that are looked at where the config names none."""
+        """Return the changes of this kind of plan that are evaluated where the config names none; none here."""
+        return []
 
     @abstractmethod
     def change(self, change: WhatIfConfig) -> Self:
         """Return the same machine with a changed plan; InputError where there is none."""
 
-    @abstractmethod
     def propose(self) -> tuple[str, Self] | None:
         """Return a better plan with its name, if there is a way to find one; InputError where there is none."""
+        return None
 
     @abstractmethod
     def simulate(self, n: int, rng: np.random.Generator, fitted: Sequence[int]) -> tuple[Calibrations, np.ndarray]:
@@ -132,3 +142,27 @@ class Planned(ABC):
     @abstractmethod
     def average(self, n: int, rng: np.random.Generator) -> Array:
         """Return the posterior covariance averaged over n machines of the priors, in units of the tolerances."""
+
+
+def read_requirements(
+    config: AuditConfig, units: Mapping[str, str], components: tuple[str, ...] = COMPONENTS
+) -> tuple[Requirement, ...]:
+    """Return the largest errors that are allowed, inner units.
+
+    Parameters
+    ----------
+    config : AuditConfig
+    units : mapping of str to str
+        What may be required, with its inner unit.
+    components : tuple of str
+        What has to be accurate.
+    """
+    for name in config.requirements:
+        if name not in units:
+            raise InputError(f"requirements: found {name!r}, expected some of {', '.join(units)}")
+    said = Units(config.units.length, config.units.angle)
+    return tuple(
+        Requirement(name, config.requirements[name] * said.factor(unit), components, config.required_of)
+        for name, unit in units.items()
+        if name in config.requirements
+    )

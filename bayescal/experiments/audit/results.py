@@ -8,18 +8,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from bayescal.experiments.audit.audit import Audit
-from bayescal.experiments.audit.changes import ChangeEffect, contraction_along, contraction_of_symbols
-from bayescal.experiments.audit.far_readings import describe_far_readings
-from bayescal.experiments.audit.inputs import AuditInputs
+from bayescal.experiments.audit.audit import Audit, ChangeEffect
 from bayescal.experiments.audit.planned import Planned
 from bayescal.identifiability.directions import Direction
 from bayescal.identifiability.information import nats_from_contraction
 from bayescal.identifiability.requirements import COMPONENTS, Requirement
 from bayescal.identifiability.ridges import Ridge
-from bayescal.identifiability.selection import ReducedSet
 from bayescal.limits import COVERAGE, INFORMED
-from bayescal.numerics.geometry import Array
+from bayescal.report.numbers import join_words
 
 ROTATION = "rotation"
 NAMED_SHARE = 0.02  # of a direction, for a parameter to be named in a sentence
@@ -30,7 +26,7 @@ def summarise(audit: Audit) -> dict[str, Any]:
     """Return what ``summary.json`` says of one variant; lengths and angles in the config's units, which it states."""
     inputs, analysis = audit.inputs, audit.analysis
     config, structure, names = inputs.config, analysis.structure, inputs.names
-    kinds = [direction.kind for direction in analysis.directions]
+    kinds, ridges = [one.kind for one in analysis.directions], {id(one.direction): one for one in audit.ridges}
     return {
         "name": config.name,
         "title": config.title,
@@ -38,7 +34,7 @@ def summarise(audit: Audit) -> dict[str, Any]:
         "seed": config.seed,
         "units": {"length": inputs.units.length, "angle": inputs.units.angle},
         "required_of": config.required_of,
-        **(describe_far_readings(audit, inputs) if isinstance(inputs, AuditInputs) else {}),
+        **inputs.summarise_ridges(audit.ridges),
         "n_parameters": len(names),
         "structural_rank": structure.rank,
         "structural_gap": structure.gap if np.isfinite(structure.gap) else None,
@@ -49,7 +45,7 @@ def summarise(audit: Audit) -> dict[str, Any]:
         "n_informed": kinds.count("informed"),
         "total_nats": analysis.information.nats,
         "parameters": summarise_parameters(audit),
-        "directions": _summarise_directions(audit),
+        "directions": [_summarise_direction(audit, one, ridges.get(id(one))) for one in analysis.directions],
         "recommended_free": list(names),
         "reduced_set": _summarise_reduced(audit),
         "could_also_be_freed": [names[k] for k in analysis.selection.extra],
@@ -65,15 +61,16 @@ def summarise(audit: Audit) -> dict[str, Any]:
 def summarise_parameters(audit: Audit) -> dict[str, Any]:
     """Return what is known of each parameter before and after the calibration."""
     inputs, analysis = audit.inputs, audit.analysis
-    covariance, nominal = analysis.information.covariance, inputs.nominal
-    alone = _describe_alone(analysis.reduced)
+    covariance, nominal = analysis.information.covariance, inputs.parameters.nominal
+    reduced = analysis.reduced
+    places = {} if reduced is None else {int(k): place for place, k in enumerate(reduced.free)}
     nats = nats_from_contraction(analysis.information.contraction)
     result = {}
     for k, name in enumerate(inputs.names):
-        factor = inputs.units.factor(inputs.parameter_units[k])
+        factor = inputs.units.factor(inputs.parameters.units[k])
         prior, contraction = inputs.sd[k] / factor, float(analysis.information.contraction[k])
         result[name] = {
-            "unit": inputs.units.name(inputs.parameter_units[k]),
+            "unit": inputs.units.name(inputs.parameters.units[k]),
             "nominal": float(nominal[k] / factor),
             "prior_sd": float(prior),
             "posterior_sd": float(prior * np.sqrt(covariance[k, k])),
@@ -81,9 +78,15 @@ def summarise_parameters(audit: Audit) -> dict[str, Any]:
             "nats": float(nats[k]),
             "verdict": analysis.verdicts[k],
             "in_reduced_set": k in analysis.selection.free,
-            **_scale(alone.get(k), float(prior)),
+            **dict.fromkeys(("reduced_claimed_sd", "reduced_true_error", "reduced_coverage_90")),
             "why": explain(audit, k),
         }
+        if reduced is not None and (place := places.get(k)) is not None:
+            result[name] |= {
+                "reduced_claimed_sd": float(reduced.claimed[place]) * float(prior),
+                "reduced_true_error": float(reduced.error[place]) * float(prior),
+                "reduced_coverage_90": float(reduced.coverage[place]),
+            }
     return result
 
 
@@ -97,19 +100,6 @@ def _summarise_reduced(audit: Audit) -> dict[str, Any] | None:
         "coverage_90": COVERAGE if reduced is None else float(reduced.coverage.mean()),
         "rms_z": 1.0 if reduced is None else reduced.rms_z,
     }
-
-
-def _describe_alone(reduced: ReducedSet | None) -> dict[int, tuple[float, float, float]]:
-    """Return claimed sd and true error in tolerances, and coverage, of each parameter of the reduced set."""
-    if reduced is None:
-        return {}
-    columns = (reduced.free, reduced.claimed, reduced.error, reduced.coverage)
-    return {int(k): (float(c), float(e), float(p)) for k, c, e, p in zip(*columns, strict=True)}
-
-
-def _scale(alone: tuple[float, float, float] | None, prior: float) -> dict[str, float | None]:
-    claimed, error, coverage = (None, None, None) if alone is None else (alone[0] * prior, alone[1] * prior, alone[2])
-    return {"reduced_claimed_sd": claimed, "reduced_true_error": error, "reduced_coverage_90": coverage}
 
 
 def explain(audit: Audit, k: int) -> str:
@@ -131,21 +121,16 @@ def explain(audit: Audit, k: int) -> str:
     if not chosen:
         return f"{seen} {'sees' if direction.kind == 'structural' else 'see'} it. {shrunk}."
     verb = "distinguishes" if direction.kind == "structural" else "distinguish"
-    return f"{seen} {verb} it from {_join(chosen)}. {shrunk}."
+    return f"{seen} {verb} it from {join_words(chosen)}. {shrunk}."
 
 
 # --- directions --------------------------------------------------------------------------------------------------
 
 
-def _summarise_directions(audit: Audit) -> list[dict[str, Any]]:
-    described = {id(ridge.direction): ridge for ridge in audit.ridges}
-    return [_summarise_direction(audit, d, described.get(id(d))) for d in audit.analysis.directions]
-
-
 def _summarise_direction(audit: Audit, direction: Direction, ridge: Ridge | None) -> dict[str, Any]:
     inputs, units = audit.inputs, audit.inputs.units
     used = [int(i) for i in np.argsort(-np.abs(direction.vector)) if direction.vector[i]]
-    factors = {i: units.factor(inputs.parameter_units[i]) for i in used}
+    factors = {i: units.factor(inputs.parameters.units[i]) for i in used}
     names = {i: inputs.names[i] for i in used}
     result: dict[str, Any] = {
         "kind": direction.kind,
@@ -155,7 +140,9 @@ def _summarise_direction(audit: Audit, direction: Direction, ridge: Ridge | None
         "shares": {names[i]: float(direction.vector[i] ** 2) for i in used},
     }
     if ridge is None or direction.pivot is None:
-        return {**result, "sentence": _praise(direction, names)}
+        left = float(np.sqrt(max(0.0, 1.0 - direction.contraction)))
+        mostly = [name for i, name in names.items() if direction.vector[i] ** 2 >= NAMED_SHARE][:NAMED]
+        return {**result, "sentence": f"Known to {_percent(left)} of its tolerance: mostly {join_words(mostly)}."}
     harm, share, limit = audit.harm(direction)
     length, angle = units.factor("mm"), units.factor("rad")
     return {
@@ -179,25 +166,15 @@ def _find_help(audit: Audit, direction: Direction) -> dict[str, Any] | None:
     if direction.kind != "practical":
         return None
     within = [outcome for outcome in audit.what_ifs if outcome.information is not None and not outcome.beyond_range]
-    along = [float(contraction_along(outcome, direction.vector[:, None])[0]) for outcome in within]
+    along = [float(outcome.contraction_along(direction.vector[:, None])[0]) for outcome in within]
     if not along or max(along) <= direction.contraction:
         return None
     best = int(np.argmax(along))
     return {"name": within[best].name, "contraction": along[best]}
 
 
-def _praise(direction: Direction, names: dict[int, str]) -> str:
-    left = float(np.sqrt(max(0.0, 1.0 - direction.contraction)))
-    named = [name for i, name in names.items() if direction.vector[i] ** 2 >= NAMED_SHARE][:NAMED]
-    return f"Known to {_percent(left)} of its tolerance: mostly {_join(named)}."
-
-
 def _percent(share: float) -> str:
     return f"{100 * share:.0f} %" if share >= 0.095 else f"{100 * share:.2g} %"
-
-
-def _join(names: list[str]) -> str:
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
 # --- requirements and what would help ----------------------------------------------------------------------------
@@ -232,17 +209,9 @@ def _plain(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def _weak_vectors(audit: Audit) -> tuple[list[str], Array]:
-    """Return the practical ridges' parameters and directions, shape (n, k)."""
-    ridges = [ridge.direction for ridge in audit.ridges if ridge.direction.kind == "practical"]
-    names = [audit.inputs.names[d.pivot] for d in ridges if d.pivot is not None]
-    n = len(audit.inputs.names)
-    return names, np.stack([d.vector for d in ridges], axis=1) if ridges else np.empty((n, 0))
-
-
 def _summarise_outcome(audit: Audit, outcome: ChangeEffect) -> dict[str, Any]:
-    names, vectors = _weak_vectors(audit)
-    along = contraction_along(outcome, vectors)
+    weak, names = [one.direction for one in audit.ridges if one.direction.kind == "practical"], audit.inputs.names
+    along = outcome.contraction_along(np.reshape([one.vector for one in weak], (-1, len(names))).T.copy())
     information = outcome.information
     return {
         "name": outcome.name,
@@ -252,7 +221,7 @@ def _summarise_outcome(audit: Audit, outcome: ChangeEffect) -> dict[str, Any]:
         "total_nats": None if information is None else information.nats,
         "n_identifiable": None if information is None else int(np.sum(information.contraction >= INFORMED)),
         "ridges": {
-            name: float(value) if np.isfinite(value) else None for name, value in zip(names, along, strict=True)
+            names[one.pivot]: _plain(value) for one, value in zip(weak, along, strict=True) if one.pivot is not None
         },
         "requirements": {
             one.name: _plain(outcome.required_sd[one.name] / audit.inputs.units.factor(unit_of(audit.inputs, one)))
@@ -271,7 +240,10 @@ def tabulate(summary: dict[str, Any], audit: Audit) -> dict[str, pd.DataFrame]:
         "directions": _tabulate_directions(summary),
         "selection": pd.DataFrame(summary["selection"]),
         "spectrum": _tabulate_spectrum(audit),
-        "what_if": _tabulate_what_if(summary),
+        "what_if": pd.DataFrame(
+            [(one["name"], *ridge) for one in summary["what_if"] for ridge in one["ridges"].items()],
+            columns=["what_if", "ridge", "contraction"],
+        ),
         "sweeps": _tabulate_sweeps(audit),
     }
     if summary["requirements"]:
@@ -309,22 +281,20 @@ def describe_variant(audit: Audit) -> dict[str, Any]:
 
 
 def _tabulate_directions(summary: dict[str, Any]) -> pd.DataFrame:
-    rows = []
-    for number, direction in enumerate(summary["directions"], start=1):
-        for name, loading in direction["loadings"].items():
-            rows.append(
-                {
-                    "direction": number,
-                    "kind": direction["kind"],
-                    "contraction": direction["contraction"],
-                    "nats": direction["nats"],
-                    "parameter": name,
-                    "unit": summary["parameters"][name]["unit"],
-                    "loading": loading,
-                    "share": direction["shares"][name],
-                }
-            )
-    return pd.DataFrame(rows)
+    return pd.DataFrame(
+        [
+            {
+                "direction": number,
+                **{key: one[key] for key in ("kind", "contraction", "nats")},
+                "parameter": name,
+                "unit": summary["parameters"][name]["unit"],
+                "loading": loading,
+                "share": one["shares"][name],
+            }
+            for number, one in enumerate(summary["directions"], start=1)
+            for name, loading in one["loadings"].items()
+        ]
+    )
 
 
 def _tabulate_spectrum(audit: Audit) -> pd.DataFrame:
@@ -343,41 +313,25 @@ def _tabulate_spectrum(audit: Audit) -> pd.DataFrame:
     )
 
 
-def _tabulate_what_if(summary: dict[str, Any]) -> pd.DataFrame:
-    rows = []
-    for outcome in summary["what_if"]:
-        for ridge, contraction in outcome["ridges"].items():
-            rows.append({"what_if": outcome["name"], "ridge": ridge, "contraction": contraction})
-    return pd.DataFrame(rows, columns=["what_if", "ridge", "contraction"])
-
-
 def _tabulate_sweeps(audit: Audit) -> pd.DataFrame:
-    symbols = audit.inputs.symbols
     rows = []
-    for point in audit.sweeps:
-        information = point.outcome.information
-        base = {"sweep": point.sweep, "value": point.value, "beyond_actuator_range": point.outcome.beyond_range}
-        if information is None:
+    for sweep, value, outcome in audit.sweeps:
+        if outcome.information is None:
             continue
-        for symbol, (least, most) in contraction_of_symbols(information, symbols).items():
-            rows.append({**base, "symbol": symbol, "contraction_least": least, "contraction_most": most})
+        found = pd.Series(outcome.information.contraction).groupby(np.array(audit.inputs.symbols), sort=False)
+        for symbol, (least, most) in found.agg(["min", "max"]).iterrows():
+            point = {"sweep": sweep, "value": value, "beyond_actuator_range": outcome.beyond_range, "symbol": symbol}
+            rows.append({**point, "contraction_least": least, "contraction_most": most})
     return pd.DataFrame(rows)
 
 
 def _tabulate_sweep_requirements(audit: Audit) -> pd.DataFrame:
     rows = []
     units, required = audit.inputs.units, {one.name: one for one in audit.inputs.requirements}
-    for point in audit.sweeps:
-        for name, sd in point.outcome.required_sd.items():
+    for sweep, value, outcome in audit.sweeps:
+        for name, sd in outcome.required_sd.items():
             unit = unit_of(audit.inputs, required[name])
-            rows.append(
-                {
-                    "sweep": point.sweep,
-                    "value": point.value,
-                    "requirement": name,
-                    "unit": units.name(unit),
-                    "predicted_sd": sd / units.factor(unit),
-                    "limit": required[name].limit / units.factor(unit),
-                }
-            )
+            said = {"requirement": name, "unit": units.name(unit), "predicted_sd": sd / units.factor(unit)}
+            limit = required[name].limit / units.factor(unit)
+            rows.append({"sweep": sweep, "value": value, **said, "limit": limit})
     return pd.DataFrame(rows)

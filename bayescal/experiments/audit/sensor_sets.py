@@ -1,29 +1,37 @@
-"""What any set of sensors would tell at the planned poses, to first order about the machine expected.
+"""What any set of sensors would determine at the planned poses, to first order about the machine expected.
 
 The derivatives by pose and parameters are taken once, of all sensors there are to choose from. A set has rows of them:
 with its poses eliminated, R = A - H H⁺ A at every planned pose, it leaves (1 + Σ RᵀR)⁻¹ of the parameters. In use the
-machine's own sensors of the set locate the tool.
+machine's own sensors of the set locate the tool. All sets are judged where they are few; else the best of every number
+are found by adding and exchanging.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Literal
+from functools import cached_property
+from itertools import combinations
+from math import comb
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
+import pandas as pd
 
-from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.errors import InputError
 from bayescal.experiments.audit.schema import SensorChoiceConfig
 from bayescal.experiments.shared.readings.inputs import Variant
 from bayescal.experiments.shared.readings.knowledge import N_WORKSPACE, differentiate
 from bayescal.experiments.shared.readings.workspace import SINGULAR
 from bayescal.identifiability.information import Information, information_of_rows
-from bayescal.identifiability.reading_rows import Slopes, rms
+from bayescal.identifiability.reading_rows import Slopes, name_tool, rms
 from bayescal.identifiability.requirements import Forecast, Requirement
 from bayescal.machines.readings import ReadingModel
 from bayescal.numerics.geometry import Array
+from bayescal.numerics.units import Units
+
+MOST_ROUNDS = 20  # of exchanges
+DIGITS = 9  # of a price, for sums of the same prices to be the same
 
 type Reason = Literal["", "calibration", "use"]
 
@@ -77,35 +85,32 @@ def list_choices(model: ReadingModel, section: SensorChoiceConfig) -> tuple[Choi
 
 
 @dataclass(frozen=True, eq=False)
-class SensorSets:
-    """Derivatives of all sensors in question, from which every set of them is judged.
+class SensorChoice:
+    """Sensors to choose from.
 
     Attributes
     ----------
-    by_pose, by_parameters : ndarray, shapes (P, K, q) and (P, K, m)
-        Of the white readings at the planned poses, by the pose and by the posterior's coordinates.
-    around : Slopes
-        Of W poses of the workspace.
-    internal : ndarray of bool, shape (K,)
-        The machine's own sensors.
-    members : ndarray of bool, shape (C, K)
-        Which sensors each choice has.
-    always : ndarray of bool, shape (K,)
-        Which sensors are in every set.
+    section : SensorChoiceConfig
+    variant : Variant
+        With all sensors there are to choose from.
+    choices : tuple of Choice
     requirements : tuple of Requirement
         Of the tool's coordinates.
-    n_lengths : int
-        How many of the tool's coordinates, the first, count where nothing is required.
+    units : Units
+    seed : int
     """
 
-    by_pose: Array
-    by_parameters: Array
-    around: Slopes
-    internal: np.ndarray
-    members: np.ndarray
-    always: np.ndarray
+    section: SensorChoiceConfig
+    variant: Variant
+    choices: tuple[Choice, ...]
     requirements: tuple[Requirement, ...]
-    n_lengths: int
+    units: Units
+    seed: int
+
+    @cached_property
+    def members(self) -> np.ndarray:
+        """Which sensors each choice has, bool, shape (C, K)."""
+        return np.array([np.isin(self.variant.model.names, one.channels) for one in self.choices])
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,10 +120,10 @@ class SetAccuracy:
     Attributes
     ----------
     reason : str
-        Why it is no good: its readings would not tell the poses of the ``calibration``, or its own sensors not where
-        the machine stands in ``use``; empty where it is.
+        Why it is no good: its readings would not determine the poses of the ``calibration``, or its own sensors not
+        where the machine is in ``use``; empty where it is.
     missing : int
-        How many coordinates are not told, in calibration and in use together.
+        How many coordinates are not determined, in calibration and in use together.
     goal : float
         What is to be small: the largest standard deviation as a share of its limit, at the worst pose or rms as is
         required; where nothing is required the root mean square of the tool's error, lengths together. Infinite for a
@@ -141,102 +146,238 @@ class SetAccuracy:
     n_readings: int
 
 
-def build_sensor_sets(
-    variant: Variant,
-    posterior: CalibrationPosterior,
-    choices: Sequence[Choice],
-    always: Sequence[str],
-    requirements: tuple[Requirement, ...],
-    seed: int,
-) -> SensorSets:
-    """Return the derivatives at the planned poses and over the workspace, of the machine as expected."""
-    expected, model = np.zeros(posterior.n_parameters), variant.model
-    white, stand = posterior.likelihood.explain(*posterior.at(expected[None]))
-    _, by_pose, by_parameters = posterior.likelihood.rows(*posterior.around(expected), white, stand.pose)
-    pose = variant.workspace.draw(N_WORKSPACE, np.random.default_rng([seed, 5]))
-    return SensorSets(
-        by_pose,
-        by_parameters,
-        differentiate(posterior, variant, expected, pose),
-        variant.internal,
-        np.array([np.isin(model.names, one.channels) for one in choices]),
-        np.isin(model.names, [model.names[k] for k in model.select(always)]),
-        requirements,
-        max(1, model.pose_units.count("mm")),
-    )
+class _Seen(NamedTuple):
+    """Coordinates that a set does not determine in calibration and in use, else what it informs of and the forecast."""
 
-
-@dataclass(frozen=True, eq=False)
-class SeenSet:
-    """What a set of sensors tells: what it does not, or what it informs of and how the tool then errs.
-
-    Attributes
-    ----------
-    lost, lost_in_use : int
-        Coordinates of a pose that its readings do not tell in the calibration, and its own sensors not in use.
-    n_readings : int
-        At a pose.
-    information : Information or None
-        None where any coordinate is lost, as is the forecast.
-    forecast : Forecast or None
-    """
-
-    lost: int
-    lost_in_use: int
+    lost: tuple[int, int]
     n_readings: int
     information: Information | None = None
     forecast: Forecast | None = None
 
 
-def see_set(sets: SensorSets, chosen: np.ndarray) -> SeenSet:
-    """Return what a set of choices (C,), bool, tells."""
-    some, at = sets.always | sets.members[chosen].any(axis=0), sets.around
-    own = some & sets.internal
-    white, n_readings = at.white[own, None], int(some.sum())
-    basis, values, _ = np.linalg.svd(sets.by_pose[:, some] * at.half, full_matrices=False)
-    in_use, sizes, turned = np.linalg.svd(white * at.by_pose[:, own] * at.half, full_matrices=False)
-    lost, lost_in_use = (_count_untold(one, len(at.half)) for one in (values, sizes))
-    if lost or lost_in_use:
-        return SeenSet(lost, lost_in_use, n_readings)
-    by_parameters = sets.by_parameters[:, some]
-    rows = by_parameters - basis @ (np.swapaxes(basis, -1, -2) @ by_parameters)
-    gain = np.swapaxes(turned * at.half, -1, -2) / sizes[:, None] @ np.swapaxes(in_use, -1, -2)
-    located = at.tool_by_pose @ gain
-    forecast = Forecast(at.mislocate(located, white * at.seen[:, own]), located @ np.swapaxes(located, -1, -2))
-    return SeenSet(0, 0, n_readings, information_of_rows(rows, np.ones(rows.shape[-1])), forecast)
+class _Judge:
+    """Judges every set once, from derivatives at the planned poses and at poses of the workspace."""
+
+    def __init__(self, choice: SensorChoice) -> None:
+        self.choice, variant, self.posterior = choice, choice.variant, choice.variant.posterior()
+        expected, posterior = np.zeros(self.posterior.n_parameters), self.posterior
+        white, found = posterior.likelihood.explain(*posterior.at(expected[None]))
+        # of the white readings at the planned poses, by the pose (P, K, q) and by the coordinates (P, K, m)
+        _, self.by_pose, self.by_parameters = posterior.likelihood.rows(*posterior.around(expected), white, found.pose)
+        pose = variant.workspace.draw(N_WORKSPACE, np.random.default_rng([choice.seed, 5]))
+        self.around: Slopes = differentiate(posterior, variant, expected, pose)
+        always = [variant.model.names[k] for k in variant.model.select(choice.section.always)]
+        self.always = np.isin(variant.model.names, always)
+        self.n_lengths = max(1, variant.model.pose_units.count("mm"))
+        self.known: dict[tuple[int, ...], SetAccuracy] = {}
+
+    def __call__(self, chosen: tuple[int, ...]) -> tuple[int, float]:
+        """Return what is not determined, and the goal, of a set of choices: less is better."""
+        if chosen not in self.known:
+            self.known[chosen] = self.judge(chosen)
+        return self.known[chosen].missing, self.known[chosen].goal
+
+    def see(self, chosen: tuple[int, ...]) -> _Seen:
+        some, at = self.always | self.choice.members[list(chosen)].any(axis=0), self.around
+        own = some & self.choice.variant.internal
+        white, n_readings = at.white[own, None], int(some.sum())
+        basis, values, _ = np.linalg.svd(self.by_pose[:, some] * at.half, full_matrices=False)
+        in_use, sizes, turned = np.linalg.svd(white * at.by_pose[:, own] * at.half, full_matrices=False)
+        lost = _count_lost(values, len(at.half)), _count_lost(sizes, len(at.half))
+        if any(lost):
+            return _Seen(lost, n_readings)
+        by_parameters = self.by_parameters[:, some]
+        rows = by_parameters - basis @ (np.swapaxes(basis, -1, -2) @ by_parameters)
+        gain = np.swapaxes(turned * at.half, -1, -2) / sizes[:, None] @ np.swapaxes(in_use, -1, -2)
+        located = at.tool_by_pose @ gain
+        forecast = Forecast(at.mislocate(located, white * at.seen[:, own]), located @ np.swapaxes(located, -1, -2))
+        return _Seen(lost, n_readings, information_of_rows(rows, np.ones(rows.shape[-1])), forecast)
+
+    def judge(self, chosen: tuple[int, ...]) -> SetAccuracy:
+        seen = self.see(chosen)
+        if seen.information is None or seen.forecast is None:
+            nothing = np.full(self.around.tool_by_pose.shape[1], np.nan)
+            all_of_it = np.ones(self.by_parameters.shape[-1])
+            reason: Reason = "calibration" if seen.lost[0] else "use"
+            return SetAccuracy(reason, sum(seen.lost), np.inf, nothing, nothing, nothing, all_of_it, seen.n_readings)
+        covariance, forecast = seen.information.covariance, seen.forecast
+        after = rms(forecast.slope, covariance)
+        noise = np.sqrt(np.diagonal(forecast.noise, axis1=-2, axis2=-1).mean(axis=0))
+        error = np.hypot(after, noise)
+        if self.choice.requirements:
+            tool = forecast.covariance(covariance) + forecast.noise
+            goal = max(one.size(tool) / one.limit for one in self.choice.requirements)
+        else:
+            goal = float(np.linalg.norm(error[: self.n_lengths]))
+        return SetAccuracy("", 0, goal, error, after, noise, np.sqrt(np.diagonal(covariance)), seen.n_readings)
+
+    def find_probability(self, chosen: tuple[int, ...], rng: np.random.Generator) -> float:
+        """Return the probability that a set keeps all requirements; NaN without any."""
+        seen = self.see(chosen)
+        if seen.information is None or seen.forecast is None or not self.choice.requirements:
+            return float("nan")
+        return seen.forecast.keep_all(self.choice.requirements, seen.information, rng)
 
 
-def judge_set(sets: SensorSets, chosen: np.ndarray) -> SetAccuracy:
-    """Return how good a set of choices (C,), bool, is."""
-    seen = see_set(sets, chosen)
-    if seen.information is None or seen.forecast is None:
-        nothing = np.full(sets.around.tool_by_pose.shape[1], np.nan)
-        all_of_it = np.ones(sets.by_parameters.shape[-1])
-        reason: Reason = "calibration" if seen.lost else "use"
-        missing = seen.lost + seen.lost_in_use
-        return SetAccuracy(reason, missing, np.inf, nothing, nothing, nothing, all_of_it, seen.n_readings)
-    covariance, forecast = seen.information.covariance, seen.forecast
-    after = rms(forecast.slope, covariance)
-    noise = np.sqrt(np.diagonal(forecast.noise, axis1=-2, axis2=-1).mean(axis=0))
-    error = np.hypot(after, noise)
-    if sets.requirements:
-        tool = forecast.covariance(covariance) + forecast.noise
-        goal = max(one.size(tool) / one.limit for one in sets.requirements)
+def _count_lost(values: Array, q: int) -> int:
+    """Return how many of q coordinates readings of singular values (P, k) lose where they determine least."""
+    known = (values > SINGULAR * values.max(axis=1, initial=0.0)[:, None]).sum(axis=1)
+    return int(q - known.min())
+
+
+# --- the search ------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class FoundSets:
+    """Sets of sensors that were judged.
+
+    Attributes
+    ----------
+    sets : ndarray of bool, shape (S, C)
+        By their numbers of choices, then in the order in which they were tried.
+    accuracy : list of SetAccuracy
+    exhaustive : bool
+        Whether these are all there are.
+    probability : ndarray, shape (S,)
+        That all requirements are kept, of the best set of every number and of those on the front against the price;
+        NaN of others and without requirements.
+    """
+
+    sets: np.ndarray
+    accuracy: list[SetAccuracy]
+    exhaustive: bool
+    probability: Array
+
+    def best_of(self, number: int) -> int | None:
+        """Return the place of the best set of a number of choices; None where none is any good."""
+        places = np.flatnonzero(self.sets.sum(axis=1) == number)
+        goals = np.array([self.accuracy[k].goal for k in places])
+        return int(places[goals.argmin()]) if np.isfinite(goals).any() else None
+
+    def list_best(self) -> list[tuple[int, int]]:
+        """Return each number of choices of which any set is good, with the place of the best one."""
+        best = [(int(number), self.best_of(number)) for number in np.unique(self.sets.sum(axis=1))]
+        return [(number, place) for number, place in best if place is not None]
+
+
+def search_sensors(choice: SensorChoice) -> FoundSets:
+    """Return all sets of at most some number of choices, or those tried on the way to the best ones."""
+    judge, n = _Judge(choice), len(choice.choices)
+    largest = min(choice.section.largest or n, n)
+    every = sum(comb(n, number) for number in range(largest + 1)) <= choice.section.exhaustive
+    if every:
+        for number in range(largest + 1):
+            for chosen in combinations(range(n), number):
+                judge(chosen)
     else:
-        goal = float(np.linalg.norm(error[: sets.n_lengths]))
-    deviations = np.sqrt(np.diagonal(covariance))
-    return SetAccuracy("", 0, goal, error, after, noise, deviations, seen.n_readings)
+        _add_and_exchange(judge, n, largest)
+    tried = sorted(judge.known, key=len)
+    masks = np.array([np.isin(np.arange(n), one) for one in tried]).reshape(-1, n)
+    found = FoundSets(masks, [judge.known[one] for one in tried], every, np.full(len(masks), np.nan))
+    front = find_front(pd.DataFrame([_describe(choice, found, k) for k in range(len(tried))]))
+    for k in dict.fromkeys([place for _, place in found.list_best()] + [int(k) for k in front.index]):
+        found.probability[k] = judge.find_probability(tried[k], np.random.default_rng([choice.seed, 3]))
+    return found
 
 
-def find_probability(sets: SensorSets, chosen: np.ndarray, rng: np.random.Generator) -> float:
-    """Return the probability that a set of choices (C,), bool, keeps all requirements; NaN without any."""
-    seen = see_set(sets, chosen)
-    if seen.information is None or seen.forecast is None or not sets.requirements:
-        return float("nan")
-    return seen.forecast.keep_all(sets.requirements, seen.information, rng)
+def _add_and_exchange(judge: _Judge, n: int, largest: int) -> None:
+    """Add the best choice, then exchange chosen ones for others while that helps, for every number of them."""
+
+    def add(chosen: tuple[int, ...]) -> Iterator[tuple[int, ...]]:
+        return (tuple(sorted((*chosen, k))) for k in range(n) if k not in chosen)
+
+    chosen: tuple[int, ...] = ()
+    judge(chosen)
+    for _ in range(largest):
+        chosen = min(add(chosen), key=judge)
+        for _ in range(MOST_ROUNDS):
+            others = (other for out in chosen for other in add(tuple(k for k in chosen if k != out)) if other != chosen)
+            best = min(others, key=judge, default=chosen)
+            if not judge(best) < judge(chosen):
+                break
+            chosen = best
 
 
-def _count_untold(values: Array, q: int) -> int:
-    """Return how many of q coordinates readings of singular values (P, k) do not tell where they tell least."""
-    told = (values > SINGULAR * values.max(axis=1, initial=0.0)[:, None]).sum(axis=1)
-    return int(q - told.min())
+def find_hopeless(found: FoundSets) -> list[int]:
+    """Return the largest sets that are no good: their parts, which determine less, are no good either."""
+    places = np.array([k for k, one in enumerate(found.accuracy) if one.reason], dtype=int)
+    some = found.sets[places]
+    within = (some.astype(np.int64) @ (~some).T.astype(np.int64)) == 0  # a set of the row within that of the column
+    np.fill_diagonal(within, val=False)
+    return [int(k) for k in places[~within.any(axis=1)]]
+
+
+def find_front(sets: pd.DataFrame) -> pd.DataFrame:
+    """Return the sets that no other one beats at its price or below, the cheapest first; empty without prices."""
+    if "price" not in sets:
+        return pd.DataFrame()
+    good = sets[sets["goal"].notna()].sort_values(["price", "goal", "n_sensors"], kind="stable")
+    return good[good["goal"] < good["goal"].cummin().shift(fill_value=np.inf)]
+
+
+# --- tables ----------------------------------------------------------------------------------------------------------
+
+
+def tabulate_sets(choice: SensorChoice, found: FoundSets) -> dict[str, pd.DataFrame]:
+    """Return ``sensor_sets``, ``best_sets``, their ``front`` against the price, and what no set of them determines.
+
+    That is ``best_set_parameters`` and ``hopeless_sets``; tables without rows are left out.
+    """
+    best = found.list_best()
+    tables = {
+        "sensor_sets": (sets := pd.DataFrame([_describe(choice, found, k) for k in range(len(found.sets))])),
+        "front": find_front(sets),
+        "best_sets": pd.DataFrame([_describe(choice, found, k) | _count(found, number) for number, k in best]),
+        "best_set_parameters": pd.DataFrame([row for one in best for row in _list_parameters(choice, found, *one)]),
+        "hopeless_sets": pd.DataFrame([_name_set(choice, found, k) for k in find_hopeless(found)]),
+    }
+    return {name: table for name, table in tables.items() if not table.empty}
+
+
+def _name_set(choice: SensorChoice, found: FoundSets, place: int) -> dict[str, Any]:
+    chosen = [one for one, there in zip(choice.choices, found.sets[place], strict=True) if there]
+    price = round(sum(one.price for one in chosen), DIGITS)
+    return {
+        "n_sensors": len(chosen),
+        "sensors": ", ".join(one.name for one in chosen),
+        **({} if np.isnan(choice.choices[0].price) else {"price": price}),
+        "n_readings": found.accuracy[place].n_readings,
+        "reason": found.accuracy[place].reason,
+    }
+
+
+def _describe(choice: SensorChoice, found: FoundSets, place: int) -> dict[str, Any]:
+    one, variant = found.accuracy[place], choice.variant
+    names = [f"{name}_{unit}" for name, unit in zip(*name_tool(variant.model), strict=True)]
+    parts = {"error": one.error, "after": one.after, "noise": one.noise}
+    return {
+        **_name_set(choice, found, place),
+        "n_equations": variant.data.n_poses * max(0, one.n_readings - len(variant.model.coordinates)),
+        "goal": one.goal if np.isfinite(one.goal) else np.nan,
+        **({"probability": found.probability[place]} if choice.requirements else {}),
+        "left": float(np.sqrt(np.mean(one.sd**2))),
+        **{
+            f"{part}_{name}": value for part, values in parts.items() for name, value in zip(names, values, strict=True)
+        },
+    }
+
+
+def _count(found: FoundSets, number: int) -> dict[str, Any]:
+    """Return how many sets of a number were judged, and how many of them are no good."""
+    alike = [one for one, n in zip(found.accuracy, found.sets.sum(axis=1), strict=True) if n == number]
+    return {"n_sets": len(alike), "n_hopeless": sum(one.reason != "" for one in alike)}
+
+
+def _list_parameters(choice: SensorChoice, found: FoundSets, number: int, place: int) -> Iterator[dict[str, Any]]:
+    posterior, units = choice.variant.posterior(), choice.units
+    columns = (posterior.sampling.names, posterior.units, posterior.prior_sd, found.accuracy[place].sd)
+    for name, unit, prior, share in zip(*columns, strict=True):
+        said = float(prior / units.factor(unit))
+        yield {
+            "n_sensors": number,
+            "parameter": name,
+            "unit": units.name(unit),
+            "prior_sd": said,
+            "sd": share * said,
+        }

@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from rich.console import Console, RenderableType
 from rich.table import Table as Grid
 
-from bayescal.experiments.audit.page.readings import tabulate_variants
 from bayescal.experiments.audit.page.results import AuditResults
 from bayescal.experiments.audit.page.tables import tabulate_symbols
 from bayescal.experiments.audit.page.wording import (
@@ -46,10 +45,13 @@ def show_audit(results: Results, page: Page, console: Console) -> None:
         lines.append(grid)
     for one in [*lines, count_folded(folded)] if folded else lines:
         console.print(one, width=width, markup=False, highlight=False)
-    variants, symbols = tabulate_variants(audit), tabulate_symbols(audit)
-    tables = [_take(variants, {0: 0, 2: 0, 3: 2, 4: 0, 5: 1, 7: 0})] if len(variants.rows) > 1 else []
-    tables.append(_take(symbols, {0: 0, 1: 0, 2: 1, 3: 0, 5: 2, 6: 0}))
-    for columns, rows in [*tables, *_tabulate_sets(audit), *_tabulate_requirements(audit)]:
+    symbols = _take(tabulate_symbols(audit), {0: 0, 1: 0, 2: 1, 3: 0, 5: 2, 6: 0})
+    for columns, rows in [
+        *_tabulate_variants(audit),
+        symbols,
+        *_tabulate_sets(audit),
+        *_tabulate_requirements(audit),
+    ]:
         print_table(console, columns, rows, width)
 
 
@@ -64,6 +66,24 @@ def _take(table: Table, ranks: Mapping[int, int]) -> Printed:
         for row in table.rows
     ]
     return shown, rows
+
+
+def _tabulate_variants(audit: AuditResults) -> list[Printed]:
+    """Return how sets of sensors compare; nothing of a single one."""
+    columns = (
+        Shown("variant", justify="left"),
+        Shown("free"),
+        Shown("equations", 2),
+        Shown("identifiable"),
+        Shown("error left", 1),
+        Shown("requirements"),
+    )
+    rows = []
+    for name, row in audit.summary.get("variants", {}).items():
+        left, chance = (float("nan") if row.get(key) is None else row[key] for key in ("left", "probability"))
+        numbers = [str(row.get(key)) for key in ("n_parameters", "n_equations", "n_identifiable")]
+        rows.append((name, *numbers, format_share(left), format_probability(chance)))
+    return [(columns, rows)] if len(rows) > 1 else []
 
 
 def _tabulate_sets(audit: AuditResults) -> list[Printed]:

@@ -19,8 +19,9 @@ from bayescal.experiments.shared.chi_square import ChiSquare
 from bayescal.experiments.shared.estimate import Arrays, Fit, Subject, fit_posterior
 from bayescal.experiments.shared.function_errors import FoundFunctions, find_functions, tabulate_functions
 from bayescal.experiments.shared.readings.inputs import ReadingInputs, Variant
-from bayescal.experiments.shared.readings.knowledge import Knowledge, assess
-from bayescal.experiments.shared.readings.knowledge_tables import (
+from bayescal.experiments.shared.readings.knowledge import (
+    Knowledge,
+    assess,
     list_next,
     list_ridges,
     name_data,

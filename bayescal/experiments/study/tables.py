@@ -17,7 +17,7 @@ from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.shared.estimate import Arrays, Fit
 from bayescal.experiments.shared.joints import tabulate_joints
 from bayescal.experiments.shared.origin import name_origin
-from bayescal.experiments.shared.readings.knowledge_tables import plain
+from bayescal.experiments.shared.readings.knowledge import plain
 from bayescal.experiments.shared.stacking import compare_variants, find_tied, tabulate_comparison
 from bayescal.experiments.shared.study_inputs import Described, Task
 from bayescal.experiments.shared.trees import SAVED_DRAWS, spread

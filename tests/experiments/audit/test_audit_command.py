@@ -59,14 +59,6 @@ def test_an_audit_writes_results_and_report(call, design, tmp_path, no_pictures)
     assert not list(tmp_path.glob("*.partial"))
 
 
-@pytest.mark.slow  # the contract of all kinds has the same of a small one
-def test_the_same_design_gives_the_same_numbers(call, design, tmp_path):
-    for name in ("one", "other"):
-        assert call("audit", design, "--out", tmp_path / name, "--workers", 1)[0] == 0
-    one, other = ((tmp_path / name / "summary.json").read_text() for name in ("one", "other"))
-    assert one == other
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -98,18 +90,6 @@ def test_other_directories_are_left_alone(call, design, tmp_path):
     assert code == 2
     assert "holds no results" in complaint
     assert [path.name for path in precious.iterdir()] == ["notes.txt"]
-
-
-@pytest.mark.slow  # the contract of all kinds has the same of a small one
-def test_results_of_another_design_are_kept(call, design, tmp_path):
-    out = tmp_path / "out"
-    assert call("audit", design, "--out", out, "--workers", 1)[0] == 0
-    before = studies.snapshot(out)
-    studies.edit(design, "poses_factor = 2.0", "poses_factor = 3.0")
-    code, said, complaint = call("audit", design, "--out", out, "--workers", 1)
-    assert (code, said, complaint.count("\n")) == (2, "", 1)
-    assert "holds results of another config" in complaint
-    assert studies.snapshot(out) == before
 
 
 def test_a_posterior_that_did_not_converge_is_exit_code_3(call, design, tmp_path, monkeypatch, no_pictures):

@@ -10,8 +10,7 @@ import pytest
 
 from bayescal.experiments.audit import compute
 from bayescal.experiments.audit.audit import analyse
-from bayescal.experiments.audit.inputs import read_inputs
-from bayescal.experiments.audit.load import load_audit
+from bayescal.experiments.audit.design import load_audit, read_inputs
 from bayescal.experiments.audit.schema import SweepConfig
 from bayescal.experiments.frame.run import compute_experiment
 

@@ -10,9 +10,8 @@ import studies
 
 from bayescal.errors import InputError
 from bayescal.experiments.audit.audit import analyse, run_audit
-from bayescal.experiments.audit.inputs import read_inputs
+from bayescal.experiments.audit.design import load_audit, read_inputs
 from bayescal.experiments.audit.kind import Audit
-from bayescal.experiments.audit.load import load_audit
 from bayescal.experiments.frame.identity import hash_identity, identify
 from bayescal.experiments.frame.parallel import Run
 from bayescal.inference.mode import find_modes

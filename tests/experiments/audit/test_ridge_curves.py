@@ -9,12 +9,10 @@ import numpy as np
 import pytest
 import telescope_machines
 
-from bayescal.experiments.audit import ridge_curves
+from bayescal.experiments.audit import draws as ridge_curves
 from bayescal.experiments.audit.audit import run_audit
-from bayescal.experiments.audit.inputs import read_inputs
-from bayescal.experiments.audit.load import load_audit
-from bayescal.experiments.audit.posterior import audit_posterior
-from bayescal.experiments.audit.ridge_curves import MAX_DRAWS, plot_ridges, tabulate_plots
+from bayescal.experiments.audit.design import load_audit, read_inputs
+from bayescal.experiments.audit.draws import MAX_DRAWS, audit_posterior, plot_ridges, tabulate_plots
 from bayescal.experiments.frame.parallel import Run
 from bayescal.identifiability.ridges import Leg, LevelLine, find_legs, list_laws
 from bayescal.machines.kinematics import solve_forward_kinematics

@@ -6,9 +6,7 @@ import audit_problems as problems
 import numpy as np
 import pandas as pd
 
-from bayescal.experiments.audit.inputs import read_inputs
-from bayescal.experiments.audit.load import load_audit
-from bayescal.experiments.audit.reading_inputs import read_audit
+from bayescal.experiments.audit.design import load_audit, read_design, read_inputs
 from bayescal.machines.kinematics import solve_forward_kinematics
 from bayescal.numerics.geometry import rotation_vector_from_matrix
 
@@ -36,9 +34,11 @@ def test_deviations_are_the_same_either_way(tmp_path):
             name: [float(low) - 1e-3, float(high) + 1e-3]
             for name, low, high in zip(CHANNELS, pose.min(axis=0), pose.max(axis=0), strict=True)
         },
-        "variants": [{"model": "six_ups"}],
+        "variants": [{"model": "six_ups"}, {"name": "bent", "model": "six_ups", "deformation": "linear"}],
     }
-    read = read_audit(type(config).model_validate(content), tmp_path).plans["all"]
+    plans = read_design(type(config).model_validate(content), tmp_path).channels
+    assert ["kappa" in one.variant.model.layout.symbols for one in plans.values()] == [False, True]
+    read = plans["all"]
     assert read.names == seen.names
     one, other = (np.sqrt(np.diagonal(plan.inform().covariance)) for plan in (seen, read))
     np.testing.assert_allclose(one, other, rtol=1e-6)

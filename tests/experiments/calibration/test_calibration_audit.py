@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from bayescal.experiments.audit.reading_inputs import read_audit
+from bayescal.experiments.audit.design import read_design
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.run import run_experiment
 from bayescal.experiments.shared.readings.inputs import read_inputs
@@ -221,8 +221,8 @@ def test_faulty_poses_are_one_line(case, folder, refuse):
 def test_units_of_a_file_are_taken_for_what_they_are(folder):
     (folder / "poses.csv").write_text("pose,x_m,y_mm,z_um\nA,0.05,1,20000\n")
     calibrations.change(folder / "audit.toml", "count = 40", POSES)
-    inputs = read_audit(load(folder / "audit.toml")[1], folder)
-    np.testing.assert_allclose(inputs.variants["both"].start, [[50.0, 1.0, 20.0]])
+    inputs = read_design(load(folder / "audit.toml")[1], folder)
+    np.testing.assert_allclose(inputs.channels["both"].variant.start, [[50.0, 1.0, 20.0]])
 
 
 def test_the_terminal_says_the_verdict_and_every_set_of_sensors(folder, call, no_pictures):

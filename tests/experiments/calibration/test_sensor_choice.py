@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 
 from bayescal.errors import InputError
+from bayescal.experiments.audit.accuracy import select_poses
 from bayescal.experiments.audit.audit import judge
-from bayescal.experiments.audit.reading_compute import search_sensors
-from bayescal.experiments.audit.reading_inputs import read_audit
-from bayescal.experiments.audit.selection import select_poses
-from bayescal.experiments.audit.set_search import find_hopeless
+from bayescal.experiments.audit.design import read_design
+from bayescal.experiments.audit.sensor_sets import find_hopeless, search_sensors
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.run import run_experiment
 
@@ -34,7 +33,7 @@ def read(folder):
         for old, new in changes:
             calibrations.change(path, old, new)
         try:
-            return read_audit(load(path)[1], folder)
+            return read_design(load(path)[1], folder)
         finally:
             path.write_text(original)
 
@@ -42,7 +41,7 @@ def read(folder):
 
 
 def names_of(inputs, found, place):
-    return [one.name for one, there in zip(inputs.choices, found.sets[place], strict=True) if there]
+    return [one.name for one, there in zip(inputs.sensors.choices, found.sets[place], strict=True) if there]
 
 
 @pytest.mark.parametrize("aligned", [False, True])
@@ -76,18 +75,18 @@ def test_sets_are_judged_at_every_pose_or_by_the_rms_as_is_required(read):
     goals = []
     for what in ("rms", "every_pose"):
         inputs = read(ALL, ('required_of = "rms"', f'required_of = "{what}"'))
-        found = search_sensors(inputs)
+        found = search_sensors(inputs.sensors)
         best = found.best_of(6)
         goals.append(found.accuracy[best].goal)
-        outlooks = judge(inputs.plans["both"]).outlooks
+        outlooks = judge(inputs.channels["both"]).outlooks
         assert goals[-1] == pytest.approx(max(one.predicted_sd / one.requirement.limit for one in outlooks), rel=1e-6)
     assert goals[1] > 1.2 * goals[0]
 
 
 def test_adding_and_exchanging_finds_the_best_of_all_sets(read):
-    every = search_sensors(read(ALL))
+    every = search_sensors(read(ALL).sensors)
     inputs = read(f"{ALL}\nexhaustive = 0")
-    some = search_sensors(inputs)
+    some = search_sensors(inputs.sensors)
     assert every.exhaustive
     assert not some.exhaustive
     for number in range(3, 7):
@@ -98,7 +97,7 @@ def test_adding_and_exchanging_finds_the_best_of_all_sets(read):
 
 def test_what_is_no_good_is_named_by_its_largest_sets(read):
     inputs = read(ALL)
-    found = search_sensors(inputs)
+    found = search_sensors(inputs.sensors)
     hopeless = [names_of(inputs, found, k) for k in find_hopeless(found)]
     assert [sorted({"s[1]", "s[2]", "s[3]"} - set(one)) for one in hopeless] == [["s[3]"], ["s[2]"], ["s[1]"]]
     assert all(len(one) == 5 for one in hopeless)
@@ -109,15 +108,15 @@ def test_what_is_no_good_is_named_by_its_largest_sets(read):
 
 def test_an_instrument_is_bought_whole_and_what_is_always_there_does_not_count(read):
     inputs = read('candidates = [["cam_x", "cam_y"], "height"]\nalways = ["s"]')
-    found = search_sensors(inputs)
-    assert [one.name for one in inputs.choices] == ["cam_x + cam_y", "height"]
+    found = search_sensors(inputs.sensors)
+    assert [one.name for one in inputs.sensors.choices] == ["cam_x + cam_y", "height"]
     assert found.sets.tolist() == [[False, False], [True, False], [False, True], [True, True]]
     assert [one.n_readings for one in found.accuracy] == [3, 5, 4, 6]
     assert not any(one.reason for one in found.accuracy)
 
 
 def test_a_set_cannot_be_better_than_one_that_holds_it(read):
-    found = search_sensors(read(ALL))
+    found = search_sensors(read(ALL).sensors)
     goals = np.array([one.goal for one in found.accuracy])
     for row, goal in zip(found.sets, goals, strict=True):
         larger = (row <= found.sets).all(axis=1)
@@ -153,7 +152,7 @@ def test_exchanged_poses_tell_more_and_curves_fall(read):
     size = {}
     for method in ("greedy", "exchange"):
         inputs = read(ALL, ("candidates = 30", f'candidates = 30\nmethod = "{method}"'))
-        variant = inputs.variants["both"]
+        variant = inputs.channels["both"].variant
         found = select_poses(inputs.config, variant, variant.posterior())
         size[method] = np.linalg.norm(found.curve, axis=1)
         np.testing.assert_allclose(found.after[-1], found.curve[-1], rtol=1e-9)

@@ -9,8 +9,8 @@ import studies
 import tiny_experiments
 
 from bayescal.errors import InputError
-from bayescal.experiments.audit.reading_inputs import read_audit
-from bayescal.experiments.audit.set_tables import find_front
+from bayescal.experiments.audit.design import read_design
+from bayescal.experiments.audit.sensor_sets import find_front
 from bayescal.experiments.frame.identity import hash_identity, identify
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.run import run_experiment
@@ -71,8 +71,8 @@ def know(leg, aligned):
     fixed = [*(f"{symbol}[{leg}]" for symbol in ("x_P", "y_P", "beta", "xi_B", "eta_B")), f"{across}[{leg + 1}]"]
     variants = [one.model_copy(update={"fixed": fixed}) for one in config.variants[1:]]
     changes = {"aligned": aligned, "variants": variants, "sensor_choice": None}
-    inputs, found = read_audit(config.model_copy(update=changes), STAR), []
-    for variant in inputs.variants.values():
+    inputs, found = read_design(config.model_copy(update=changes), STAR), []
+    for variant in (one.variant for one in inputs.channels.values()):
         posterior = variant.posterior()
         expected = np.zeros(posterior.n_parameters)
         covariance = information_of_rows(see(posterior, expected), np.ones(posterior.n_geometry)).covariance
@@ -132,7 +132,7 @@ def test_faulty_prices_are_one_line(prices, message):
     config = load(STAR / "sensors.toml")[1]
     choice = config.sensor_choice.model_copy(update={"prices": prices})
     with pytest.raises(InputError, match=message):
-        read_audit(config.model_copy(update={"sensor_choice": choice}), STAR)
+        read_design(config.model_copy(update={"sensor_choice": choice}), STAR)
 
 
 @pytest.mark.parametrize(

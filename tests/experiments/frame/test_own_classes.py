@@ -17,7 +17,8 @@ import studies
 from bayescal.config.classes import find_files
 from bayescal.errors import InputError
 from bayescal.experiments.audit.audit import analyse
-from bayescal.experiments.audit.inputs import AuditInputs, read_inputs
+from bayescal.experiments.audit.design import read_inputs
+from bayescal.experiments.audit.legs import LegPlan
 from bayescal.experiments.frame.identity import identify
 from bayescal.experiments.frame.load import load, load_experiment
 from bayescal.experiments.frame.run import compute_experiment
@@ -227,7 +228,7 @@ def test_continuous_starts_from_an_own_method(tmp_path):
 
 
 def test_an_audit_with_an_own_sensor(call, tmp_path, monkeypatch, no_pictures):
-    monkeypatch.setattr(AuditInputs, "propose", decline)  # takes longer than all the rest
+    monkeypatch.setattr(LegPlan, "propose", decline)  # takes longer than all the rest
     shipped = (problems.DESIGNS / "camera_hexapod.toml").read_text()
     shipped = shipped.replace('"camera_hexapod_mechanism', f'"{problems.DESIGNS}/camera_hexapod_mechanism')
     (tmp_path / "base.toml").write_text(shipped)

@@ -6,6 +6,7 @@ import json
 import re
 import shutil
 import tomllib
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -13,11 +14,9 @@ import pytest
 import studies
 
 from bayescal.errors import InputError
-from bayescal.experiments.audit.audit import run_audit
-from bayescal.experiments.audit.changes import evaluate_plan, list_changes
-from bayescal.experiments.audit.i_optimal import plan_i_optimal, select_i_optimal
-from bayescal.experiments.audit.inputs import AuditInputs, read_inputs
-from bayescal.experiments.audit.load import load_audit
+from bayescal.experiments.audit.audit import evaluate_plan, list_changes, run_audit
+from bayescal.experiments.audit.design import load_audit, read_inputs
+from bayescal.experiments.audit.legs import LegPlan, select_i_optimal
 from bayescal.experiments.audit.results import summarise
 from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.frame.parallel import Run
@@ -294,7 +293,7 @@ def camera():
 
 def propose_few(inputs):
     """Return I-optimal poses from the ends of the actuators' range alone, which is quicker."""
-    return plan_i_optimal(inputs, n_candidates=64)
+    return replace(inputs.plan, actuators=select_i_optimal(inputs, n_candidates=64).actuators)
 
 
 @pytest.mark.parametrize("design", ["telescope_six_pus_none", "camera_hexapod"])
@@ -328,7 +327,7 @@ def test_audit_lists_i_optimal_poses_among_its_changes(camera, monkeypatch):
     """They keep the requirements better than the plan; everything else stays as it is without them."""
     proposed = run_audit(camera, Run())
     with monkeypatch.context() as patch:
-        patch.setattr(AuditInputs, "propose", refuse)
+        patch.setattr(LegPlan, "propose", refuse)
         plain = run_audit(camera, Run())
     change = proposed.what_ifs[-1]
     assert [outcome.name for outcome in proposed.what_ifs[:-1]] == [outcome.name for outcome in plain.what_ifs]
@@ -341,7 +340,7 @@ def test_audit_lists_i_optimal_poses_among_its_changes(camera, monkeypatch):
 
 
 def test_audit_goes_without_poses_that_cannot_be_chosen(camera, monkeypatch):
-    monkeypatch.setattr(AuditInputs, "propose", refuse)
+    monkeypatch.setattr(LegPlan, "propose", refuse)
     outcomes = run_audit(camera, Run()).what_ifs
     assert [outcome.name for outcome in outcomes] == [change.name for change in list_changes(camera)]
     assert evaluate_plan("as it is", camera, None).n_poses == 40

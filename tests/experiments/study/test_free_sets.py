@@ -178,8 +178,7 @@ draws = 0
 
 
 def read_design(folder: Path, *changes: tuple[str, str]):
-    from bayescal.experiments.audit.inputs import read_inputs
-    from bayescal.experiments.audit.load import load_audit
+    from bayescal.experiments.audit.design import load_audit, read_inputs
 
     write_study(folder)
     design = folder / "design.toml"

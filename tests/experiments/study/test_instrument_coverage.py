@@ -10,8 +10,7 @@ from bayescal.density.errors import ModelError
 from bayescal.density.instruments import InstrumentLikelihood
 from bayescal.density.legs import build_leg_posterior
 from bayescal.density.priors import NormalPrior
-from bayescal.experiments.audit.inputs import read_inputs
-from bayescal.experiments.audit.load import load_audit
+from bayescal.experiments.audit.design import load_audit, read_inputs
 from bayescal.identifiability.calibration import simulate_measurements
 from bayescal.identifiability.fits import Fitter
 from bayescal.machines.frames import N_FRAME_PARAMETERS, move_frames

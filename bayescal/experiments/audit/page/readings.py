@@ -48,28 +48,24 @@ def _list_parts(table: pd.DataFrame, start: str) -> list[str]:
 
 def show_variants(audit: AuditResults) -> list[Section]:
     """Return how sets of sensors compare; nothing of a single one."""
-    table = tabulate_variants(audit)
-    text = (
-        "Equations are readings less coordinates of the poses. Identifiable: uncertainty at least halved. Error left: "
-        "what unknown parameters do to where the machine is, rms, after the calibration against before.",
-    )
-    return [make_section("Which sensors", text, (table,))] if len(table.rows) > 1 else []
-
-
-def tabulate_variants(audit: AuditResults) -> Table:
-    """Return a row per set of sensors."""
+    if "variants" not in audit.tables or len(audit.tables["variants"]) < 2:
+        return []
     columns = [Column("Sensors", kind="text"), Column("Readings", kind="text"), Column("Free"), Column("Equations")]
     columns += [Column("Identifiable"), Column("Error left"), Column("Of the tightest limit")]
     columns += [Column("Requirements", "probability of all"), Column("", kind="text")]
     rows: list[list[str | Cell]] = []
-    for row in list_rows(audit.tables.get("variants", pd.DataFrame())):
+    for row in list_rows(audit.tables["variants"]):
         found = (row.get(name) for name in ("share_of_limit", "probability"))
         share, probability = (math.nan if value in (None, "") else float(value) for value in found)
         left = format_percent(row["left"], 1) if math.isfinite(row["left"]) else NOTHING
         chosen = Cell("shown below", "good", badge=True) if row["variant"] == audit.best else Cell("")
         words = (str(row[name]) for name in ("title", "data", "n_parameters", "n_equations", "n_identifiable"))
         rows.append([*words, left, format_share(share), format_probability(probability), chosen])
-    return make_table("Sets of sensors.", columns, rows)
+    text = (
+        "Equations are readings less coordinates of the poses. Identifiable: uncertainty at least halved. Error left: "
+        "what unknown parameters do to where the machine is, rms, after the calibration against before.",
+    )
+    return [make_section("Which sensors", text, (make_table("Sets of sensors.", columns, rows),))]
 
 
 def show_selected(audit: AuditResults) -> list[Section]:

@@ -648,15 +648,3 @@ def test_without_a_summary_the_fault_names_the_file(tmp_path):
     (folder / "summary.json").write_text("{")
     with pytest.raises(InputError, match=r"summary\.json: cannot be read as JSON"):
         write_audit_report(folder)
-
-
-def test_the_report_command_knows_an_audit(tmp_path, monkeypatch, capsys, no_pictures):
-    from bayescal import cli
-
-    folder = write_audit_results(tmp_path)
-    monkeypatch.setattr("sys.argv", ["bayescal", "report", str(folder)])
-    with pytest.raises(SystemExit) as stop:
-        cli.main()
-    assert stop.value.code == 0
-    assert capsys.readouterr().out == f"wrote {folder / 'report.html'}\n"
-    assert (folder / "figures" / "contraction.png").is_file()

@@ -1,4 +1,13 @@
-"""From an audit's design to what it computes with."""
+"""A mechanism on legs whose platform instruments see, planned or measured, as an audit takes it.
+
+A machine that has been measured is known better than its drawings, and the ridges of its posterior bend. Derivatives
+are therefore taken at the posterior mean: there the tangent of a bent ridge is, to second order, the chord through the
+draws, while at the nominal machine it is turned away by the bend times the distance. Without draws the most probable
+machine stands in for it. Tolerances stay those of the priors.
+
+What moves a pose besides the geometry is, beside the actuators' noise, the posterior mean of the model error's τ² and
+the variance v_n that the measured part of a deformation matrix K leaves, both averaged over legs and poses.
+"""
 
 from __future__ import annotations
 
@@ -8,15 +17,21 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from bayescal.config.classes import label_class
 from bayescal.data.actuators import read_moves
+from bayescal.density.legs import LegPosterior, find_function_of_pose
 from bayescal.density.priors import build_kernel
 from bayescal.errors import InputError
-from bayescal.experiments.audit.from_study import Measured, draw_measured, read_measured, refuse_independent
-from bayescal.experiments.audit.i_optimal import plan_i_optimal
-from bayescal.experiments.audit.planned import Planned
-from bayescal.experiments.audit.schema import AuditConfig, PosesConfig, StructuredErrorConfig, WhatIfConfig
+from bayescal.experiments.audit.planned import FreeParameters, Planned, read_requirements
+from bayescal.experiments.audit.schema import (
+    NOT_STRUCTURED,
+    AuditConfig,
+    PosesConfig,
+    WhatIfConfig,
+)
+from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.shared.design import (
     REQUIRED,
@@ -28,7 +43,7 @@ from bayescal.experiments.shared.design import (
     read_tolerances,
     read_workspace,
 )
-from bayescal.experiments.shared.measured import MeasuredVariant
+from bayescal.experiments.shared.measured import MeasuredVariant, VariantChoice, measure_legs
 from bayescal.experiments.shared.readings.schema import ChannelConfig
 from bayescal.experiments.shared.schema import FramesConfig, ModelConfig, WorkspaceConfig
 from bayescal.identifiability.calibration import (
@@ -47,24 +62,68 @@ from bayescal.identifiability.design import (
     predict_poses,
 )
 from bayescal.identifiability.directions import Direction
+from bayescal.identifiability.draws import Draws, draw_posterior
 from bayescal.identifiability.information import Information
 from bayescal.identifiability.profile import check_profiles
-from bayescal.identifiability.requirements import Forecast, Requirement
+from bayescal.identifiability.requirements import Forecast, Requirement, find_limits
 from bayescal.identifiability.ridges import Ridge, describe_ridges
 from bayescal.identifiability.sensitivity import compute_sensitivity, inform
 from bayescal.identifiability.structure import Structure, find_structural_rank
+from bayescal.inference.mode import find_modes
+from bayescal.inference.schema import DrawsConfig
 from bayescal.machines.frames import FRAME_BLOCKS, FRAMES, frame_symbols
 from bayescal.machines.kinematics import solve_forward_kinematics, solve_inverse_kinematics
-from bayescal.machines.mechanism import Mechanism
+from bayescal.machines.parameters import AXES
 from bayescal.machines.sensors import Sensor
 from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array
 from bayescal.numerics.units import MICROMETRE, Units
+from bayescal.pose_selection import (
+    ActuatorBox,
+    Selection,
+    SelectionProblem,
+    WorkspaceBox,
+    factorial_candidates,
+    random_candidates,
+    select,
+)
+from bayescal.pose_selection.criteria import IOptimality
 
 SLACK = 1e-9
+POSE_UNITS = ("mm",) * 3 + ("rad",) * 3
+DRAWS_WITH_DATA = 100_000
+"""So many that chance turns the ridges' directions by less than what is said of them; a few seconds."""
+SEED, SEED_OF_POSES = 4, 21
+N_CANDIDATES = 729
+FAR = 2.0
+"""How many half ranges of its readings a lever is long, from which on it is worth saying."""
+SHARE = 0.05
+"""Of a ridge, from which on a parameter takes part in it."""
+PLACES = tuple(f"a_{axis}" for axis in AXES)
 
 
 @dataclass(frozen=True, eq=False)
-class AuditInputs(Planned):
+class Measured:
+    """A machine that has been measured.
+
+    Attributes
+    ----------
+    origin : str
+        In words.
+    posterior : LegPosterior
+    draws : Draws or None
+        None where the design wants no draws.
+    n_held_back : int
+        How many measured poses are left out, since they are kept for verification.
+    """
+
+    origin: str
+    posterior: LegPosterior
+    draws: Draws | None
+    n_held_back: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class LegPlan(Planned):
     """A mechanism on legs whose platform instruments see, planned or measured.
 
     Attributes
@@ -79,7 +138,7 @@ class AuditInputs(Planned):
     workspace : PoseVolume or None
     workspace_actuators : ndarray, shape (W, N)
         Actuator positions of the workspace's poses; those of the plan where there is no workspace.
-    requirements : list of Requirement
+    requirements : tuple of Requirement
     units : Units
     measured : Measured or None
         Where the config has data.
@@ -92,33 +151,15 @@ class AuditInputs(Planned):
     sensors: dict[str, Sensor]
     workspace: PoseVolume | None
     workspace_actuators: Array
-    requirements: list[Requirement]
+    requirements: tuple[Requirement, ...]
     units: Units
     measured: Measured | None = None
 
-    def actuators(self, plan: PosesConfig, factor: float = 1.0, count: int | None = None) -> Array:
-        """Return the actuator positions of another plan, shape (P, N), mm; its range may be widened by a factor."""
-        return plan_actuators(self.config, self.folder, self.knowledge, self.workspace, plan, factor, count)
-
     @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the free parameters."""
-        return self.knowledge.names
-
-    @property
-    def parameter_units(self) -> tuple[str, ...]:
-        """Their inner units."""
-        return self.knowledge.units
-
-    @property
-    def sd(self) -> Array:
-        """Standard deviations of their priors, shape (n,)."""
-        return self.knowledge.sd
-
-    @property
-    def nominal(self) -> Array:
-        """Their nominal values, shape (n,)."""
-        return np.asarray(self.knowledge.layout.nominal[self.knowledge.free])
+    def parameters(self) -> FreeParameters:
+        """The free parameters."""
+        known = self.knowledge
+        return FreeParameters(known.names, known.units, known.sd, np.asarray(known.layout.nominal[known.free]))
 
     @property
     def frames(self) -> frozenset[str]:
@@ -157,7 +198,7 @@ class AuditInputs(Planned):
     @property
     def tool_units(self) -> tuple[str, ...]:
         """Units of a pose."""
-        return ("mm",) * 3 + ("rad",) * 3
+        return POSE_UNITS
 
     def name_workspace_pose(self, k: int) -> str:
         """Return the actuators' displacements at a pose of the workspace."""
@@ -203,6 +244,32 @@ class AuditInputs(Planned):
             "plan": found,
         }
 
+    def summarise_ridges(self, ridges: Sequence[Ridge]) -> dict[str, Any]:
+        """Return how far from zero the actuators read whose places and directions a ridge ties, mm; else nothing.
+
+        A joint is at a + ρ u (RR-8096 eq. 30): a tolerance of u turns the rail about the point where the actuator reads
+        zero. Readings of 731 mm with a tolerance of 0.5 mrad add 0.37 mm to the joint's, and of a and u the poses
+        determine little more than the sum. With the zero in the middle of the readings each is a dimension of its own.
+        """
+        knowledge, actuators = self.knowledge, self.plan.actuators
+        chart = knowledge.machine.layout.directions
+        if chart is None or knowledge.machine.mechanism.drive != "base":
+            return {}
+        middle, half = actuators.mean(axis=0), 0.5 * np.ptp(actuators, axis=0)
+        names, legs = np.array(knowledge.names), []
+        strong = [set(names[one.direction.vector**2 >= SHARE].tolist()) for one in ridges]
+        for leg in np.flatnonzero(np.abs(middle) > FAR * half).tolist():
+            turns, moves = ({f"{one}[{leg + 1}]" for one in some} for some in (chart.symbols, PLACES))
+            if any(turns & one and moves & one for one in strong):
+                legs.append(leg)
+        if not legs:
+            return {}
+        far = max(legs, key=lambda leg: abs(middle[leg]))
+        sd = dict(zip(knowledge.names, knowledge.sd.tolist(), strict=True))
+        turned = max(sd.get(f"{symbol}[{far + 1}]", 0.0) for symbol in chart.symbols)
+        found = {"legs": [leg + 1 for leg in legs], "reading_mm": float(middle[far]), "direction_sd": turned}
+        return {"far_readings": found}
+
     def list_changes(self) -> list[WhatIfConfig]:
         """Return poses at the ends of the range, over all of it, and each instrument that is listed and not used."""
         config, n, changes = self.config, self.n_poses, list[WhatIfConfig]()
@@ -220,7 +287,7 @@ class AuditInputs(Planned):
                 changes.append(WhatIfConfig(name=f"{words} too", sensors=[*measuring, name]))
         return changes
 
-    def change(self, change: WhatIfConfig) -> AuditInputs:
+    def change(self, change: WhatIfConfig) -> LegPlan:
         """Return the same machine with a changed plan."""
         plan, mechanism = self.plan, self.knowledge.machine.mechanism
         count = max(1, round(change.poses_factor * plan.n_poses))
@@ -228,7 +295,10 @@ class AuditInputs(Planned):
         information = plan.pose_information
         if config is not None:
             same = change.poses is not None and change.poses_factor == 1.0
-            actuators = self.actuators(config, change.workspace_factor, None if same else count)
+            number = None if same else count
+            actuators = plan_actuators(
+                self.config, self.folder, self.knowledge, self.workspace, config, change.workspace_factor, number
+            )
         else:
             again = np.arange(count) % plan.n_poses
             start = mechanism.initial_actuator_positions
@@ -249,43 +319,66 @@ class AuditInputs(Planned):
         )
         return replace(self, plan=changed)
 
-    def propose(self) -> tuple[str, AuditInputs]:
-        """Return as many poses as planned, chosen I-optimally."""
-        return f"{self.n_poses} poses chosen I-optimally", replace(self, plan=plan_i_optimal(self))
+    def propose(self) -> tuple[str, LegPlan]:
+        """Return as many poses as planned, chosen I-optimally; sensors and noise stay."""
+        plan = replace(self.plan, actuators=select_i_optimal(self).actuators)
+        return f"{self.n_poses} poses chosen I-optimally", replace(self, plan=plan)
 
     def simulate(
         self, n: int, rng: np.random.Generator, fitted: Sequence[int]
     ) -> tuple[SimulatedCalibrations, np.ndarray]:
         """Return n simulated calibrations of some parameters, and how many keep each requirement."""
         simulated = simulate_calibrations(self.knowledge, self.plan, n, rng, fitted)
-        return simulated, count_kept(simulated, self.plan, self.workspace_actuators, self.requirements, rng)
+        return simulated, count_kept(simulated, self.plan, self.workspace_actuators, list(self.requirements), rng)
 
     def average(self, n: int, rng: np.random.Generator) -> Array:
         """Return the posterior covariance averaged over n machines of the priors, in units of the tolerances."""
         return expected_covariance(self.knowledge, self.plan, n, rng)
 
 
-@dataclass(frozen=True, eq=False)
-class AuditDesign:
-    """A design as read: inputs of a machine that is planned, or a machine that has been measured.
+def select_i_optimal(inputs: LegPlan, n: int | None = None, n_candidates: int = N_CANDIDATES) -> Selection:
+    """Return I-optimal poses for an audit, found by exchange.
 
-    Attributes
+    They minimise the expected posterior variance of the predicted pose, averaged over the poses of the audit's
+    workspace (those of its plan where it has none) and in units of its requirements (see `find_limits`).
+
+    Parameters
     ----------
-    config : AuditConfig
-    folder : Path
-    planned : AuditInputs or None
-    measured : MeasuredVariant or None
-        Where the design has data.
+    inputs : LegPlan
+    n : int, optional
+        How many poses; as many as planned by default.
+    n_candidates : int
+        On a full factorial over the actuators' range, three levels each by default, since far corners tell most; where
+        legs are redundant random ones within the workspace.
+
+    Raises
+    ------
+    InputError
+        Where legs are redundant and there is no workspace, or poses are too few for the parameters.
     """
+    knowledge = inputs.knowledge
+    rng = np.random.default_rng([inputs.config.seed, SEED_OF_POSES])
+    workspace = compute_sensitivity(knowledge, inputs.workspace_actuators)
+    limits = find_limits(inputs.requirements, workspace.slope * knowledge.sd)
+    criterion = IOptimality(inputs.plan, workspace=workspace, sd=knowledge.sd, limits=limits)
+    if knowledge.machine.mechanism.n_legs == DEGREES_OF_FREEDOM:
+        domain = ActuatorBox(knowledge)
+        candidates = factorial_candidates(domain, n_candidates)
+    else:
+        if inputs.workspace is None:
+            raise InputError("I-optimal poses: found redundant legs without [workspace], expected it")
+        candidates = random_candidates(WorkspaceBox(knowledge, inputs.workspace.half), n_candidates, rng)
+    count = inputs.plan.n_poses if n is None else n
+    problem = SelectionProblem(candidates, criterion, count)
+    with threadpool_limits(1), np.errstate(all="ignore"):
+        return select(problem, "exchange", rng)
 
-    config: AuditConfig
-    folder: Path
-    planned: AuditInputs | None
-    measured: MeasuredVariant | None
+
+# --- reading a plan --------------------------------------------------------------------------------------------------
 
 
-def read_design(config: AuditConfig, folder: Path) -> AuditDesign:
-    """Return a design, read and checked.
+def read_legs(config: AuditConfig, folder: Path) -> LegPlan:
+    """Return a machine that has not been measured and how it is to be, read and checked.
 
     Raises
     ------
@@ -293,40 +386,43 @@ def read_design(config: AuditConfig, folder: Path) -> AuditDesign:
         For anything at fault in the design or its files: unknown names, poses that the machine cannot take or the
         actuators cannot reach, sensors that are not there.
     """
-    if config.data is not None:
-        return AuditDesign(config, folder, None, read_measured(config, folder))
     if config.structured_error is not None:
         refuse_independent(config)
-    units = Units(config.units.length, config.units.angle)
-    sensors = _read_sensors(config, folder)
-    knowledge, plan = _plan_measurements(config, folder, units, sensors)
-    return AuditDesign(config, folder, _complete(config, folder, knowledge, plan, None), None)
-
-
-def read_inputs(config: AuditConfig, folder: Path) -> AuditInputs:
-    """Return what an audit computes with; for a machine that has been measured its posterior is drawn."""
-    return prepare(read_design(config, folder), Run())
-
-
-def prepare(design: AuditDesign, run: Run) -> AuditInputs:
-    """Return what an audit computes with; what is known of a measured machine is drawn from its posterior."""
-    if design.planned is not None:
-        return design.planned
-    assert design.measured is not None
-    measured = draw_measured(design.config, design.measured, run)
-    return _complete(design.config, design.folder, measured.knowledge, measured.plan, measured)
+    assert config.machine is not None
+    assert config.noise is not None
+    variant, units = config.variants[0], Units(config.units.length, config.units.angle)
+    assert variant.model is not None
+    model = ModelConfig(model=variant.model, deformation=variant.deformation)
+    machine = read_machine(folder / config.machine, model, config.deformation, folder)
+    priors, fixed = read_tolerances(machine, config.parameters, variant.free, units, Path(config.name))
+    knowledge = Knowledge(machine, priors | _read_frames(config.frames, units), fixed)
+    actuators = plan_actuators(config, folder, knowledge, read_volume(config), config.poses)
+    mechanism, moved = machine.mechanism, np.abs(actuators - machine.mechanism.initial_actuator_positions)
+    if np.any(moved > mechanism.actuator_range * (1.0 + SLACK)):
+        pose, leg = np.unravel_index(int(np.argmax(moved)), moved.shape)
+        raise InputError(
+            f"poses: pose {pose + 1}, leg {leg + 1}: found a displacement of {moved[pose, leg]:g} mm, "
+            f"expected at most the actuator range of {mechanism.actuator_range:g} mm"
+        )
+    sensors, function = _read_sensors(config, folder), None
+    plan = plan_sensors(actuators, sensors, list_measuring(config), config.noise, "variants.sensors")
+    if (error := config.structured_error) is not None:
+        function = FunctionOfPose(build_kernel(error.kernel, error.length), MICROMETRE * error.scale_um)
+    return _complete(config, folder, knowledge, replace(plan, function=function), None)
 
 
 def _complete(
     config: AuditConfig, folder: Path, knowledge: Knowledge, plan: Plan, measured: Measured | None
-) -> AuditInputs:
+) -> LegPlan:
     units, workspace = Units(config.units.length, config.units.angle), read_volume(config)
     check_profiles(knowledge, config.profiles)
     predict_poses(knowledge.machine, knowledge.machine_centre, plan.actuators)
     at = find_actuators(knowledge, workspace, config.seed, plan.actuators)
-    requirements = _read_requirements(config, units)
+    requirements = read_requirements(
+        config, {name: "rad" if name.startswith("rotation") else "mm" for name in REQUIRED}
+    )
     sensors = _read_sensors(config, folder)
-    return AuditInputs(config, folder, knowledge, plan, sensors, workspace, at, requirements, units, measured)
+    return LegPlan(config, folder, knowledge, plan, sensors, workspace, at, requirements, units, measured)
 
 
 def _read_sensors(config: AuditConfig, folder: Path) -> dict[str, Sensor]:
@@ -335,22 +431,6 @@ def _read_sensors(config: AuditConfig, folder: Path) -> dict[str, Sensor]:
         for name, sensor in config.sensors.items()
         if not isinstance(sensor, ChannelConfig)
     }
-
-
-def _read_requirements(config: AuditConfig, units: Units) -> list[Requirement]:
-    """Return the largest errors of a pose that are allowed, mm and rad."""
-    for name in config.requirements:
-        if name not in REQUIRED:
-            raise InputError(f"requirements: found {name!r}, expected some of {', '.join(REQUIRED)}")
-    return [
-        Requirement(
-            name,
-            config.requirements[name] * units.factor("rad" if name.startswith("rotation") else "mm"),
-            of=config.required_of,
-        )
-        for name in REQUIRED
-        if name in config.requirements
-    ]
 
 
 def list_measuring(config: AuditConfig) -> list[str]:
@@ -362,30 +442,6 @@ def list_measuring(config: AuditConfig) -> list[str]:
 def read_volume(config: AuditConfig) -> PoseVolume | None:
     """Return where accuracy counts; None where nothing is said."""
     return read_workspace(config.workspace if isinstance(config.workspace, WorkspaceConfig) else None)
-
-
-def _plan_measurements(
-    config: AuditConfig, folder: Path, units: Units, sensors: dict[str, Sensor]
-) -> tuple[Knowledge, Plan]:
-    """Return what is known of a machine that has not been measured, and how it is to be."""
-    assert config.machine is not None
-    assert config.noise is not None
-    variant = config.variants[0]
-    assert variant.model is not None
-    model = ModelConfig(model=variant.model, deformation=variant.deformation)
-    machine = read_machine(folder / config.machine, model, config.deformation, folder)
-    priors, fixed = read_tolerances(machine, config.parameters, variant.free, units, Path(config.name))
-    knowledge = Knowledge(machine, priors | _read_frames(config.frames, units), fixed)
-    actuators = plan_actuators(config, folder, knowledge, read_volume(config), config.poses)
-    _check_range(machine.mechanism, actuators)
-    plan = plan_sensors(actuators, sensors, list_measuring(config), config.noise, "variants.sensors")
-    return knowledge, replace(plan, function=_read_function(config.structured_error))
-
-
-def _read_function(config: StructuredErrorConfig | None) -> FunctionOfPose | None:
-    if config is None:
-        return None
-    return FunctionOfPose(build_kernel(config.kernel, config.length), MICROMETRE * config.scale_um)
 
 
 def _read_frames(frames: FramesConfig, units: Units) -> dict[str, float]:
@@ -463,11 +519,79 @@ def close_legs(knowledge: Knowledge, actuators: Array) -> Array:
     return np.where(good[:, None], back.actuators, actuators)
 
 
-def _check_range(mechanism: Mechanism, actuators: Array) -> None:
-    moved = np.abs(actuators - mechanism.initial_actuator_positions)
-    if np.any(moved > mechanism.actuator_range * (1.0 + SLACK)):
-        pose, leg = np.unravel_index(int(np.argmax(moved)), moved.shape)
+# --- a study's measurements -------------------------------------------------------------------------------------------
+
+
+def read_measured(config: AuditConfig, folder: Path) -> MeasuredVariant:
+    """Return what a design's study says of its machine.
+
+    Raises
+    ------
+    InputError
+        Where there is no such study, or it has no variant of the design's model, deformation, name and free parameters,
+        or several, or another mechanism.
+    """
+    assert config.data is not None
+    where = folder / config.data.study
+    experiment, study = load(where)
+    variant = config.variants[0]
+    assert variant.model is not None
+    choice = VariantChoice(label_class(variant.model), label_class(variant.deformation), config.data.variant)
+    found = measure_legs(experiment, study, where, choice, config.data.with_model_error)
+    if found.posterior.likelihood.structured is not None:
+        refuse_independent(config)
+    free = variant.free
+    if free is not None and set(free) != set(found.free):
         raise InputError(
-            f"poses: pose {pose + 1}, leg {leg + 1}: found a displacement of {moved[pose, leg]:g} mm, "
-            f"expected at most the actuator range of {mechanism.actuator_range:g} mm"
+            f"variants.free: found {', '.join(free)}, expected none or those of the study's {found.name}: "
+            f"{', '.join(found.free)}"
         )
+    if config.machine is not None and (folder / config.machine).resolve() != found.mechanism.resolve():
+        raise InputError(
+            f"machine: found {folder / config.machine} beside [data], expected none or the study's {found.mechanism}"
+        )
+    return found
+
+
+def refuse_independent(config: AuditConfig) -> None:
+    """Raise InputError for what a design wants that has no errors that are functions of the pose."""
+    for field in NOT_STRUCTURED:
+        if field in config.model_fields_set:
+            raise InputError(
+                f"{field}: found it beside errors that are functions of the pose, expected none, or deformation "
+                "'free_matrix' in place of linear ones"
+            )
+
+
+def draw_measured(config: AuditConfig, folder: Path, found: MeasuredVariant, run: Run) -> LegPlan:
+    """Return what is known of a measured machine: by its posterior's draws, or its mode where none are wanted."""
+    wanted = DRAWS_WITH_DATA if config.posterior.draws is None else config.posterior.draws
+    draws, posterior = None, found.posterior
+    if wanted:
+        draws = run.once("posterior", draw, (posterior, config.posterior, wanted, config.seed), (Draws,))
+        values, natural = draws.mean, draws.natural.reshape(-1, posterior.n_parameters)
+    else:
+        natural = posterior.natural(find_modes(posterior)[0].y[None])
+        values = natural[0, : posterior.n_geometry]
+    names = posterior.names[: posterior.n_geometry]
+    centre = dict(zip(names, values.tolist(), strict=True))
+    knowledge = Knowledge(found.machine, {name: found.priors[name].sd for name in names}, {**found.fixed, **centre})
+    variance = posterior.errors.mean_square_tau(posterior.zeta(natural))
+    model_error = float(np.sqrt(variance + found.left_variance))
+    information, function = np.linalg.inv(found.poses.covariance), find_function_of_pose(posterior, natural)
+    plan = Plan(
+        found.poses.actuators,
+        (),
+        found.actuator_noise,
+        model_error,
+        pose_information=information,
+        function=FunctionOfPose(*function) if function is not None and function[1].any() else None,
+    )
+    measured = Measured(found.origin, found.posterior, draws, found.n_held_back)
+    return _complete(config, folder, knowledge, plan, measured)
+
+
+def draw(task: tuple[LegPosterior, DrawsConfig, int, int]) -> Draws:
+    """Return draws of a posterior: so many, by a design's effort and seed."""
+    posterior, effort, wanted, seed = task
+    return draw_posterior(posterior, effort, wanted, np.random.SeedSequence([seed, SEED]))

@@ -1,48 +1,160 @@
-"""Readings of a machine's channels as an audit takes them: rows with the poses eliminated, at the machine expected."""
+"""Readings of a machine's channels as an audit takes them: rows with the poses eliminated, at the machine expected.
+
+The readings are those of the machine as expected, without noise, which is given beside them. Priors count by their
+standard deviations: to first order a uniform one is a normal one of the same mean and deviation. Poses are random ones
+of the workspace or of the actuators, or those of a file.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Protocol
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from bayescal.calibrated.tables import list_columns, read_given, read_named, read_quantities
 from bayescal.density.calibration.likelihood import CalibrationPosterior, JointFit
-from bayescal.errors import InputError, NumericalError
-from bayescal.experiments.audit.planned import Planned
-from bayescal.experiments.audit.planned_poses import PlannedPoses
+from bayescal.density.calibration.measurements import Measurements
+from bayescal.density.calibration.terms import Errors
+from bayescal.density.priors import NormalPrior
+from bayescal.errors import InputError, NumericalError, name_faults
+from bayescal.experiments.audit.audit import check_changes
+from bayescal.experiments.audit.planned import FreeParameters, Planned, read_requirements
 from bayescal.experiments.audit.schema import AuditConfig, PosesConfig, VariantConfig, WhatIfConfig
+from bayescal.experiments.audit.sensor_sets import SensorChoice, list_choices
 from bayescal.experiments.shared.readings.inputs import Variant
-from bayescal.experiments.shared.readings.knowledge import look_around
-from bayescal.experiments.shared.readings.knowledge_tables import name_data, name_place
+from bayescal.experiments.shared.readings.instruments import read_instruments, read_model
+from bayescal.experiments.shared.readings.knowledge import look_around, name_data, name_place
+from bayescal.experiments.shared.readings.noise import noise_of_channels
+from bayescal.experiments.shared.readings.priors import choose_priors
+from bayescal.experiments.shared.readings.schema import ChannelConfig, FreeConfig
+from bayescal.experiments.shared.readings.workspace import (
+    Workspace,
+    build_workspace,
+    check_given,
+    check_told,
+    draw_given,
+    draw_standing,
+)
+from bayescal.experiments.shared.study_schema import VariantConfig as FittedConfig
 from bayescal.identifiability.calibration import Calibrations
+from bayescal.identifiability.design import draw_displacements
 from bayescal.identifiability.directions import Direction
 from bayescal.identifiability.information import Information, information_of_rows
-from bayescal.identifiability.reading_rows import View, see
+from bayescal.identifiability.reading_rows import View, name_tool, see
 from bayescal.identifiability.requirements import Forecast, Requirement
 from bayescal.identifiability.ridges import Ridge, describe_reading_ridges
 from bayescal.identifiability.structure import EPSILON, OFF, TWIN_SHIFT, TWINS, Structure, find_structure
+from bayescal.machines.readings import ReadingModel, place
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import Units
 
 WIDE_POSES = 40
-ROUNDS = 20  # of machines that are drawn anew
-
-
-class Maker(Protocol):
-    """What makes variants of one machine."""
-
-    def build(self, section: VariantConfig, poses: PlannedPoses) -> Variant:
-        """Return a variant at planned poses; InputError for one at which the machine cannot stand."""
-
-    def plan(self, section: PosesConfig) -> PlannedPoses:
-        """Return planned poses."""
+ROUNDS = 20  # of machines that are drawn again
 
 
 @dataclass(frozen=True, eq=False)
-class ReadingPlan(Planned):
+class PlannedPoses:
+    """Poses (P, q) by name, and what the machine has to know of each, (P,) by name."""
+
+    names: tuple[str, ...]
+    pose: Array
+    given: dict[str, Array]
+
+
+@dataclass(frozen=True, eq=False)
+class ReadMachine:
+    """A machine and its instruments, of which variants are made by choosing channels and poses."""
+
+    config: AuditConfig
+    folder: Path
+    model: ReadingModel
+    workspace: Workspace
+
+    def plan(self, section: PosesConfig) -> PlannedPoses:
+        """Return where it is planned to measure; InputError for a faulty file or missing bounds."""
+        config, model = self.config, self.model
+        if section.configurations is not None:
+            raise InputError(
+                "poses.configurations: found displacements of a mechanism's actuators, expected poses.file"
+            )
+        if section.file is not None:
+            known = [*list_columns(model.coordinates), *model.given]
+            expected = [*(f"{one.name}_{one.unit}" for one in model.coordinates), *model.given]
+            table, names = read_named(self.folder / section.file, known, expected)
+            return PlannedPoses(names, read_quantities(table, model.coordinates), read_given(table, model.given))
+        assert section.count is not None
+        check_given(config.given, model)
+        rng, count = np.random.default_rng([config.seed, 8]), section.count
+        given, layout = draw_given(config.given, count, rng), model.layout
+        priors, fixed, _ = choose_priors(config, FreeConfig(), layout)
+        expects = fixed | {name: one.mean for name, one in priors.items()}
+        theta = np.array([expects.get(name, value) for name, value in zip(layout.names, layout.nominal, strict=True)])
+        if section.plan == "workspace":
+            pose, _ = draw_standing(model, self.workspace, theta, given, count, rng)
+        else:
+            pose = _draw_commands(model, theta, given, section, rng)
+        return PlannedPoses(tuple(f"P{k:03d}" for k in range(1, count + 1)), pose, given)
+
+    def build(self, section: VariantConfig, planned: PlannedPoses) -> Variant:
+        """Return a variant at planned poses; InputError for one at which the machine as expected cannot be."""
+        config, whole = self.config, self.model
+        noise = noise_of_channels({k: v for k, v in config.sensors.items() if isinstance(v, ChannelConfig)}, whole)
+        chosen = whole.select(section.sensors if section.sensors is not None else config.sensors)
+        for k in chosen[~np.isfinite(noise[chosen])][:1]:
+            raise InputError(f"sensors: found {whole.names[k]} without noise, expected an entry in [sensors]")
+        model = whole.pick(chosen)
+        priors, fixed, common = choose_priors(config, section, model.layout)
+        shape = (len(planned.names), len(chosen))
+        data = Measurements(planned.names, np.zeros(shape), np.tile(noise[chosen], (shape[0], 1)), planned.given)
+        shared = section.model_dump(include=set(FreeConfig.model_fields) | {"name", "sensors"})
+        variant = Variant(
+            FittedConfig(**shared, title=section.label, noise="stated"),
+            whole,
+            model,
+            {name: NormalPrior(one.mean, one.sd) for name, one in priors.items()},
+            fixed,
+            common,
+            Errors(),
+            data,
+            np.zeros(len(planned.names), dtype=bool),
+            planned.pose,
+            self.workspace,
+            config.aligned,
+        )
+        values = model.read(variant.posterior().sampling.start, planned.pose, planned.given)
+        for k, channel in np.argwhere(~np.isfinite(values))[:1]:
+            raise InputError(
+                f"pose {planned.names[k]!r}: found no reading of {model.names[channel]}, expected a pose at which the "
+                "machine as expected stands"
+            )
+        variant = replace(variant, data=replace(data, values=values))
+        check_told(variant.posterior(), planned.pose, self.workspace)
+        return variant
+
+
+def _draw_commands(
+    model: ReadingModel, theta: Array, given: dict[str, Array], section: PosesConfig, rng: np.random.Generator
+) -> Array:
+    """Return the poses (P, q) of random actuator positions; InputError for one at which the machine cannot stand."""
+    limits = model.command_range
+    if not len(limits) or not np.isfinite(limits).all():
+        raise InputError(f"poses.plan: found {section.plan!r}, but no range of the actuators, expected 'workspace'")
+    assert section.count is not None
+    half = 0.5 * (limits[:, 1] - limits[:, 0])
+    half = half if section.range_mm is None else np.minimum(half, section.range_mm)
+    moves = draw_displacements(section.plan, section.count, len(limits), 1.0, rng)
+    pose, found = model.locate(theta, limits.mean(axis=1) + half * moves, given)
+    for k in np.flatnonzero(~found)[:1]:
+        raise InputError(f"poses: pose {k + 1}: found no pose at actuator positions drawn, expected a smaller range_mm")
+    return pose
+
+
+@dataclass(frozen=True, eq=False)
+class ChannelPlan(Planned):
     """A variant of an audit: channels, free parameters and planned poses.
 
     Attributes
@@ -56,7 +168,7 @@ class ReadingPlan(Planned):
     requirements : tuple of Requirement
         Of the tool's numbers, inner units.
     units : Units
-    maker : Maker
+    maker : ReadMachine
     """
 
     config: AuditConfig
@@ -65,7 +177,7 @@ class ReadingPlan(Planned):
     variant: Variant
     requirements: tuple[Requirement, ...]
     units: Units
-    maker: Maker
+    maker: ReadMachine
 
     @cached_property
     def posterior(self) -> CalibrationPosterior:
@@ -76,26 +188,12 @@ class ReadingPlan(Planned):
     def _expected(self) -> Array:
         return np.zeros(self.posterior.n_parameters)
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the free parameters."""
-        return tuple(self.posterior.sampling.names)
-
-    @property
-    def parameter_units(self) -> tuple[str, ...]:
-        """Their inner units."""
-        return tuple(self.posterior.units)
-
-    @property
-    def sd(self) -> Array:
-        """Standard deviations of their priors, shape (n,)."""
-        return self.posterior.prior_sd
-
-    @property
-    def nominal(self) -> Array:
-        """Their values as expected, shape (n,)."""
-        sampling = self.posterior.sampling
-        return np.asarray(sampling.start[sampling.free])
+    @cached_property
+    def parameters(self) -> FreeParameters:
+        """The free parameters, nominal as expected."""
+        found = self.posterior.sampling
+        nominal = np.asarray(found.start[found.free])
+        return FreeParameters(tuple(found.names), tuple(self.posterior.units), self.posterior.prior_sd, nominal)
 
     @property
     def n_poses(self) -> int:
@@ -164,7 +262,7 @@ class ReadingPlan(Planned):
             directions,
             see(self.posterior, self._expected),
             self.names,
-            self.parameter_units,
+            self.parameters.units,
             self.sd,
             self.units,
             self.variant.model.member,
@@ -199,16 +297,12 @@ class ReadingPlan(Planned):
 
     # --- other plans -----------------------------------------------------------------------------------------------
 
-    def replan(self, poses: PlannedPoses, section: VariantConfig | None = None) -> ReadingPlan:
+    def replan(self, poses: PlannedPoses, section: VariantConfig | None = None) -> ChannelPlan:
         """Return the same machine at other poses; InputError for one at which it cannot stand."""
         section = section or self.section
         return replace(self, section=section, variant=self.maker.build(section, poses))
 
-    def list_changes(self) -> list[WhatIfConfig]:
-        """Return nothing: variants say which sensors may take part."""
-        return []
-
-    def change(self, change: WhatIfConfig) -> ReadingPlan:
+    def change(self, change: WhatIfConfig) -> ChannelPlan:
         """Return the same machine with a changed plan."""
         config, data = change.poses or self.config.poses, self.variant.data
         count = max(1, round(change.poses_factor * self.n_poses))
@@ -229,10 +323,6 @@ class ReadingPlan(Planned):
         factors = np.where(changed.variant.internal, change.actuator_noise_factor, change.noise_factor)
         noisy = replace(changed.variant.data, sd=changed.variant.data.sd * factors)
         return replace(changed, variant=replace(changed.variant, data=noisy))
-
-    def propose(self) -> None:
-        """Return nothing: [selection] chooses poses."""
-        return
 
     # --- checks ----------------------------------------------------------------------------------------------------
 
@@ -314,3 +404,48 @@ class ReadingPlan(Planned):
         if not count:
             raise InputError("tolerances: found no machine that reaches the planned poses, expected smaller ones")
         return total / count
+
+
+# --- reading ---------------------------------------------------------------------------------------------------------
+
+
+def read_channels(config: AuditConfig, folder: Path) -> tuple[dict[str, ChannelPlan], SensorChoice | None]:
+    """Return the variants as they are planned, and the sensors to choose from, if any.
+
+    Raises
+    ------
+    InputError
+        Naming the file, the variant, the pose, the coordinate.
+    """
+    assert config.machine is not None
+    assert isinstance(config.workspace, dict)
+    machine, models = folder / config.machine, dict[tuple[str | None, str], ReadingModel]()
+    for one in config.variants:
+        with name_faults("" if one is config.variants[0] else f"variant {one.name!r}"):
+            if (key := (one.model, one.deformation)) not in models:
+                models[key] = place(read_model(config, one, machine, folder), read_instruments(config, folder))
+    model = next(iter(models.values()))
+    if config.aligned and not model.places_tool:
+        raise InputError(
+            f"aligned: machine {getattr(model, 'name', '')!r} does not say where its tool is; expected tool_channels "
+            "of its class, up to three in mm"
+        )
+    workspace = build_workspace(model, config.workspace, config.units)
+    maker = ReadMachine(config, folder, model, workspace)
+    planned, (names, inner) = maker.plan(config.poses), name_tool(model)
+    required = read_requirements(config, dict(zip(names, inner, strict=True)), names)
+    units, name = Units(config.units.length, config.units.angle), getattr(model, "name", config.machine)
+    plans = dict[str, ChannelPlan]()
+    for one in config.variants:
+        with name_faults(f"variant {one.name!r}"):
+            own = replace(maker, model=models[one.model, one.deformation])
+            plans[one.name] = ChannelPlan(config, one, name, own.build(one, planned), required, units, own)
+            check_changes(plans[one.name])
+    if (asked := config.sensor_choice) is None:
+        return plans, None
+    with name_faults("sensor_choice"):
+        choices = list_choices(model, asked)
+        sensors = [*asked.always, *(one for choice in choices for one in choice.channels)]
+        what = asked.model_dump(include=set(FreeConfig.model_fields))
+        every = maker.build(VariantConfig(name="sensor_choice", sensors=sensors, **what), planned)
+    return plans, SensorChoice(asked, every, choices, required, units, config.seed)

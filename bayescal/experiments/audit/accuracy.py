@@ -1,0 +1,198 @@
+"""How accurate the variants of a machine's readings are, where to measure next, and which poses to choose.
+
+Poses are chosen before any are measured: those that lower the mean squared error of the tool most. They are added one
+by one; by exchange, each time others are then put in their place for as long as that helps. What every number of poses
+leaves of the error says where more of them stop paying.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from bayescal.density.calibration.likelihood import CalibrationPosterior
+from bayescal.experiments.audit.channels import ChannelPlan
+from bayescal.experiments.audit.schema import AuditConfig
+from bayescal.experiments.frame.parallel import Run
+from bayescal.experiments.shared.readings.inputs import Variant
+from bayescal.experiments.shared.readings.knowledge import (
+    Knowledge,
+    assess,
+    list_next,
+    look,
+    look_around,
+    tabulate_accuracy,
+    weigh,
+)
+from bayescal.identifiability.reading_rows import rms
+from bayescal.numerics.geometry import Array
+from bayescal.pose_selection.next_pose import add_poses, compute_gains, learn_in_turn
+
+RANDOM_SETS = 20  # of as many poses, to compare with
+MOST_ROUNDS = 20  # of exchanges
+LEAST_FALL = 1e-9  # of the mean squared error, for which poses are exchanged
+
+
+def compute_accuracy(plans: Mapping[str, ChannelPlan], run: Run) -> dict[str, pd.DataFrame]:
+    """Return the tables of all variants' accuracy and poses."""
+    names, classes = {name: name for name in plans}, (Prospect, Knowledge, ChosenPoses)
+    found = run.map("variants", _compute_variant, plans, names, classes)
+    every = [(plans[name].variant, one) for name, one in found.items()]
+    first, config = next(iter(plans.values())).variant, next(iter(plans.values())).config
+    accuracy = [tabulate_accuracy(variant, one.knowledge, config.units) for variant, one in every]
+    tables = {
+        "accuracy": pd.concat(accuracy, ignore_index=True),
+        "next": pd.DataFrame([row for variant, one in every for row in list_next(variant, one.knowledge)]),
+        "selected": pd.DataFrame([row for one in every for row in _list_selected(*one)]),
+        "pose_counts": pd.DataFrame([row for one in every for row in _list_counts(*one)]),
+        "poses": pd.DataFrame(
+            [{"pose": n, **_place(first, v)} for n, v in zip(first.data.poses, first.start, strict=True)]
+        ),
+    }
+    return {name: table for name, table in tables.items() if not table.empty}
+
+
+@dataclass(frozen=True, eq=False)
+class ChosenPoses:
+    """Poses in the order in which they were chosen, or would have been among themselves.
+
+    Attributes
+    ----------
+    pose : ndarray, shape (N, q)
+    after : ndarray, shape (N, t)
+        Root mean square error of the tool over the workspace by what is then unknown of the parameters.
+    curve : ndarray, shape (N, t)
+        The same with the best set found of 1 to N poses.
+    random : ndarray, shape (N, t)
+        The same with as many of the candidates at random, root mean square of several sets.
+    """
+
+    pose: Array
+    after: Array
+    curve: Array
+    random: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Prospect:
+    """How accurate a variant is, and at which poses it is best measured."""
+
+    knowledge: Knowledge
+    selection: ChosenPoses | None
+
+    def name_errors(self, start: str, values: Array) -> dict[str, float]:
+        """Return errors (t,) of the tool by the names of columns."""
+        names = zip(self.knowledge.coordinates, self.knowledge.units, strict=True)
+        return {f"{start}_{name}_{unit}": value for (name, unit), value in zip(names, values, strict=True)}
+
+
+def _compute_variant(plans: Mapping[str, ChannelPlan], name: str) -> Prospect:
+    plan = plans[name]
+    expected, covariance = np.zeros(plan.posterior.n_parameters), plan.inform().covariance
+    knowledge = assess(plan.config, plan.variant, plan.posterior, expected, covariance)
+    return Prospect(knowledge, select_poses(plan.config, plan.variant, plan.posterior))
+
+
+def _list_selected(variant: Variant, one: Prospect) -> list[dict[str, Any]]:
+    if (chosen := one.selection) is None:
+        return []
+    return [
+        {"variant": variant.name, "step": k, **_place(variant, pose), **one.name_errors("after", after)}
+        for k, (pose, after) in enumerate(zip(chosen.pose, chosen.after, strict=True), start=1)
+    ]
+
+
+def _list_counts(variant: Variant, one: Prospect) -> list[dict[str, Any]]:
+    """Return what every number of poses leaves of the error, chosen and at random, and what the last of them gained."""
+    if (chosen := one.selection) is None:
+        return []
+    n_lengths = max(1, variant.model.pose_units.count("mm"))  # poses are chosen by the tool's lengths only
+    size = [float(np.linalg.norm(error[:n_lengths])) for error in (one.knowledge.before, *chosen.curve)]
+    return [
+        {
+            "variant": variant.name,
+            "n_poses": k,
+            **one.name_errors("after", curve),
+            **one.name_errors("random", random),
+            "size": size[k],
+            "gain": 1.0 - size[k] / size[k - 1],
+        }
+        for k, (curve, random) in enumerate(zip(chosen.curve, chosen.random, strict=True), start=1)
+    ]
+
+
+def _place(variant: Variant, pose: Array) -> dict[str, float]:
+    return {f"{one.name}_{one.unit}": pose[k] for k, one in enumerate(variant.model.coordinates)}
+
+
+# --- poses to choose -------------------------------------------------------------------------------------------------
+
+
+def select_poses(config: AuditConfig, variant: Variant, posterior: CalibrationPosterior) -> ChosenPoses | None:
+    """Return poses chosen out of random ones of the workspace, read by all sensors of a variant.
+
+    None where none are asked for, or where the machine's own sensors do not tell what has to be accurate.
+    """
+    if config.selection is None:
+        return None
+    expected = np.zeros(posterior.n_parameters)
+    at = look_around(variant, posterior, expected, np.random.default_rng([config.seed, 5]))
+    weight = weigh(variant, at)
+    if not np.isfinite(weight).all():
+        return None
+    candidates = variant.workspace.draw(config.selection.candidates, np.random.default_rng([config.seed, 9]))
+    every = np.ones(len(variant.model.channels), dtype=bool)
+    tried = look(posterior, variant, expected, candidates, every)
+    count = min(config.selection.count, len(tried.pose))
+    order, left = add_poses(tried.rows, weight, count, np.arange(len(tried.pose)))
+    curve = left
+    if config.selection.method == "exchange":
+        order, curve = _exchange_all(tried.rows, weight, count)
+        order, left = add_poses(tried.rows, weight, count, np.array(order, dtype=int))
+    rng = np.random.default_rng([config.seed, 10])
+    orders = [rng.permutation(len(tried.pose))[:count] for _ in range(RANDOM_SETS)]
+    spread = [[rms(at.tool, one) for one in learn_in_turn(tried.rows, some)] for some in orders]
+    random = np.sqrt(np.mean(np.square(np.array(spread).reshape(RANDOM_SETS, count, -1)), axis=0))
+    after, best = (np.array([rms(at.tool, one) for one in some]).reshape(count, -1) for some in (left, curve))
+    return ChosenPoses(tried.pose[order], after, best, random)
+
+
+def _exchange_all(rows: Array, weight: Array, count: int) -> tuple[list[int], list[Array]]:
+    """Return the best candidates found by adding and exchanging, and what 1 to ``count`` of them leave, C (m, m)."""
+    chosen: list[int] = []
+    left = []
+    for _ in range(count):
+        gains = compute_gains(rows, _leave(rows, chosen), weight)
+        gains[chosen] = -np.inf
+        chosen.append(int(gains.argmax()))
+        for _ in range(MOST_ROUNDS):
+            if not _exchange_one(rows, weight, chosen):
+                break
+        left.append(_leave(rows, chosen))
+    return chosen, left
+
+
+def _exchange_one(rows: Array, weight: Array, chosen: list[int]) -> bool:
+    """Put a better candidate in the place of one, in place, where that lowers tr(W C) most; whether any did."""
+    least, swap = (1.0 - LEAST_FALL) * float(np.trace(weight @ _leave(rows, chosen))), None
+    for place in range(len(chosen)):
+        without = _leave(rows, chosen[:place] + chosen[place + 1 :])
+        gains = compute_gains(rows, without, weight)
+        gains[chosen] = -np.inf
+        best = int(gains.argmax())
+        value = float(np.trace(weight @ without)) * (1.0 - gains[best])
+        if value < least:
+            least, swap = value, (place, best)
+    if swap is not None:
+        chosen[swap[0]] = swap[1]
+    return swap is not None
+
+
+def _leave(rows: Array, chosen: list[int]) -> Array:
+    """Return (1 + Σ RᵀR)⁻¹ of some candidates."""
+    some = rows[chosen].reshape(-1, rows.shape[-1])
+    return np.asarray(np.linalg.inv(np.eye(rows.shape[-1]) + some.T @ some))
