@@ -70,21 +70,11 @@ def factor_by_columns(
 
 @dataclass(frozen=True, eq=False)
 class LowRank:
-    """Covariances of the legs' errors at P poses, but for the model error.
+    """Covariances of the legs' errors at P poses, but for the model error."""
 
-    Attributes
-    ----------
-    own : ndarray, shape (P, N)
-        D, mm².
-    columns : ndarray, shape (P, 6, N)
-        Uᵀ, mm.
-    products : ndarray, shape (P, 21, N)
-        Products of two of the columns, those of the lower triangle row by row.
-    """
-
-    own: Array
-    columns: Array
-    products: Array
+    own: Array  # (P, N): D, mm²
+    columns: Array  # (P, 6, N): Uᵀ, mm
+    products: Array  # (P, 21, N): products of two of the columns, those of the lower triangle row by row
 
     def select(self, part: slice) -> LowRank:
         """Return those of some of the poses."""

@@ -33,30 +33,14 @@ MAX_ITERATIONS = 200
 
 @dataclass(frozen=True, eq=False)
 class Coefficients:
-    """The N coefficients of B machines given their rows: normal about a mean.
+    """The N coefficients of B machines given their rows: normal about a mean."""
 
-    Attributes
-    ----------
-    mean : ndarray, shape (B, N)
-        û.
-    precision : ndarray, shape (B, N, N)
-        M.
-    log_volume : ndarray, shape (B,)
-        -½ log |M|.
-    residual : ndarray, shape (B, P, m)
-        e - A û.
-    trust : ndarray, shape (B, P)
-        w; one without outliers.
-    columns : ndarray, shape (B, P, m, N)
-        A.
-    """
-
-    mean: Array
-    precision: Array
-    log_volume: Array
-    residual: Array
-    trust: Array
-    columns: Array
+    mean: Array  # (B, N): û
+    precision: Array  # (B, N, N): M
+    log_volume: Array  # (B,): -½ log |M|
+    residual: Array  # (B, P, m): e - A û
+    trust: Array  # (B, P): w; one without outliers
+    columns: Array  # (B, P, m, N): A
 
     @cached_property
     def inverse(self) -> Array:

@@ -18,28 +18,15 @@ from bayescal.numerics.geometry import Array, skew_matrix
 
 @dataclass(frozen=True, eq=False)
 class _Frame:
-    """Frames attached to the lines of clouds of targets, with what their first-order propagation needs.
+    """Frames attached to the lines of clouds of targets, with what their first-order propagation needs."""
 
-    Attributes
-    ----------
-    centre : ndarray, shape (P, 3)
-        Barycentre of the seen targets, mm.
-    axes : ndarray, shape (P, 3, 3)
-        Columns x, y, z.
-    vectors, values : ndarray, shapes (P, 3, 3) and (P, 3)
-        Principal directions of the scatter matrix as columns, and their sums of squares in mm², ascending.
-    offset : ndarray, shape (P, n, 3)
-        Targets from the barycentre, mm; zero where not seen.
-    far : ndarray of int, shape (P,)
-        Target that fixes x.
-    """
-
-    centre: Array
-    axes: Array
+    centre: Array  # (P, 3): barycentre of the seen targets, mm
+    axes: Array  # (P, 3, 3): columns x, y, z
+    # (P, 3, 3): principal directions of the scatter matrix as columns, and their sums of squares in mm², ascending
     vectors: Array
-    values: Array
-    offset: Array
-    far: NDArray[np.int64]
+    values: Array  # (P, 3)
+    offset: Array  # (P, n, 3): targets from the barycentre, mm; zero where not seen
+    far: NDArray[np.int64]  # (P,): target that fixes x
 
 
 def _fit_principal_axes(points: Array, seen: NDArray[np.bool_]) -> tuple[Array, Array, Array, Array]:

@@ -37,35 +37,19 @@ _PLASTIC = 1.2207440846057596  # root of x⁴ = x + 1; its powers give an evenly
 
 @dataclass(frozen=True, eq=False)
 class RigidFit:
-    """Poses of a rigid body in the measurement frame, with their uncertainty and status.
+    """Poses of a rigid body in the measurement frame, with their uncertainty and status."""
 
-    Attributes
-    ----------
-    position : ndarray, shape (..., 3)
-        Origin of the body frame in the measurement frame, mm.
-    rotation : ndarray, shape (..., 3, 3)
-        Rotation from the body frame to the measurement frame.
-    covariance : ndarray, shape (..., 6, 6)
-        Covariance of position error in mm and rotation vector w in rad, both in the measurement frame, with
-        ``R_true = Exp(w) R_estimated``.
-    weights : ndarray, shape (..., n)
-        Final weight of each target, from 0 (rejected or not seen) to 1.
-    chi2 : ndarray, shape (...)
-        Sum of squares of the residuals of the targets with a positive weight, in units of σ². The residuals themselves
-        are not weighted down, so that Gaussian noise gives a mean of nearly ``dof``.
-    dof : ndarray of int, shape (...)
-        Three times the number of targets with a positive weight, less six.
-    converged : ndarray of bool, shape (...)
-        Whether the weights settled; always true for methods without iterations.
-    """
-
-    position: Array
-    rotation: Array
+    position: Array  # (..., 3): origin of the body frame in the measurement frame, mm
+    rotation: Array  # (..., 3, 3): rotation from the body frame to the measurement frame
+    # (..., 6, 6): covariance of position error in mm and rotation vector w in rad, both in the measurement frame,
+    # with ``R_true = Exp(w) R_estimated``
     covariance: Array
-    weights: Array
+    weights: Array  # (..., n): final weight of each target, from 0 (rejected or not seen) to 1
+    # (...): sum of squares of the residuals of the targets with a positive weight, in units of σ². The residuals
+    # themselves are not weighted down, so that Gaussian noise gives a mean of nearly ``dof``
     chi2: Array
-    dof: NDArray[np.int64]
-    converged: NDArray[np.bool_]
+    dof: NDArray[np.int64]  # (...): three times the number of targets with a positive weight, less six
+    converged: NDArray[np.bool_]  # (...): whether the weights settled; always true for methods without iterations
 
     def with_batch(self, batch: tuple[int, ...]) -> RigidFit:
         """Return the fits (P, ...) with their leading axis laid out as ``batch``."""

@@ -414,20 +414,12 @@ class JointFit:
 
     Machine, poses and coefficients move together, the latter two eliminated from each step; what is unknown of the
     errors stays as it is.
-
-    Attributes
-    ----------
-    likelihood : CalibrationLikelihood
-    sampling : AffineSampling
-    errors : Errors
-    zeta : ndarray, shape (k,)
-        Coordinates of the errors.
     """
 
     likelihood: CalibrationLikelihood
     sampling: AffineSampling
     errors: Errors
-    zeta: Array
+    zeta: Array  # (k,): coordinates of the errors
 
     @cached_property
     def _tails(self) -> Outliers:

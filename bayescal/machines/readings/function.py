@@ -313,11 +313,6 @@ class _Steps:
 class FunctionModel(ReadingModel):
     """A machine of one function as a model of readings.
 
-    Attributes
-    ----------
-    name : str
-    machine : ReadingMachine
-
     Raises
     ------
     InputError
