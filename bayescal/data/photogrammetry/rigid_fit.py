@@ -55,6 +55,29 @@ class RigidFit:
         """Return the fits (P, ...) with their leading axis laid out as ``batch``."""
         return RigidFit(**{name: part.reshape((*batch, *part.shape[1:])) for name, part in vars(self).items()})
 
+    @classmethod
+    def of_targets(
+        cls,
+        reference: Array,
+        measured: Array,
+        pose: tuple[Array, Array],
+        weights: Array,
+        noise: float,
+        covariance: Array | None = None,
+        converged: NDArray[np.bool_] | None = None,
+    ) -> RigidFit:
+        """Return poses of targets (n, 3), (P, n, 3) with weights (P, n); by default covariances are least squares'."""
+        used = weights > 0
+        square = compute_square(compute_rigid_residuals(reference, measured, *pose), noise)
+        return cls(
+            *pose,
+            compute_rigid_covariance(reference, pose[1], used, noise) if covariance is None else covariance,
+            weights,
+            chi2=np.sum(np.where(used, square, 0.0), axis=-1),
+            dof=3 * used.sum(axis=-1) - 6,
+            converged=np.ones(len(measured), dtype=bool) if converged is None else converged,
+        )
+
 
 def compute_biweight_moments(constant: ArrayLike) -> tuple[Array, Array]:
     """Return the mean slope A and the variance B of the biweight's estimating function at unit Gaussian noise.
@@ -308,24 +331,15 @@ def fit_rigid_body(reference: ArrayLike, measured: ArrayLike, noise: float) -> R
         As `check_targets`, or where fewer than three targets, or only targets on a line, lie within cσ of a pose.
     """
     reference, flat, seen = check_targets(reference, measured, noise)
-    batch = np.shape(measured)[:-2]
     start = _robust_start(reference, flat, seen, noise)
     weights, converged = _reweight(reference, flat, start, noise)
     position, rotation = weighted_rigid_transform(reference, flat, weights)
-    square = compute_square(compute_rigid_residuals(reference, flat, position, rotation), noise)
     used = weights > 0
-    count = used.sum(axis=-1)
-    covariance = compute_rigid_covariance(reference, rotation, used, noise)
-    covariance = compute_variance_factor(count)[:, None, None] * covariance
-    return RigidFit(
-        position=position,
-        rotation=rotation,
-        covariance=covariance,
-        weights=weights,
-        chi2=np.sum(np.where(used, square, 0.0), axis=-1),
-        dof=3 * count - 6,
-        converged=converged,
-    ).with_batch(batch)
+    covariance = compute_variance_factor(used.sum(axis=-1))[:, None, None] * compute_rigid_covariance(
+        reference, rotation, used, noise
+    )
+    fit = RigidFit.of_targets(reference, flat, (position, rotation), weights, noise, covariance, converged)
+    return fit.with_batch(np.shape(measured)[:-2])
 
 
 INCOMPATIBLE = 1e-9
@@ -369,17 +383,8 @@ def compare_noise(reference: ArrayLike, measured: ArrayLike, noise: float) -> st
 
 
 def _fit(reference: Array, measured: Array, seen: NDArray[np.bool_], noise: float) -> RigidFit:
-    position, rotation = weighted_rigid_transform(reference, measured, seen)
-    square = compute_square(compute_rigid_residuals(reference, measured, position, rotation), noise)
-    return RigidFit(
-        position=position,
-        rotation=rotation,
-        covariance=compute_rigid_covariance(reference, rotation, seen, noise),
-        weights=seen.astype(float),
-        chi2=np.sum(np.where(seen, square, 0.0), axis=-1),
-        dof=3 * seen.sum(axis=-1) - 6,
-        converged=np.ones(len(measured), dtype=bool),
-    )
+    pose = weighted_rigid_transform(reference, measured, seen)
+    return RigidFit.of_targets(reference, measured, pose, seen.astype(float), noise)
 
 
 def _state_noise(fit: RigidFit, pose: int, noise: float) -> str:

@@ -7,14 +7,15 @@ G is the pseudo-inverse of the pose Jacobian at the nominal home. For six legs t
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 
 import numpy as np
 
 from bayescal.errors import InputError, NumericalError
 from bayescal.machines.deformations import DeformationBasis
-from bayescal.machines.models.base import newton_step
+from bayescal.machines.models.base import Closure, KinematicModel, Linearisation, newton_step
 from bayescal.machines.models.legs import (
     LegVectors,
     add_columns,
@@ -350,3 +351,17 @@ def solve_home(layout: ParameterLayout, theta: Array, known: BatchHome | None = 
     travel = layout.take(theta, "rho0")
     legs = LegVectors(layout, basis, rotation, direction, arm, vector, axis, travel, length)
     return Home(batch_first(found.position), rotation, legs, found.gain)
+
+
+class HomeModel(KinematicModel):
+    """A model whose closure is referred to the home poses of its machines: ``_close`` takes these after θ."""
+
+    _close: Callable[..., Linearisation]
+
+    def prepare(self, layout: ParameterLayout, theta: Array) -> Closure:
+        """Return the closure, with the machines' home poses found."""
+        return self.prepare_known(layout, theta, None)
+
+    def prepare_known(self, layout: ParameterLayout, theta: Array, home: BatchHome | None) -> Closure:
+        """Return the closure of machines whose home poses may be known."""
+        return partial(self._close, layout, theta, solve_home(layout, theta, home))
