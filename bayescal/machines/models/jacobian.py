@@ -17,7 +17,7 @@ import numpy as np
 from bayescal.machines.deformations import DeformationBasis
 from bayescal.machines.mechanism import Mechanism
 from bayescal.machines.models.base import BoundClosure, Linearisation
-from bayescal.machines.models.home import BatchTurns, Home, compute_turn, home_solver
+from bayescal.machines.models.home import BatchTurns, Home, HomeModel, compute_turn, home_solver
 from bayescal.machines.models.legs import cross, cross_first_axis, dot
 from bayescal.machines.models.six_pus import SixPus
 from bayescal.machines.parameters import ParameterBlock, ParameterLayout
