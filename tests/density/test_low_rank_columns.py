@@ -7,7 +7,7 @@ import pytest
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
-from bayescal.density.low_rank_columns import find_coefficients
+from bayescal.density.low_rank import find_coefficients
 from bayescal.density.outliers import NORMAL, StudentT
 
 M = 4  # rows of each pose

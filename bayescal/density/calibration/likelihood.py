@@ -12,7 +12,7 @@ import numpy as np
 from bayescal.density.calibration.poses import PoseElimination, Stand
 from bayescal.density.calibration.terms import CommonDraws, Errors
 from bayescal.density.elimination import Whitening, invert, left_of, orthonormalise, project_out
-from bayescal.density.low_rank_columns import Coefficients, find_coefficients, split
+from bayescal.density.low_rank import Coefficients, find_coefficients, split
 from bayescal.density.outliers import Outliers
 from bayescal.density.posterior import Elimination, Funnel, Posterior
 from bayescal.density.priors import Prior
