@@ -41,25 +41,13 @@ def check_repeated(names: Sequence[str], readings: Array, verification: np.ndarr
 
 @dataclass(frozen=True, eq=False)
 class MeasuredPoses:
-    """Measured poses of the platform in the base frame with the actuator positions at which they were taken.
+    """Measured poses of the platform in the base frame with the actuator positions at which they were taken."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        Names of the P poses.
-    position, rotation : ndarray, shapes (P, 3) and (P, 3, 3)
-        Pose of the platform frame, base frame, mm.
-    covariance : ndarray, shape (P, 6, 6)
-        Covariance of position (mm) and rotation vector (rad), base frame.
-    actuators : ndarray, shape (P, N)
-        Actuator positions ρ, mm.
-    """
-
-    names: tuple[str, ...]
-    position: Array
-    rotation: Array
-    covariance: Array
-    actuators: Array
+    names: tuple[str, ...]  # names of the P poses
+    position: Array  # (P, 3): pose of the platform frame, base frame, mm
+    rotation: Array  # (P, 3, 3)
+    covariance: Array  # (P, 6, 6): covariance of position (mm) and rotation vector (rad), base frame
+    actuators: Array  # (P, N): actuator positions ρ, mm
 
     @property
     def n_poses(self) -> int:

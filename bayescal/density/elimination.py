@@ -147,23 +147,12 @@ FEW = 16
 
 @dataclass(frozen=True, eq=False)
 class Whitening:
-    """What makes readings of C machines at P poses independent and of unit noise, those not taken zero.
+    """What makes readings of C machines at P poses independent and of unit noise, those not taken zero."""
 
-    Attributes
-    ----------
-    diagonal : ndarray, shape (C, P, K)
-        One over the deviation of readings whose noise is their own, zero for the others.
-    matrix : ndarray, shape (C or 1, P, k, k), or None
-        Of those whose noise depends on each other, which stand at ``places``.
-    places : ndarray of int, shape (k,)
-    log_det : ndarray, shape (C, P)
-        Of the whitening, of the readings taken.
-    """
-
-    diagonal: Array
-    matrix: Array | None
-    places: np.ndarray
-    log_det: Array
+    diagonal: Array  # (C, P, K): one over the deviation of readings whose noise is their own, zero for the others
+    matrix: Array | None  # (C or 1, P, k, k): of those whose noise depends on each other, which stand at ``places``
+    places: np.ndarray  # (k,)
+    log_det: Array  # (C, P): of the whitening, of the readings taken
 
     def pick(self, some: np.ndarray | slice) -> Whitening:
         """Return that of some of the machines."""

@@ -24,21 +24,13 @@ TAU = "tau"
 
 @dataclass(frozen=True)
 class Amplitudes(ErrorTerm):
-    """A term of the legs' errors.
-
-    Attributes
-    ----------
-    label : str
-    names, units : tuple of str, length n
-    priors : tuple of Prior, length n
-    shown : ndarray, shape (n, K)
-        Which of the term's amplitudes each unknown is, ones and zeros; zeros alone where there is no such error.
-    """
+    """A term of the legs' errors."""
 
     label: str
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    priors: tuple[Prior, ...]
+    names: tuple[str, ...]  # length n
+    units: tuple[str, ...]  # length n
+    priors: tuple[Prior, ...]  # length n
+    # (n, K): which of the term's amplitudes each unknown is, ones and zeros; zeros alone where there is no such error
     shown: Array
 
     @classmethod
@@ -78,20 +70,11 @@ class KernelScale:
     How large it is in directions that the geometry imitates cannot be learnt from those that it does not: the scale is
     a tolerance, stated by whoever knows the machine, within a factor exp(spread). Whether there is such an error at all
     is for the data to say.
-
-    Attributes
-    ----------
-    scale : float
-        Median of s where there is an error, mm.
-    spread : float
-        Standard deviation of log s.
-    shared : bool
-        One scale for all legs.
     """
 
-    scale: float
-    spread: float
-    shared: bool = True
+    scale: float  # median of s where there is an error, mm
+    spread: float  # standard deviation of log s
+    shared: bool = True  # one scale for all legs
 
     def at_legs(self, n_legs: int) -> Amplitudes:
         """Return it as a term: zero with probability one half, else log-normal."""
@@ -115,18 +98,10 @@ type LegTerm = ModelError | KernelScale | KernelLength
 
 @dataclass(frozen=True, eq=False)
 class LegErrors(Errors):
-    """All errors of the legs' density.
+    """All errors of the legs' density."""
 
-    Attributes
-    ----------
-    n_legs : int
-        N.
-    model_error : ModelError
-        That of the first term, τ, which stands there even if there is none.
-    """
-
-    n_legs: int = 0
-    model_error: ModelError = NO_MODEL_ERROR
+    n_legs: int = 0  # N
+    model_error: ModelError = NO_MODEL_ERROR  # that of the first term, τ, which stands there even if there is none
 
     @classmethod
     def of_legs(cls, n_legs: int, terms: Sequence[LegTerm], outliers: Outliers = NORMAL) -> LegErrors:

@@ -44,20 +44,11 @@ FAR = 1e4  # pose errors beyond it, mm or rad, are no machine's
 
 @dataclass(frozen=True, eq=False)
 class CommonErrors:
-    """Errors of the joints' known deflections, known minus true, that all poses have in common: T_n k with k ~ N(0, S).
+    """Errors of the joints' deflections, known minus true, that all poses have in common: T_n k with k ~ N(0, S)."""
 
-    Attributes
-    ----------
-    design : ndarray, shape (P, N, Q)
-        T, deflection per unit of k.
-    covariance : ndarray, shape (Q, Q)
-        S; the deflections are in mm.
-    with_poses : ndarray, shape (P, Q, 6), optional
-        Γ, covariance of k with the error of each measured pose (mm, rad; base frame).
-    """
-
-    design: Array
-    covariance: Array
+    design: Array  # (P, N, Q): T, deflection per unit of k
+    covariance: Array  # (Q, Q): S; the deflections are in mm
+    # (P, Q, 6): Γ, covariance of k with the error of each measured pose (mm, rad; base frame)
     with_poses: Array | None = None
 
     @property

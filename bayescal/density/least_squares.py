@@ -29,25 +29,12 @@ FAR = 1e6  # residual where there is no machine
 
 @dataclass(frozen=True, eq=False)
 class LeastSquaresFit:
-    """Identified parameters.
+    """Identified parameters."""
 
-    Attributes
-    ----------
-    theta : ndarray, shape (D,)
-        Parameter vector with the free parameters identified.
-    residual_rms : ndarray, shape (N,)
-        Closure residual of each leg, mm.
-    objective : float
-        Sum of the squared objective, in its own units (mm², or N² and N² m² together).
-    n_identified : int
-        Number of free directions that the poses hold; the others stay nominal.
-    converged : bool
-    """
-
-    theta: Array
-    residual_rms: Array
-    objective: float
-    n_identified: int
+    theta: Array  # (D,): parameter vector with the free parameters identified
+    residual_rms: Array  # (N,): closure residual of each leg, mm
+    objective: float  # sum of the squared objective, in its own units (mm², or N² and N² m² together)
+    n_identified: int  # number of free directions that the poses hold; the others stay nominal
     converged: bool
 
 

@@ -36,27 +36,14 @@ def batches(size: int, n_poses: int = 1) -> list[slice]:
 
 
 class Local(NamedTuple):
-    """A posterior's likelihood around a point.
+    """A posterior's likelihood around a point."""
 
-    Attributes
-    ----------
-    theta : ndarray, shape (D,)
-    errors, slope : ndarray, shapes (P, K), (P, K, m)
-        r and dr/dy.
-    precision : ndarray, shape (P, K, K)
-        Of r, as far as each pose counts.
-    change : ndarray, shape (D, m)
-        dθ/dy.
-    counts : ndarray, shape (P,), optional
-        How much each pose counts; None where all count in full.
-    """
-
-    theta: Array
-    errors: Array
-    slope: Array
-    precision: Array
-    change: Array
-    counts: Array | None = None
+    theta: Array  # (D,)
+    errors: Array  # (P, K): r and dr/dy
+    slope: Array  # (P, K, m)
+    precision: Array  # (P, K, K): of r, as far as each pose counts
+    change: Array  # (D, m): dθ/dy
+    counts: Array | None = None  # (P,): how much each pose counts; None where all count in full
 
     @property
     def weighted(self) -> Array:

@@ -179,19 +179,12 @@ def _weigh_wrong(square: Array, spare: np.ndarray) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Contaminated(Outliers):
-    """A share ε of the rows is wrong, which is inferred.
+    """A share ε of the rows is wrong, which is inferred."""
 
-    Attributes
-    ----------
-    prior : SharePrior
-        Of ε, whose coordinate is standard normal under the prior.
-    share, speed : ndarray, shape (B, 1)
-        ε and its derivative by the coordinate; as the prior expects where nothing else is said.
-    """
-
-    prior: SharePrior
+    prior: SharePrior  # of ε, whose coordinate is standard normal under the prior
+    # (B, 1): ε and its derivative by the coordinate; as the prior expects where nothing else is said
     share: Array | float = 0.0
-    speed: Array | float = 0.0
+    speed: Array | float = 0.0  # (B, 1)
     expected = True
     names = (SHARE,)
     units = ("1",)

@@ -24,22 +24,13 @@ class Prediction:
     """Predictive summary at P poses; a pose error is measured minus predicted, base frame, mm and rad.
 
     Coordinates that were not measured are NaN; distances and angles are those along what was, NaN where nothing was.
-
-    Attributes
-    ----------
-    error : ndarray, shape (P, 6)
-        Error of the posterior mean prediction.
-    low, high : ndarray, shape (P, 6)
-        90 % predictive interval of that error, noise of the measurement included.
-    position_bound, orientation_bound : ndarray, shape (P,)
-        95 % predictive bound of the distance (mm) and of the angle (rad).
     """
 
-    error: Array
-    low: Array
-    high: Array
-    position_bound: Array
-    orientation_bound: Array
+    error: Array  # (P, 6): error of the posterior mean prediction
+    low: Array  # (P, 6): 90 % predictive interval of that error, noise of the measurement included
+    high: Array  # (P, 6)
+    position_bound: Array  # (P,): 95 % predictive bound of the distance (mm) and of the angle (rad)
+    orientation_bound: Array  # (P,)
 
     def select(self, chosen: np.ndarray) -> Prediction:
         """Return the prediction at some of the poses."""
@@ -74,18 +65,10 @@ def measure_length(vector: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Replicates:
-    """What posterior draws predict for P measured poses, measurement errors included.
+    """What posterior draws predict for P measured poses, measurement errors included."""
 
-    Attributes
-    ----------
-    errors : ndarray, shape (S, P, 6)
-        Measured minus predicted pose of each draw (mm, rad; base frame).
-    noise : ndarray, shape (S, P, 6)
-        Errors of the measurement that were drawn with each draw's covariance.
-    """
-
-    errors: Array
-    noise: Array
+    errors: Array  # (S, P, 6): measured minus predicted pose of each draw (mm, rad; base frame)
+    noise: Array  # (S, P, 6): errors of the measurement that were drawn with each draw's covariance
 
     @property
     def misfit(self) -> Array:
@@ -161,23 +144,13 @@ BATCH_OF_DRAWS = 64
 
 @dataclass(frozen=True, eq=False)
 class StructuredError:
-    """The structured error g of every leg at P poses, in the unit of the actuators, mm.
+    """The structured error g of every leg at P poses, in the unit of the actuators, mm."""
 
-    Attributes
-    ----------
-    mean, low, high : ndarray, shape (P, N)
-        Posterior mean and 90 % interval.
-    size : ndarray, shape (S, N)
-        Root mean square over the poses, draw by draw.
-    slopes : ndarray, shape (S, N, N)
-        Linear part, draw by draw: error of each leg per actuator at the end of its range.
-    """
-
-    mean: Array
-    low: Array
-    high: Array
-    size: Array
-    slopes: Array
+    mean: Array  # (P, N): posterior mean and 90 % interval
+    low: Array  # (P, N)
+    high: Array  # (P, N)
+    size: Array  # (S, N): root mean square over the poses, draw by draw
+    slopes: Array  # (S, N, N): linear part, draw by draw: error of each leg per actuator at the end of its range
 
 
 def predict_structured(

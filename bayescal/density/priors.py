@@ -32,9 +32,9 @@ class Prior(ABC):
     def log_density(self, value: Array) -> Array:
         """Return the normalised log-density, -inf outside the support."""
 
-    @abstractmethod
     def draw(self, n: int, rng: np.random.Generator) -> Array:
         """Return n independent draws, shape (n,)."""
+        return self.value(rng.standard_normal(n))
 
     @abstractmethod
     def standardise(self, value: Array) -> Array:
@@ -200,10 +200,6 @@ class SharePrior(Prior):
         left = np.log1p(-np.where(inside, value, 0.0))
         return np.where(inside, np.log(self.exponent) + (self.exponent - 1.0) * left, -np.inf)
 
-    def draw(self, n: int, rng: np.random.Generator) -> Array:
-        """Return n draws."""
-        return self.value(rng.standard_normal(n))
-
     def standardise(self, value: Array) -> Array:
         """Return ζ."""
         return np.asarray(-ndtri_exp(self.exponent * np.log1p(-value)))
@@ -239,10 +235,6 @@ class LogNormalPrior(Prior):
     def log_density(self, value: Array) -> Array:
         """Return the log-normal log-density."""
         return np.asarray(-0.5 * self.standardise(value) ** 2 - np.log(value * self.spread) - HALF_LOG_TWO_PI)
-
-    def draw(self, n: int, rng: np.random.Generator) -> Array:
-        """Return n draws."""
-        return self.value(rng.standard_normal(n))
 
     def standardise(self, value: Array) -> Array:
         """Return coordinates."""

@@ -54,24 +54,13 @@ class AffineSampling(Sampling):
     """Coordinates that are standard normal under the prior.
 
     A normal prior's parameter is counted in its standard deviations, a uniform one's by Φ.
-
-    Attributes
-    ----------
-    layout : ParameterLayout
-    start : ndarray, shape (D,)
-        The machine as expected.
-    names : tuple of str, length m
-        Of the free parameters, or of those that deviate alike, in the layout's order.
-    priors : tuple of Prior, length m
-    moved : ndarray, shape (m, D)
-        Which parameters go with which coordinate, ones and zeros.
     """
 
     layout: ParameterLayout
-    start: Array
-    names: tuple[str, ...]
-    priors: tuple[Prior, ...]
-    moved: Array
+    start: Array  # (D,): the machine as expected
+    names: tuple[str, ...]  # length m: of the free parameters, or of those that deviate alike, in the layout's order
+    priors: tuple[Prior, ...]  # length m
+    moved: Array  # (m, D): which parameters go with which coordinate, ones and zeros
 
     @classmethod
     def build(
@@ -211,14 +200,7 @@ def check_bounds(coordinates: Coordinates) -> None:
 
 @dataclass(frozen=True, eq=False)
 class LegSampling(Sampling):
-    """Coordinates of the free parameters of a machine on legs; see `bayescal.machines.coordinates`.
-
-    Attributes
-    ----------
-    n_jumps : int
-        Number of legs.
-    coordinates : Coordinates
-    """
+    """Coordinates of the free parameters of a machine on legs; see `bayescal.machines.coordinates`."""
 
     layout: ParameterLayout
     start: Array
@@ -226,7 +208,7 @@ class LegSampling(Sampling):
     names: tuple[str, ...]
     units: tuple[str, ...]
     coordinates: Coordinates
-    n_jumps: int = 0
+    n_jumps: int = 0  # number of legs
 
     @property
     def free(self) -> np.ndarray:

@@ -47,15 +47,9 @@ class LinearRows(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ReadingRows:
-    """P rows of one session.
+    """P rows of one session."""
 
-    Attributes
-    ----------
-    posterior : CalibrationPosterior
-        Of the session by itself: its priors do not count.
-    """
-
-    posterior: CalibrationPosterior
+    posterior: CalibrationPosterior  # of the session by itself: its priors do not count
 
     @property
     def n_poses(self) -> int:
@@ -110,65 +104,32 @@ class ReadingRows:
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """Rows of one session at one temperature.
-
-    Attributes
-    ----------
-    rows : ReadingRows
-    session : int
-        Counted from zero.
-    warmth : float
-        T - T_0, K.
-    """
+    """Rows of one session at one temperature."""
 
     rows: ReadingRows
-    session: int
-    warmth: float = 0.0
+    session: int  # counted from zero
+    warmth: float = 0.0  # T - T_0, K
 
 
 @dataclass(frozen=True, eq=False)
 class Expansion:
-    """Lengths that grow with the temperature by a common coefficient α, normal under the prior.
+    """Lengths that grow with the temperature by a common coefficient α, normal under the prior."""
 
-    Attributes
-    ----------
-    name : str
-        Of the body.
-    index : ndarray of int
-        Where they stand in θ.
-    mean, sd : float
-        Of α, 1/K.
-    """
-
-    name: str
-    index: np.ndarray
-    mean: float
+    name: str  # of the body
+    index: np.ndarray  # where they stand in θ
+    mean: float  # of α, 1/K
     sd: float
 
 
 @dataclass(frozen=True, eq=False)
 class Drift:
-    """Which parameters may move between sessions, and how.
+    """Which parameters may move between sessions, and how."""
 
-    Attributes
-    ----------
-    loadings : ndarray, shape (S, K)
-        B; of a random walk in √month.
-    index : ndarray of int, shape (d,)
-        The parameters, by their places among the free ones.
-    unit : ndarray of int, shape (d,)
-        Which of the U scales each has.
-    units : tuple of str, length U
-        Their names.
-    scale : ndarray, shape (U,)
-        Of the half-normal prior of each scale σ, mm or rad, of a random walk per √month.
-    """
-
-    loadings: Array
-    index: np.ndarray
-    unit: np.ndarray
-    units: tuple[str, ...]
-    scale: Array
+    loadings: Array  # (S, K): B; of a random walk in √month
+    index: np.ndarray  # (d,): the parameters, by their places among the free ones
+    unit: np.ndarray  # (d,): which of the U scales each has
+    units: tuple[str, ...]  # length U: their names
+    scale: Array  # (U,): of the half-normal prior of each scale σ, mm or rad, of a random walk per √month
 
     def keep(self, units: Sequence[str]) -> Drift:
         """Return the same where some units alone may move."""
@@ -196,33 +157,17 @@ DAYS_IN_MONTH = 365.25 / 12
 
 @dataclass(frozen=True, eq=False)
 class SessionModel:
-    """Sessions of one machine, or of machines of one design.
+    """Sessions of one machine, or of machines of one design."""
 
-    Attributes
-    ----------
-    parts : tuple of Part
-        Of all sessions, in their order.
-    start : ndarray, shape (D,)
-        θ with all free parameters at their priors' means.
-    moves : ndarray, shape (m, D)
-        Which parameters go with each free one, ones and zeros.
-    names, units : tuple of str, length m
-        Of the free parameters.
-    mean, sd : ndarray, shape (m,)
-        Of their normal priors.
-    drift : Drift
-    expansions : tuple of Expansion, length A
-    """
-
-    parts: tuple[Part, ...]
-    start: Array
-    moves: Array
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    mean: Array
-    sd: Array
+    parts: tuple[Part, ...]  # of all sessions, in their order
+    start: Array  # (D,): θ with all free parameters at their priors' means
+    moves: Array  # (m, D): which parameters go with each free one, ones and zeros
+    names: tuple[str, ...]  # length m: of the free parameters
+    units: tuple[str, ...]  # length m
+    mean: Array  # (m,): of their normal priors
+    sd: Array  # (m,)
     drift: Drift
-    expansions: tuple[Expansion, ...]
+    expansions: tuple[Expansion, ...]  # length A
 
     @property
     def n_sessions(self) -> int:
@@ -303,20 +248,11 @@ SMALL = 1e-7  # of a state in prior standard deviations, below which a step no l
 
 @dataclass(frozen=True, eq=False)
 class Conditional:
-    """The state given model errors and drift scales: normal.
+    """The state given model errors and drift scales: normal."""
 
-    Attributes
-    ----------
-    mean : ndarray, shape (n,)
-    factor : ndarray, shape (n, n)
-        Lower Cholesky factor of its precision A.
-    log_marginal : float
-        Log-density of the data, the state integrated.
-    """
-
-    mean: Array
-    factor: Array
-    log_marginal: float
+    mean: Array  # (n,)
+    factor: Array  # (n, n): lower Cholesky factor of its precision A
+    log_marginal: float  # Log-density of the data, the state integrated
 
     def draw(self, normal: Array) -> Array:
         """Return states (n,) or (n, B) for standard normal numbers of that shape."""
@@ -326,25 +262,16 @@ class Conditional:
 
 @dataclass(frozen=True, eq=False)
 class LinearSessions:
-    """Sessions linearised at a state.
-
-    Attributes
-    ----------
-    model : SessionModel
-    rows : ndarray, shape (P, R, m + A + 1)
-        J by the deviations of the session's parameters and by the coefficients less their means, and c.
-    covariance : callable
-        Takes what is unknown of the errors to the covariances of the rows, (P, R, R).
-    constant : ndarray, shape (P,)
-    first : ndarray of int, shape (S,)
-        First pose of each session.
-    """
+    """Sessions linearised at a state."""
 
     model: SessionModel
+    # (P, R, m + A + 1): J by the deviations of the session's parameters and by the coefficients less their means, and
+    # c
     rows: Array
+    # takes what is unknown of the errors to the covariances of the rows, (P, R, R)
     covariance: Callable[[Array], Array]
-    constant: Array
-    first: np.ndarray
+    constant: Array  # (P,)
+    first: np.ndarray  # (S,): first pose of each session
 
     def gather(self, errors: Array) -> tuple[Array, float]:
         """Return XᵀC⁻¹X of the rows X of each session, shape (S, M, M), and what else the log-density has."""

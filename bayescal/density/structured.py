@@ -57,18 +57,10 @@ def count_nodes(n_poses: int) -> int:
 
 
 class Conditional(NamedTuple):
-    """The structured error at Q poses, given the errors at the calibration poses, for B draws.
+    """The structured error at Q poses, given the errors at the calibration poses, for B draws."""
 
-    Attributes
-    ----------
-    mean : ndarray, shape (B, Q, N)
-        Of g, mm along the closure of the legs.
-    covariance : ndarray, shape (B, Q, N, N)
-        Of g at each pose, mm².
-    """
-
-    mean: Array
-    covariance: Array
+    mean: Array  # (B, Q, N): of g, mm along the closure of the legs
+    covariance: Array  # (B, Q, N, N): of g at each pose, mm²
 
 
 def map_covariance(first: Array, second: Array) -> Array:

@@ -46,31 +46,16 @@ WIDEST = 3.0  # prior sds, in units of the sine between direction and leg, beyon
 
 @dataclass(frozen=True, eq=False)
 class Coordinates:
-    """Bijection between sampling coordinates y, shape (..., n), and full parameter vectors θ, shape (..., D).
+    """Bijection between sampling coordinates y, shape (..., n), and full parameter vectors θ, shape (..., D)."""
 
-    Attributes
-    ----------
-    layout : ParameterLayout
-        Layout of θ.
-    start : ndarray, shape (D,)
-        Values of the parameters that are fixed, and the origin of the coordinates.
-    free : ndarray of int, shape (n,)
-        Positions of the free parameters in θ.
-    scale : ndarray, shape (n,)
-        Unit of each coordinate.
-    legs : ndarray, shape (N, 3)
-        The nominal legs' lines, as `compute_leg_lines` gives them; not used without actuator directions.
-    lower, upper : ndarray, shape (n,)
-        Bounds of each free parameter, infinite where there are none.
-    """
-
-    layout: ParameterLayout
-    start: Array
-    free: np.ndarray
-    scale: Array
+    layout: ParameterLayout  # layout of θ
+    start: Array  # (D,): values of the parameters that are fixed, and the origin of the coordinates
+    free: np.ndarray  # (n,): positions of the free parameters in θ
+    scale: Array  # (n,): unit of each coordinate
+    # (N, 3): the nominal legs' lines, as `compute_leg_lines` gives them; not used without actuator directions
     legs: Array
-    lower: Array
-    upper: Array
+    lower: Array  # (n,): bounds of each free parameter, infinite where there are none
+    upper: Array  # (n,)
 
     @cached_property
     def bounded(self) -> np.ndarray:
@@ -368,24 +353,12 @@ JOINT = ("a_x", "a_y", "a_z")
 
 @dataclass(frozen=True, eq=False)
 class Shears:
-    """What is added to parameters that are counted from what a direction does to them, for batches.
+    """What is added to parameters that are counted from what a direction does to them, for batches."""
 
-    Attributes
-    ----------
-    layout : ParameterLayout
-        With actuators that have directions.
-    mask : ndarray of bool, shape (D,)
-        Parameters that may follow.
-    legs : ndarray, shape (N, 3)
-        The nominal legs' lines; κ follows along those that are not level.
-    along_leg : ndarray, shape (N, 3)
-        Which parts of its joint the length of a leg follows.
-    """
-
-    layout: ParameterLayout
-    mask: np.ndarray
-    legs: Array
-    along_leg: Array
+    layout: ParameterLayout  # with actuators that have directions
+    mask: np.ndarray  # (D,): parameters that may follow
+    legs: Array  # (N, 3): the nominal legs' lines; κ follows along those that are not level
+    along_leg: Array  # (N, 3): which parts of its joint the length of a leg follows
 
     @cached_property
     def _joints(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -462,19 +435,12 @@ LENGTH = "l"
 
 @dataclass(frozen=True, eq=False)
 class ClosingCoordinates(Coordinates):
-    """Coordinates with free leg lengths counted from what closes the legs at a reference pose.
-
-    Attributes
-    ----------
-    machine : Machine
-    position, rotation, actuators : ndarray, shapes (1, 3), (1, 3, 3), (1, N)
-        The reference pose.
-    """
+    """Coordinates with free leg lengths counted from what closes the legs at a reference pose."""
 
     machine: Machine
-    position: Array
-    rotation: Array
-    actuators: Array
+    position: Array  # (1, 3): the reference pose
+    rotation: Array  # (1, 3, 3)
+    actuators: Array  # (1, N)
 
     @classmethod
     def around(cls, known: Coordinates, machine: Machine, position: Array, rotation: Array, actuators: Array) -> Self:

@@ -36,20 +36,11 @@ LEAST_TURN = 1e-9  # determinant, moments in units of the platform's size, of wh
 
 @dataclass(frozen=True, eq=False)
 class Branch:
-    """Signs at home.
-
-    Attributes
-    ----------
-    drive : str
-    sides : ndarray, shape (N,)
-        Of u · g; zero where it says nothing, as for struts.
-    turn : float
-        Of the determinant of the legs' lines; zero where it says nothing.
-    """
+    """Signs at home."""
 
     drive: Drive
-    sides: Array
-    turn: float
+    sides: Array  # (N,): of u · g; zero where it says nothing, as for struts
+    turn: float  # of the determinant of the legs' lines; zero where it says nothing
 
     def holds(
         self, layout: ParameterLayout, theta: Array, position: Array, rotation: Array, actuators: Array

@@ -30,21 +30,13 @@ CLEARANCE = 3.0  # prior sds between a direction and its leg, below which the az
 
 @dataclass(frozen=True, eq=False)
 class DirectionCircles:
-    """The map between directions and (w, ψ) for K legs; ψ counts from the nominal direction.
+    """The map between directions and (w, ψ) for K legs; ψ counts from the nominal direction."""
 
-    Attributes
-    ----------
-    axis, radial, tangential : ndarray, shape (K, 3)
-        Orthonormal frame of each leg: along it, towards the nominal direction, and across.
-    gain, sine : ndarray, shape (K,)
-        Cosine and sine of the nominal angle between direction and leg.
-    """
-
-    axis: Array
-    radial: Array
-    tangential: Array
-    gain: Array
-    sine: Array
+    axis: Array  # (K, 3): orthonormal frame of each leg: along it, towards the nominal direction, and across
+    radial: Array  # (K, 3)
+    tangential: Array  # (K, 3)
+    gain: Array  # (K,): cosine and sine of the nominal angle between direction and leg
+    sine: Array  # (K,)
 
     def directions(self, w: Array, psi: Array) -> tuple[Array, Array]:
         """Return u_x and u_y, shapes (..., K); NaN where u does not exist or does not point upwards."""
@@ -106,23 +98,13 @@ STEP = 1e-5  # of a coordinate, for derivatives by central differences
 
 @dataclass(frozen=True, eq=False)
 class DirectionRing:
-    """The map between coordinates (y1, y2) and a direction's components (u1, u2) of one leg.
+    """The map between coordinates (y1, y2) and a direction's components (u1, u2) of one leg."""
 
-    Attributes
-    ----------
-    circles : DirectionCircles
-        Of this leg alone.
-    centre, sd : ndarray, shape (2,)
-        Of the components' priors.
-    lower, upper : ndarray, shape (2,)
-        Bounds; infinite where a prior is normal.
-    """
-
-    circles: DirectionCircles
-    centre: Array
-    sd: Array
-    lower: Array
-    upper: Array
+    circles: DirectionCircles  # of this leg alone
+    centre: Array  # (2,): of the components' priors
+    sd: Array  # (2,)
+    lower: Array  # (2,): bounds; infinite where a prior is normal
+    upper: Array  # (2,)
 
     # --- the prior -----------------------------------------------------------------------------------------------
 

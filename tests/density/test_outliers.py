@@ -1,13 +1,20 @@
-"""Densities of rows that may be wrong: what they promise of each other, against differences and quadrature."""
+"""Densities of rows that may be wrong: what they promise of each other, against differences and quadrature.
 
-from __future__ import annotations
+Poses that may be blunders: the density against SciPy, its gradient against differences, planted blunders found.
+"""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
+import telescope_machines as machines
 from scipy import integrate, stats
 
-from bayescal.density.outliers import NORMAL, Contaminated, StudentT
+from bayescal.density.errors import ModelError
+from bayescal.density.outliers import FREEDOM, NORMAL, SHARE, WIDER, Contaminated, StudentT
+from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.priors import SharePrior
+from bayescal.inference.mode import find_modes
 
 FAMILY = {
     "normal": NORMAL,
@@ -109,3 +116,150 @@ def test_widths_given_a_row_have_the_mean_precision_that_counts(rows, rng):
     rows = rows.pick(slice(0, 1))
     width = rows.draw_widening(square, spare, rng)
     assert np.mean(1.0 / width) == pytest.approx(rows.trust(square, spare)[0, 0], rel=0.02)
+
+
+PRIOR = SharePrior(0.02)
+ERRORS = {"none": ModelError(None), "per leg": ModelError(0.01), "shared": ModelError(0.01, shared=True)}
+SMALLEST, LARGEST = 0.05, 1.0  # mm
+
+
+MACHINE = machines.build_machine("matrix")
+TRUTH = machines.telescope_truth(MACHINE)
+
+
+def simulate(seed):
+    """Return 40 simulated poses of the telescope, with a model error of 1 µm."""
+    rng = np.random.default_rng(seed)
+    return machines.simulate_poses(MACHINE, TRUTH, machines.table_3_actuators(), np.full(6, 1e-3), rng)
+
+
+@pytest.fixture(scope="module")
+def twin():
+    """Return one such data set."""
+    return simulate(4)
+
+
+def spoil(poses, rng):
+    """Return poses of which two are off by 0.05 to 1 mm somewhere, and which."""
+    which = rng.choice(poses.n_poses, 2, replace=False)
+    size = np.exp(rng.uniform(np.log(SMALLEST), np.log(LARGEST), 2))
+    way = rng.standard_normal((2, 3))
+    position = poses.position.copy()
+    position[which] += (size / np.linalg.norm(way, axis=1))[:, None] * way
+    return replace(poses, position=position), set(which.tolist())
+
+
+def build(poses, model_error=ERRORS["per leg"], share=PRIOR):
+    plain = machines.build_posterior("matrix", poses, model_error)
+    return replace(plain, errors=replace(plain.errors, outliers=Contaminated(share)))
+
+
+def draw(posterior, mode, n, rng):
+    """Return draws of Laplace's approximation."""
+    return mode.y + rng.standard_normal((n, len(mode.y))) @ np.linalg.cholesky(mode.covariance).T
+
+
+def suspect(posterior, rng):
+    """Return how probable it is that each calibration pose is a blunder."""
+    y = draw(posterior, find_modes(posterior)[0], 200, rng)
+    return posterior.likelihood.outlier_probabilities(posterior.theta(y), posterior.errors, posterior.zeta(y)).mean(
+        axis=0
+    )
+
+
+# --- density ---------------------------------------------------------------------------------------------------------
+
+
+def test_blunders_are_t_distributed(rng):
+    spread = rng.standard_normal((6, 6))
+    covariance = spread @ spread.T + np.eye(6)
+    errors = 10.0 * rng.standard_normal((20, 6))
+    square = np.einsum("bi,ij,bj->b", errors, np.linalg.inv(covariance), errors)
+    blunder = stats.multivariate_t(np.zeros(6), WIDER**2 * covariance, FREEDOM).logpdf(errors)
+    normal = stats.multivariate_normal(np.zeros(6), covariance).logpdf(errors)
+    np.testing.assert_allclose(
+        StudentT(FREEDOM).weigh(square / WIDER**2, 6) - 6 * np.log(WIDER) - NORMAL.weigh(square, 6),
+        blunder - normal,
+        rtol=1e-9,
+        atol=1e-9,
+    )
+
+
+@pytest.mark.parametrize("model_error", ERRORS.values(), ids=ERRORS.keys())
+def test_density_is_the_mixture(twin, model_error, rng):
+    posterior = build(spoil(twin, rng)[0], model_error)
+    y = 0.3 * rng.standard_normal((3, posterior.n_parameters))
+    theta, tau, share = posterior.theta(y), posterior.errors.tau(posterior.zeta(y)), posterior.natural(y)[:, -1]
+    errors = posterior.likelihood.pose_errors(theta)
+    expected = posterior.log_prior(y)
+    for b in range(3):
+        covariance = posterior.likelihood.pose_covariance(tau if tau.ndim == 1 else tau[b])
+        for error, c in zip(errors[b], covariance, strict=True):
+            clean = stats.multivariate_normal(np.zeros(6), c, allow_singular=False).logpdf(error)
+            blunder = stats.multivariate_t(np.zeros(6), WIDER**2 * c, FREEDOM).logpdf(error)
+            expected[b] += np.logaddexp(np.log1p(-share[b]) + clean, np.log(share[b]) + blunder)
+    np.testing.assert_allclose(posterior.log_density(y), expected, rtol=1e-8)
+    assert posterior.names[-1] == SHARE
+    assert posterior.natural(y).shape == y.shape
+    np.testing.assert_allclose(posterior.natural(y)[:, -1], share)
+    assert list(posterior.all_priors()) == list(posterior.names)
+
+
+def test_without_blunders_nothing_but_the_share_is_lost(twin, rng):
+    """With hardly a blunder expected the density is the plain one."""
+    plain, robust = machines.build_posterior("matrix", twin, ModelError(0.01)), build(twin, share=SharePrior(1e-9))
+    y = plain.polish(plain.approach()) + 0.001 * rng.standard_normal((4, plain.n_parameters))
+    zero = np.zeros((4, 1))
+    found = robust.log_density(np.concatenate([y, zero], axis=1)) - stats.norm.logpdf(0.0)
+    np.testing.assert_allclose(found, plain.log_density(y), atol=1e-5)
+
+
+# --- what it is for --------------------------------------------------------------------------------------------------
+
+
+def find_planted(seeds):
+    """Return how many of the planted blunders were found, of how many, and false alarms of how many clean poses."""
+    found, false, n = 0, 0, 0
+    for seed in seeds:
+        rng = np.random.default_rng(seed)
+        poses, planted = spoil(simulate(seed), rng)
+        named = set(np.flatnonzero(suspect(build(poses), rng) > 0.5).tolist())
+        found, false, n = found + len(named & planted), false + len(named - planted), n + poses.n_poses - 2
+    return found, 2 * len(seeds), false, n
+
+
+def test_planted_blunders_are_found():
+    found, planted, false, _ = find_planted(range(3))
+    assert found == planted
+    assert false == 0
+
+
+@pytest.mark.slow
+def test_planted_blunders_of_many_twins_are_found():
+    found, planted, false, n = find_planted(range(100, 200))
+    assert found >= 0.95 * planted
+    assert false < 0.01 * n
+
+
+def test_a_clean_plan_has_no_blunders(twin, rng):
+    assert suspect(build(twin), rng).max() < 0.5
+
+
+def measure_error(posterior, poses):
+    """Return the rms error, mm, of the positions that a posterior's mode predicts at poses, seen by the truth."""
+    mode = find_modes(posterior)[0]
+    seen = PoseLikelihood(posterior.likelihood.machine, poses, machines.ACTUATOR_NOISE)
+    error = seen.pose_errors(posterior.theta(mode.y[None])) - seen.pose_errors(TRUTH[None])
+    return float(np.sqrt(np.mean(error[0, :, :3] ** 2)))
+
+
+def test_one_pose_a_millimetre_off_does_no_harm(twin):
+    """Its error enters a plain posterior's predictions, whether τ takes it or not."""
+    position = twin.position.copy()
+    position[7, 0] += 1.0
+    poses = replace(twin, position=position)
+    clean = measure_error(machines.build_posterior("matrix", twin, ModelError(0.01)), twin)
+    plain = measure_error(machines.build_posterior("matrix", poses, ModelError(0.01)), twin)
+    robust = measure_error(build(poses), twin)
+    assert plain > 3.0 * clean
+    assert robust < 1.2 * clean

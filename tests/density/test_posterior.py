@@ -1,16 +1,243 @@
-"""Coordinates as a bijection of known volume, priors against scipy, gradients against differences."""
+"""What every posterior promises, whatever the machine, its errors and the density of its measurements.
 
-from __future__ import annotations
+Coordinates as a bijection of known volume, priors against scipy, gradients against differences.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pytest
 import telescope_machines as machines
+from calibration_problems import LINE_CASES, lines_posterior, unknown_noise
+from reading_machines import small_posterior
 from scipy import stats
+from sliding_platforms import SETS
 
-from bayescal.density.errors import ModelError
+from bayescal.density.errors import KernelLength, KernelScale, ModelError
 from bayescal.density.legs import build_leg_posterior
-from bayescal.density.priors import NormalPrior, UniformPrior
+from bayescal.density.outliers import NORMAL, Contaminated, StudentT
+from bayescal.density.priors import LogNormalPrior, NormalPrior, SharePrior, UniformPrior, build_kernel
+from bayescal.density.structured import StructuredLikelihood
 from bayescal.errors import InputError
+from bayescal.inference.mode import Mode
+from bayescal.inference.straightening import straighten
+
+PER_LEG, SHARED, NONE = ModelError(0.01), ModelError(0.01, shared=True), ModelError(None)
+ALL_SYMBOLS = ("a_x", "a_y", "a_z", "b_x", "b_y", "b_z", "u_x", "u_y", "l", "rho0", "kappa")
+SHARES = Contaminated(SharePrior(0.05))
+FAR_OFF = 1e-3  # posterior standard deviations of each coordinate, of differences
+
+
+def legs(rng, deformation="linear", error=PER_LEG, symbols=None, outliers=NORMAL, uniform=False):
+    """Return the posterior of the telescope's simulated poses."""
+    machine = machines.build_machine(deformation)
+    actuators = machines.table_3_actuators()
+    poses = machines.simulate_poses(machine, machines.telescope_truth(machine), actuators, np.full(6, 2e-3), rng)
+    found = machines.build_posterior(deformation, poses, error, symbols)
+    if uniform:
+        found = replace(found, priors={**found.priors, "l[2]": UniformPrior(499.0, 502.0)})
+    return replace(found, errors=replace(found.errors, outliers=outliers))
+
+
+def functions(rng, kernel, shared=True, lengths=None):
+    """Return the posterior of poses whose model error is a function of the pose."""
+    plain = legs(rng, "none")
+    poses = plain.likelihood.poses.select(np.arange(14))
+    base = machines.build_posterior("none", poses, PER_LEG).likelihood.refined().refined()
+    found = build_kernel(kernel, 1.5 if lengths is None else lengths.median)
+    likelihood = StructuredLikelihood(base, found, machines.ACTUATOR_RANGE, lengths)
+    terms = (KernelScale(0.02, 0.3, shared), *(() if lengths is None else (KernelLength(lengths),)))
+    return build_leg_posterior(likelihood, plain.priors, PER_LEG, terms=terms)
+
+
+def lines(rng, anchored=True, **case):
+    """Return the posterior of a point on lines."""
+    found = lines_posterior(rng, **case)[0]
+    return found.anchored() if anchored else found
+
+
+@dataclass(frozen=True)
+class Case:
+    """A posterior, and what holds of it.
+
+    ``close``: how exact its gradient is, of the largest entry, per posterior sd; ``apart``: rows are independent given
+    machine and errors; ``exact``: Newton's Hessian is exact in the errors.
+    """
+
+    build: Callable[..., Any]
+    options: dict[str, Any]
+    close: float = 1e-4
+    apart: bool = True
+    exact: bool = False
+
+
+CASES = {
+    "legs": Case(legs, {}, 2e-3, exact=True),
+    "legs, one τ": Case(legs, {"error": SHARED}, 2e-3, exact=True),
+    "legs, no τ": Case(legs, {"error": NONE, "deformation": "none"}, 2e-3),
+    "legs, K": Case(legs, {"deformation": "matrix"}, exact=True),
+    "legs, everything free": Case(legs, {"deformation": "matrix", "symbols": ALL_SYMBOLS, "error": SHARED}, 5e-3),
+    "legs, uniform": Case(legs, {"deformation": "matrix", "uniform": True}, 2e-3, exact=True),
+    "legs, contaminated": Case(legs, {"deformation": "matrix", "outliers": SHARES}, 2e-3),
+    "legs, t": Case(legs, {"deformation": "matrix", "outliers": StudentT(4.0), "error": NONE}, 2e-3),
+    "linear errors": Case(functions, {"kernel": "linear"}, 0.02, False, True),
+    "quadratic errors, per leg": Case(functions, {"kernel": "quadratic", "shared": False}, 0.02, False, True),
+    "smooth errors": Case(functions, {"kernel": "smooth"}, 0.02, False, True),
+    "smooth errors, free length": Case(
+        functions, {"kernel": "smooth", "lengths": LogNormalPrior(1.5, 0.6)}, 0.02, False
+    ),
+    **{
+        f"lines, {name}": Case(
+            lines, case, 1e-3 if {"commanded", "terms"} & set(case) else 1e-4, "functions" not in name
+        )
+        for name, case in LINE_CASES.items()
+    },
+    "lines, not anchored": Case(lines, {"terms": unknown_noise(4), "anchored": False}),
+    "Sliding Star": Case(lambda rng, **given: small_posterior(SETS[8], 20, 11, **given), {}),
+    "Sliding Star, one length": Case(
+        lambda rng, **given: small_posterior(SETS[4], 20, 11, **given), {"common": ("l",)}
+    ),
+}
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A case's posterior, a point within it, and the covariance there."""
+
+    case: Case
+    posterior: Any
+    y: np.ndarray
+    covariance: np.ndarray
+
+    @property
+    def sd(self):
+        """Conditional standard deviations, shape (n,)."""
+        return 1.0 / np.sqrt(np.diag(np.linalg.inv(self.covariance)))
+
+
+@pytest.fixture(scope="module", params=CASES.values(), ids=CASES)
+def problem(request):
+    """Return each case at a point one standard deviation or so from its best machine."""
+    rng = np.random.default_rng(8096)
+    posterior = request.param.build(rng, **request.param.options)
+    y = posterior.polish(posterior.approach())
+    covariance = np.linalg.inv(-posterior.gradient(y)[1])
+    y = y + np.linalg.cholesky(covariance) @ rng.standard_normal(len(y))
+    return Problem(request.param, posterior, y, covariance)
+
+
+def test_gradient_is_that_of_differences(problem):
+    posterior, y, sd = problem.posterior, problem.y, problem.sd
+    gradient, hessian = posterior.gradient(y)
+    expected = machines.stencil_derivative(posterior.log_density, y, FAR_OFF * sd)
+    size = np.abs(expected * sd).max()
+    assert size > 0.3
+    np.testing.assert_allclose(gradient * sd, expected * sd, rtol=0, atol=problem.case.close * size)
+    np.testing.assert_allclose(hessian, hessian.T, rtol=1e-9, atol=1e-9 * np.abs(hessian).max())
+    assert np.linalg.eigvalsh(hessian / np.outer(1.0 / sd, 1.0 / sd)).max() < 0.0
+
+
+def test_newtons_hessian_is_exact_in_the_errors_of_legs(problem):
+    posterior, y, sd, m = problem.posterior, problem.y, problem.sd, problem.posterior.n_geometry
+    gradient, hessian = posterior.newton(y)
+    np.testing.assert_array_equal(gradient, posterior.gradient(y)[0])
+    np.testing.assert_array_equal(hessian[:m, :m], posterior.gradient(y)[1][:m, :m])
+    if problem.case.exact:
+        expected = machines.stencil_derivative(
+            lambda x: np.stack([posterior.gradient(one)[0] for one in x]), y, 0.01 * sd
+        )
+        off = (hessian - expected) * np.outer(sd, sd)
+        assert np.abs(off[:, m:]).max() < 1e-5
+        fisher = (posterior.gradient(y)[1] - expected) * np.outer(sd, sd)
+        assert np.abs(fisher[m:]).max() > 0.05  # what is expected of the errors is not what they are
+
+
+def test_everything_free_has_name_unit_prior_and_value(problem):
+    posterior, y = problem.posterior, problem.y
+    n = posterior.n_parameters
+    assert len(set(posterior.names)) == len(posterior.units) == len(posterior.prior_sd) == n == len(y)
+    assert list(posterior.all_priors()) == list(posterior.names)
+    assert posterior.natural(np.tile(y, (3, 1))).shape == (3, n)
+    drawn = posterior.draw_prior(4000, np.random.default_rng(4))
+    zeta = posterior.errors.deviations(posterior.zeta(drawn))
+    np.testing.assert_allclose(zeta.mean(axis=0), 0.0, atol=0.1)
+    np.testing.assert_allclose(zeta.std(axis=0), 1.0, atol=0.1)
+    natural = posterior.natural(drawn)
+    good = np.isfinite(natural).all(axis=1)
+    assert good.mean() > 0.5
+    for k, prior in enumerate(posterior.all_priors().values()):
+        spread = natural[good, k].std()
+        assert good.mean() < 1.0 or spread == pytest.approx(prior.sd, rel=0.15)
+
+
+def test_machines_and_coordinates_lead_to_each_other(problem):
+    posterior, y, m = problem.posterior, problem.y, problem.posterior.n_geometry
+    theta = posterior.theta(y[None])
+    np.testing.assert_allclose(posterior.sampling.y_from_theta(theta)[0], y[:m], atol=1e-7)
+    np.testing.assert_allclose(posterior.adopt(theta, posterior.zeta(y[None]))[0], y, atol=1e-7)
+    expected = machines.stencil_derivative(posterior.sampling.theta_from_y, y[:m], np.full(m, 1e-3))
+    scale = np.abs(expected).max(axis=0)
+    np.testing.assert_allclose(posterior.sampling.jacobian(theta[0]) / scale, expected / scale, atol=1e-6)
+    beyond = np.tile(y, (2, 1))
+    beyond[1, :m] = np.nan
+    assert list(np.isfinite(posterior.log_density(beyond))) == [True, False]
+
+
+def test_vectors_in_a_batch_do_not_mix(problem):
+    posterior, rng = problem.posterior, np.random.default_rng(3)
+    y = problem.y + 0.1 * rng.standard_normal((5, len(problem.y))) * problem.sd
+    alone = np.concatenate([posterior.log_density(one[None]) for one in y])
+    np.testing.assert_allclose(posterior.log_density(y), alone, rtol=1e-8, atol=2e-4)
+    each = np.concatenate([posterior.pointwise(one[None]) for one in y])
+    np.testing.assert_allclose(posterior.pointwise(y), each, rtol=1e-8, atol=2e-4)
+
+
+def test_rows_make_up_the_density(problem):
+    posterior, y = problem.posterior, problem.y[None]
+    each = posterior.pointwise(y)
+    for row in (0, each.shape[1] - 1):
+        np.testing.assert_allclose(posterior.pointwise_of(y, row), each[:, row], rtol=1e-6, atol=1e-4)
+    whole = posterior.log_density(y) - posterior.log_prior(y)
+    if problem.case.apart:
+        np.testing.assert_allclose(each.sum(axis=1), whole, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(posterior.predict_density(posterior.likelihood, y), each, rtol=1e-9, atol=1e-9)
+    else:  # what rows say of each other counts
+        assert np.abs(each.sum(axis=1) - whole)[0] > 0.1
+
+
+def test_information_is_the_geometrys_curvature_and_that_of_the_rows(problem):
+    posterior, y, m = problem.posterior, problem.y, problem.posterior.n_geometry
+    information, prior = posterior.information(y)
+    hessian = posterior.gradient(y)[1][:m, :m]
+    close = 0.05 if posterior.errors.n_parameters and not problem.case.exact else 1e-9
+    np.testing.assert_allclose(information + prior, -hessian, rtol=close, atol=close * np.abs(hessian).max())
+    if problem.case.apart:
+        rows = [posterior.row_information(y, row) for row in range(posterior.pointwise(y[None]).shape[1])]
+        np.testing.assert_allclose(sum(rows), information, rtol=1e-6, atol=1e-9 * np.abs(information).max())
+
+
+def test_jumps_lead_back(problem):
+    posterior, y = problem.posterior, problem.y
+    for jump, image in posterior.jumps(y):
+        assert not np.allclose(image, y)
+        again = dict(posterior.jumps(image))[jump]  # but for how large an error is, which being off forgets
+        np.testing.assert_allclose(dict(posterior.jumps(again))[jump], image, atol=1e-6)
+        np.testing.assert_allclose(np.where(np.isclose(again, 0.0), y, again), y, atol=1e-6)
+
+
+def test_straight_coordinates_lead_back_and_keep_volumes(problem):
+    posterior, y = problem.posterior, problem.y
+    straight = straighten(posterior, Mode(y, 0.0, problem.covariance, True))
+    x = straight.x_from_y(y[None])[0]
+    x = x + 0.3 * np.random.default_rng(6).standard_normal(len(x))
+    there = straight.y_from_x(x[None])
+    np.testing.assert_allclose(straight.x_from_y(there)[0], x, atol=1e-7)
+    slope = machines.stencil_derivative(straight.y_from_x, x, np.full(len(x), 1e-3))
+    volume = straight.log_density(x[None]) - posterior.log_density(there)
+    assert volume[0] == pytest.approx(np.linalg.slogdet(slope)[1], abs=1e-3)
+
 
 ALL_SYMBOLS = ("a_x", "a_y", "a_z", "b_x", "b_y", "b_z", "u_x", "u_y", "l", "rho0", "kappa")
 SCALE = 0.01

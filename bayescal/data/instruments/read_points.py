@@ -41,19 +41,10 @@ ONLY_STATION = "station"
 
 @dataclass(frozen=True)
 class PointNoise:
-    """Standard deviations of all points where the table does not state them.
+    """Standard deviations of all points where the table does not state them."""
 
-    Attributes
-    ----------
-    point_um : tuple of float
-        Of each coordinate in the station's frame; empty where they are polar.
-    range_um, range_ppm : float
-        Of the range, constant and per range; the sum of both.
-    azimuth_arcsec, elevation_arcsec : float
-    """
-
-    point_um: tuple[float, ...] = ()
-    range_um: float = 0.0
+    point_um: tuple[float, ...] = ()  # of each coordinate in the station's frame; empty where they are polar
+    range_um: float = 0.0  # of the range, constant and per range; the sum of both
     range_ppm: float = 0.0
     azimuth_arcsec: float = 0.0
     elevation_arcsec: float = 0.0

@@ -44,27 +44,15 @@ from bayescal.numerics.geometry import (
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Readings of P poses in at most K rows, as the likelihood takes them.
+    """Readings of P poses in at most K rows, as the likelihood takes them."""
 
-    Attributes
-    ----------
-    covariance : ndarray, shape (P, K, K)
-        Of the rows' noise; unit where a pose has no row.
-    log_constant : ndarray, shape (P,)
-        What the log-density has besides the rows' square and log-determinant.
-    to_pose : ndarray, shape (P, 6, K)
-        From rows to the pose error as seen, measured minus expected, mm and rad; zero rows where it is not measured.
-    measured : ndarray of bool, shape (P, 6)
-        Which coordinates of the pose error the rows determine.
-    count : ndarray of int, shape (P,)
-        How many rows each pose has.
-    """
-
-    covariance: Array
-    log_constant: Array
+    covariance: Array  # (P, K, K): of the rows' noise; unit where a pose has no row
+    log_constant: Array  # (P,): what the log-density has besides the rows' square and log-determinant
+    # (P, 6, K): from rows to the pose error as seen, measured minus expected, mm and rad; zero rows where it is not
+    # measured
     to_pose: Array
-    measured: np.ndarray
-    count: np.ndarray
+    measured: np.ndarray  # (P, 6): which coordinates of the pose error the rows determine
+    count: np.ndarray  # (P,): how many rows each pose has
 
     def select(self, chosen: np.ndarray) -> Rows:
         """Return the rows of some poses."""
@@ -138,22 +126,14 @@ COORDINATES = ("x", "y", "z", "rx", "ry", "rz")
 
 @dataclass(frozen=True, eq=False)
 class PoseReadings(Instrument):
-    """Poses read by one instrument.
-
-    Attributes
-    ----------
-    names : tuple of str
-    actuators : ndarray, shape (P, N)
-        mm.
-    values : ndarray, shape (P, 6)
-        Position (mm) and rotation vector (rad) of the tool in the instrument's frame; NaN where not measured.
-    covariance : ndarray, shape (P, 6, 6)
-        Of position (mm) and of the error's rotation vector (rad), instrument's axes; only what was measured counts.
-    """
+    """Poses read by one instrument."""
 
     names: tuple[str, ...]
-    actuators: Array
+    actuators: Array  # (P, N): mm
+    # (P, 6): position (mm) and rotation vector (rad) of the tool in the instrument's frame; NaN where not measured
     values: Array
+    # (P, 6, 6): of position (mm) and of the error's rotation vector (rad), instrument's axes; only what was measured
+    # counts
     covariance: Array
     rows: Rows = field(init=False)
 
@@ -235,30 +215,15 @@ class _Fit:
 
 @dataclass(frozen=True, eq=False)
 class PointReadings(Instrument):
-    """Points read by S stations, in the base frame by the stations' nominal places.
-
-    Attributes
-    ----------
-    names : tuple of str
-    actuators : ndarray, shape (P, N)
-        mm.
-    stations, points : tuple of str
-        Names of the S stations and the Q points.
-    probe : ndarray, shape (Q, 3)
-        Points on the tool, platform frame, mm.
-    values : ndarray, shape (P, S, Q, 3)
-        Points as read, base frame, mm; NaN where a point was not seen.
-    covariance : ndarray, shape (P, S, Q, 3, 3)
-        Of the coordinates, base frame, mm²; only those of points seen count.
-    """
+    """Points read by S stations, in the base frame by the stations' nominal places."""
 
     names: tuple[str, ...]
-    actuators: Array
-    stations: tuple[str, ...]
+    actuators: Array  # (P, N): mm
+    stations: tuple[str, ...]  # names of the S stations and the Q points
     points: tuple[str, ...]
-    probe: Array
-    values: Array
-    covariance: Array
+    probe: Array  # (Q, 3): points on the tool, platform frame, mm
+    values: Array  # (P, S, Q, 3): points as read, base frame, mm; NaN where a point was not seen
+    covariance: Array  # (P, S, Q, 3, 3): of the coordinates, base frame, mm²; only those of points seen count
     rows: Rows = field(init=False)
     weights: Array = field(init=False)  # (S, P, K, Q, 3): rows of each station from the residuals of its points
 

@@ -24,20 +24,11 @@ _MAD_TO_SD = 1.482602218505602  # 1 / Φ⁻¹(3/4)
 
 @dataclass(frozen=True, eq=False)
 class JointDeflection:
-    """Deflections of the ring at the legs.
+    """Deflections of the ring at the legs."""
 
-    Attributes
-    ----------
-    displacement : ndarray, shape (P, N)
-        Δb_z per pose and leg, along z of the platform frame, mm.
-    covariance : ndarray, shape (P, N, N)
-        Covariance between the legs of each pose, mm².
-    with_pose : ndarray, shape (P, N, 6), optional
-        Covariance with the error of the platform's pose, mm and rad in the measurement frame.
-    """
-
-    displacement: Array
-    covariance: Array
+    displacement: Array  # (P, N): Δb_z per pose and leg, along z of the platform frame, mm
+    covariance: Array  # (P, N, N): covariance between the legs of each pose, mm²
+    # (P, N, 6): covariance with the error of the platform's pose, mm and rad in the measurement frame
     with_pose: Array | None = None
 
     def select(self, chosen: np.ndarray) -> JointDeflection:
@@ -48,56 +39,29 @@ class JointDeflection:
 
 @dataclass(frozen=True, eq=False)
 class KappaEstimate:
-    """Posterior of ``Δb_z,i = κ_i Δρ_i`` (RR-8096 eq. 1): independent Student t distributions.
+    """Posterior of ``Δb_z,i = κ_i Δρ_i`` (RR-8096 eq. 1): independent Student t distributions."""
 
-    Attributes
-    ----------
-    kappa : ndarray, shape (N,)
-        Posterior mean, mm per mm.
-    sd : ndarray, shape (N,)
-        Posterior standard deviation; the scale of the t distribution is ``sd sqrt((dof - 2) / dof)``.
-    residual_sd : ndarray, shape (N,)
-        Root of the residual sum of squares over ``dof``, mm.
-    dof : int
-        Degrees of freedom of the t distributions, one less than the number of poses.
-    """
-
-    kappa: Array
-    sd: Array
-    residual_sd: Array
-    dof: int
+    kappa: Array  # (N,): posterior mean, mm per mm
+    sd: Array  # (N,): posterior standard deviation; the scale of the t distribution is ``sd sqrt((dof - 2) / dof)``
+    residual_sd: Array  # (N,): root of the residual sum of squares over ``dof``, mm
+    dof: int  # degrees of freedom of the t distributions, one less than the number of poses
 
 
 @dataclass(frozen=True, eq=False)
 class MatrixEstimate:
-    """Posterior of ``Δb_z = K Δρ`` (RR-8096 eqs. 2 and 3): a Gaussian.
+    """Posterior of ``Δb_z = K Δρ`` (RR-8096 eqs. 2 and 3): a Gaussian."""
 
-    Attributes
-    ----------
-    matrix : ndarray, shape (N, N)
-        Posterior mean of K, mm per mm; the row is the leg that moves, the column the actuator that causes it.
-    covariance : ndarray, shape (N * N, N * N)
-        Posterior covariance of K written row by row.
-    sd : ndarray, shape (N, N)
-        Posterior standard deviations.
-    chi2 : float
-        Whitened sum of squared residuals; well above ``dof`` if the model is wrong, for which ``sd`` does not allow.
-    dof : int
-        Number of measured deflections less N².
-    with_pose : ndarray, shape (P, N * N, 6), or None
-        Covariance of K with the error of the platform's pose at each pose it was fitted to, mm and rad in the
-        measurement frame; None where that of the deflections is not known.
-    max_error_mm, mean_error_mm : float
-        Largest and mean absolute residual.
-    """
-
+    # (N, N): posterior mean of K, mm per mm; the row is the leg that moves, the column the actuator that causes it
     matrix: Array
-    covariance: Array
-    sd: Array
+    covariance: Array  # (N * N, N * N): posterior covariance of K written row by row
+    sd: Array  # (N, N): posterior standard deviations
+    # whitened sum of squared residuals; well above ``dof`` if the model is wrong, for which ``sd`` does not allow
     chi2: float
-    dof: int
-    max_error_mm: float
+    dof: int  # number of measured deflections less N²
+    max_error_mm: float  # largest and mean absolute residual
     mean_error_mm: float
+    # (P, N * N, 6): covariance of K with the error of the platform's pose at each pose it was fitted to, mm and rad
+    # in the measurement frame; None where that of the deflections is not known
     with_pose: Array | None = None
 
 

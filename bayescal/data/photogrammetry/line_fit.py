@@ -11,35 +11,22 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bayescal.data.photogrammetry.rigid_fit import MIN_SPREAD, RigidFit, check_targets, compute_rigid_residuals
+from bayescal.data.photogrammetry.rigid_fit import MIN_SPREAD, RigidFit, check_targets
 from bayescal.errors import PoseInputError
 from bayescal.numerics.geometry import Array, skew_matrix
 
 
 @dataclass(frozen=True, eq=False)
 class _Frame:
-    """Frames attached to the lines of clouds of targets, with what their first-order propagation needs.
+    """Frames attached to the lines of clouds of targets, with what their first-order propagation needs."""
 
-    Attributes
-    ----------
-    centre : ndarray, shape (P, 3)
-        Barycentre of the seen targets, mm.
-    axes : ndarray, shape (P, 3, 3)
-        Columns x, y, z.
-    vectors, values : ndarray, shapes (P, 3, 3) and (P, 3)
-        Principal directions of the scatter matrix as columns, and their sums of squares in mm², ascending.
-    offset : ndarray, shape (P, n, 3)
-        Targets from the barycentre, mm; zero where not seen.
-    far : ndarray of int, shape (P,)
-        Target that fixes x.
-    """
-
-    centre: Array
-    axes: Array
+    centre: Array  # (P, 3): barycentre of the seen targets, mm
+    axes: Array  # (P, 3, 3): columns x, y, z
+    # (P, 3, 3): principal directions of the scatter matrix as columns, and their sums of squares in mm², ascending
     vectors: Array
-    values: Array
-    offset: Array
-    far: NDArray[np.int64]
+    values: Array  # (P, 3)
+    offset: Array  # (P, n, 3): targets from the barycentre, mm; zero where not seen
+    far: NDArray[np.int64]  # (P,): target that fixes x
 
 
 def _fit_principal_axes(points: Array, seen: NDArray[np.bool_]) -> tuple[Array, Array, Array, Array]:
@@ -151,7 +138,6 @@ def fit_line(reference: ArrayLike, measured: ArrayLike, noise: float) -> RigidFi
         As `check_targets`, or where the seen targets have no single longest direction or none is well off their line.
     """
     reference, flat, seen = check_targets(reference, measured, noise)
-    batch = np.shape(measured)[:-2]
     body = _build_frame(np.broadcast_to(reference, flat.shape), seen)
     _check_shape(body, noise)
     order = np.einsum("pni,pi->pn", body.offset, body.axes[..., 2])
@@ -160,16 +146,8 @@ def fit_line(reference: ArrayLike, measured: ArrayLike, noise: float) -> RigidFi
     lever = np.einsum("pij,pj->pi", rotation, body.centre)
     position = frame.centre - lever
     covariance = _move_to_origin(_propagate_noise(frame, seen, noise), lever)
-    residuals = np.where(seen[..., None], compute_rigid_residuals(reference, flat, position, rotation), 0.0)
-    return RigidFit(
-        position=position,
-        rotation=rotation,
-        covariance=covariance,
-        weights=seen.astype(float),
-        chi2=np.sum((residuals / noise) ** 2, axis=(-2, -1)),
-        dof=3 * seen.sum(axis=-1) - 6,
-        converged=np.ones(len(flat), dtype=bool),
-    ).with_batch(batch)
+    fit = RigidFit.of_targets(reference, flat, (position, rotation), seen.astype(float), noise, covariance)
+    return fit.with_batch(np.shape(measured)[:-2])
 
 
 def _move_to_origin(covariance: Array, lever: Array) -> Array:

@@ -37,22 +37,12 @@ METHODS: dict[str, Callable[..., RigidFit]] = {
 
 @dataclass(frozen=True, eq=False)
 class PoseExtraction:
-    """Poses with the fits they come from.
+    """Poses with the fits they come from."""
 
-    Attributes
-    ----------
-    poses : MeasuredPoses
-        Platform in the base frame, all P poses.
-    base, platform : RigidFit
-        Fits of the rigid targets in the measurement frame.
-    rejected : tuple of (pose, body, target)
-        Seen targets that the robust fit gave no weight.
-    """
-
-    poses: MeasuredPoses
-    base: RigidFit
+    poses: MeasuredPoses  # platform in the base frame, all P poses
+    base: RigidFit  # fits of the rigid targets in the measurement frame
     platform: RigidFit
-    rejected: tuple[tuple[str, str, str], ...]
+    rejected: tuple[tuple[str, str, str], ...]  # seen targets that the robust fit gave no weight
 
     @property
     def chi2_per_dof(self) -> float:

@@ -37,39 +37,46 @@ _PLASTIC = 1.2207440846057596  # root of x⁴ = x + 1; its powers give an evenly
 
 @dataclass(frozen=True, eq=False)
 class RigidFit:
-    """Poses of a rigid body in the measurement frame, with their uncertainty and status.
+    """Poses of a rigid body in the measurement frame, with their uncertainty and status."""
 
-    Attributes
-    ----------
-    position : ndarray, shape (..., 3)
-        Origin of the body frame in the measurement frame, mm.
-    rotation : ndarray, shape (..., 3, 3)
-        Rotation from the body frame to the measurement frame.
-    covariance : ndarray, shape (..., 6, 6)
-        Covariance of position error in mm and rotation vector w in rad, both in the measurement frame, with
-        ``R_true = Exp(w) R_estimated``.
-    weights : ndarray, shape (..., n)
-        Final weight of each target, from 0 (rejected or not seen) to 1.
-    chi2 : ndarray, shape (...)
-        Sum of squares of the residuals of the targets with a positive weight, in units of σ². The residuals themselves
-        are not weighted down, so that Gaussian noise gives a mean of nearly ``dof``.
-    dof : ndarray of int, shape (...)
-        Three times the number of targets with a positive weight, less six.
-    converged : ndarray of bool, shape (...)
-        Whether the weights settled; always true for methods without iterations.
-    """
-
-    position: Array
-    rotation: Array
+    position: Array  # (..., 3): origin of the body frame in the measurement frame, mm
+    rotation: Array  # (..., 3, 3): rotation from the body frame to the measurement frame
+    # (..., 6, 6): covariance of position error in mm and rotation vector w in rad, both in the measurement frame,
+    # with ``R_true = Exp(w) R_estimated``
     covariance: Array
-    weights: Array
+    weights: Array  # (..., n): final weight of each target, from 0 (rejected or not seen) to 1
+    # (...): sum of squares of the residuals of the targets with a positive weight, in units of σ². The residuals
+    # themselves are not weighted down, so that Gaussian noise gives a mean of nearly ``dof``
     chi2: Array
-    dof: NDArray[np.int64]
-    converged: NDArray[np.bool_]
+    dof: NDArray[np.int64]  # (...): three times the number of targets with a positive weight, less six
+    converged: NDArray[np.bool_]  # (...): whether the weights settled; always true for methods without iterations
 
     def with_batch(self, batch: tuple[int, ...]) -> RigidFit:
         """Return the fits (P, ...) with their leading axis laid out as ``batch``."""
         return RigidFit(**{name: part.reshape((*batch, *part.shape[1:])) for name, part in vars(self).items()})
+
+    @classmethod
+    def of_targets(
+        cls,
+        reference: Array,
+        measured: Array,
+        pose: tuple[Array, Array],
+        weights: Array,
+        noise: float,
+        covariance: Array | None = None,
+        converged: NDArray[np.bool_] | None = None,
+    ) -> RigidFit:
+        """Return poses of targets (n, 3), (P, n, 3) with weights (P, n); by default covariances are least squares'."""
+        used = weights > 0
+        square = compute_square(compute_rigid_residuals(reference, measured, *pose), noise)
+        return cls(
+            *pose,
+            compute_rigid_covariance(reference, pose[1], used, noise) if covariance is None else covariance,
+            weights,
+            chi2=np.sum(np.where(used, square, 0.0), axis=-1),
+            dof=3 * used.sum(axis=-1) - 6,
+            converged=np.ones(len(measured), dtype=bool) if converged is None else converged,
+        )
 
 
 def compute_biweight_moments(constant: ArrayLike) -> tuple[Array, Array]:
@@ -324,24 +331,15 @@ def fit_rigid_body(reference: ArrayLike, measured: ArrayLike, noise: float) -> R
         As `check_targets`, or where fewer than three targets, or only targets on a line, lie within cσ of a pose.
     """
     reference, flat, seen = check_targets(reference, measured, noise)
-    batch = np.shape(measured)[:-2]
     start = _robust_start(reference, flat, seen, noise)
     weights, converged = _reweight(reference, flat, start, noise)
     position, rotation = weighted_rigid_transform(reference, flat, weights)
-    square = compute_square(compute_rigid_residuals(reference, flat, position, rotation), noise)
     used = weights > 0
-    count = used.sum(axis=-1)
-    covariance = compute_rigid_covariance(reference, rotation, used, noise)
-    covariance = compute_variance_factor(count)[:, None, None] * covariance
-    return RigidFit(
-        position=position,
-        rotation=rotation,
-        covariance=covariance,
-        weights=weights,
-        chi2=np.sum(np.where(used, square, 0.0), axis=-1),
-        dof=3 * count - 6,
-        converged=converged,
-    ).with_batch(batch)
+    covariance = compute_variance_factor(used.sum(axis=-1))[:, None, None] * compute_rigid_covariance(
+        reference, rotation, used, noise
+    )
+    fit = RigidFit.of_targets(reference, flat, (position, rotation), weights, noise, covariance, converged)
+    return fit.with_batch(np.shape(measured)[:-2])
 
 
 INCOMPATIBLE = 1e-9
@@ -385,17 +383,8 @@ def compare_noise(reference: ArrayLike, measured: ArrayLike, noise: float) -> st
 
 
 def _fit(reference: Array, measured: Array, seen: NDArray[np.bool_], noise: float) -> RigidFit:
-    position, rotation = weighted_rigid_transform(reference, measured, seen)
-    square = compute_square(compute_rigid_residuals(reference, measured, position, rotation), noise)
-    return RigidFit(
-        position=position,
-        rotation=rotation,
-        covariance=compute_rigid_covariance(reference, rotation, seen, noise),
-        weights=seen.astype(float),
-        chi2=np.sum(np.where(seen, square, 0.0), axis=-1),
-        dof=3 * seen.sum(axis=-1) - 6,
-        converged=np.ones(len(measured), dtype=bool),
-    )
+    pose = weighted_rigid_transform(reference, measured, seen)
+    return RigidFit.of_targets(reference, measured, pose, seen.astype(float), noise)
 
 
 def _state_noise(fit: RigidFit, pose: int, noise: float) -> str:

@@ -26,44 +26,22 @@ COLLINEAR = 1e-3  # largest ratio of the second to the first extent of targets t
 
 @dataclass(frozen=True, eq=False)
 class BodyTargets:
-    """Targets of one body.
+    """Targets of one body."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        The n targets.
-    leg : ndarray of int, shape (n,)
-        Leg whose pad carries the target, counted from one; zero on the rigid part of the body.
-    reference : ndarray, shape (n, 3)
-        Where the targets sit on the undeformed body, body frame, mm.
-    measured : ndarray, shape (P, n, 3)
-        Measured coordinates, measurement frame of each pose, mm; NaN where a target was not seen.
-    """
-
-    names: tuple[str, ...]
-    leg: np.ndarray
-    reference: Array
+    names: tuple[str, ...]  # the n targets
+    leg: np.ndarray  # (n,): leg whose pad carries the target, counted from one; zero on the rigid part of the body
+    reference: Array  # (n, 3): where the targets sit on the undeformed body, body frame, mm
+    # (P, n, 3): measured coordinates, measurement frame of each pose, mm; NaN where a target was not seen
     measured: Array
 
 
 @dataclass(frozen=True, eq=False)
 class Survey:
-    """Targets and actuator positions of all poses.
+    """Targets and actuator positions of all poses."""
 
-    Attributes
-    ----------
-    poses : tuple of str
-        Names of the P poses, in the order of the actuator table.
-    verification : ndarray of bool, shape (P,)
-        Which poses are kept for verification.
-    actuators : ndarray, shape (P, N)
-        Actuator positions, mm.
-    base, platform : BodyTargets
-    """
-
-    poses: tuple[str, ...]
-    verification: np.ndarray
-    actuators: Array
+    poses: tuple[str, ...]  # names of the P poses, in the order of the actuator table
+    verification: np.ndarray  # (P,): which poses are kept for verification
+    actuators: Array  # (P, N): actuator positions, mm
     base: BodyTargets
     platform: BodyTargets
 

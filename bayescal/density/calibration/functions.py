@@ -118,23 +118,15 @@ class FunctionConfig(Section):
 
 @dataclass(frozen=True, eq=False)
 class Travel:
-    """What functions depend on.
+    """What functions depend on."""
 
-    Attributes
-    ----------
-    of : str
-        ``reading``: each function of its own channel's reading; ``commands``: all of some channels' readings;
-        ``order``: all of the rows' places in the tables.
-    channels : ndarray of int, shape (D,)
-        Which readings; none for the order.
-    home, range : ndarray, shape (D,)
-        What they read at home, and the unit of their travel; for the order its first place and its length.
-    """
-
+    # ``reading``: each function of its own channel's reading; ``commands``: all of some channels' readings;
+    # ``order``: all of the rows' places in the tables
     of: Input
-    channels: np.ndarray
+    channels: np.ndarray  # (D,): which readings; none for the order
+    # (D,): what they read at home, and the unit of their travel; for the order its first place and its length
     home: Array
-    range: Array
+    range: Array  # (D,)
 
     def of_rows(self, data: Measurements) -> Array:
         """Return z, (P, F, 1) by function where each has its own, (P, 1, D) where all have the same."""
@@ -150,46 +142,21 @@ class FunctionErrors(ErrorTerm):
     """Functions of F channels, which share G scales and a length.
 
     Coordinates are those of the scales, each a switch and a magnitude in one, then the length's if that is free.
-
-    Attributes
-    ----------
-    kernel : str
-        ``linear``, ``quadratic`` or ``smooth``.
-    length : float
-        In units of z; the median where it is free.
-    lengths : LogNormalPrior or None
-        Of a length that is free.
-    places : ndarray of int, shape (F,)
-        The channels that err.
-    travel : Travel
-    reach : float
-        Largest |z| of all rows.
-    group : ndarray of int, shape (F,)
-        Which scale each has.
-    scale : ndarray, shape (G,)
-        Median of s where there is an error: what a channel with z = 1 errs by, one sd, in its unit.
-    spread : float
-        Standard deviation of log s.
-    labels, scale_units : tuple of str, length G
-        Of the scales: a channel, a kind, or a section's name, and the unit.
-    length_name : str
-    rows : Measurements or None
-        All rows, which are the nodes of functions of several variables.
     """
 
-    kernel: str
-    length: float
-    lengths: LogNormalPrior | None
-    places: np.ndarray
+    kernel: str  # ``linear``, ``quadratic`` or ``smooth``
+    length: float  # in units of z; the median where it is free
+    lengths: LogNormalPrior | None  # of a length that is free
+    places: np.ndarray  # (F,): the channels that err
     travel: Travel
-    reach: float
-    group: np.ndarray
-    scale: Array
-    spread: float
-    labels: tuple[str, ...]
-    scale_units: tuple[str, ...]
+    reach: float  # largest |z| of all rows
+    group: np.ndarray  # (F,): which scale each has
+    scale: Array  # (G,): median of s where there is an error: what a channel with z = 1 errs by, one sd, in its unit
+    spread: float  # standard deviation of log s
+    labels: tuple[str, ...]  # length G: of the scales: a channel, a kind, or a section's name, and the unit
+    scale_units: tuple[str, ...]  # length G
     length_name: str = LENGTH
-    rows: Measurements | None = None
+    rows: Measurements | None = None  # all rows, which are the nodes of functions of several variables
 
     Config: ClassVar[type[Section]] = FunctionConfig
 

@@ -12,7 +12,7 @@ import numpy as np
 from bayescal.density.calibration.poses import PoseElimination, Stand
 from bayescal.density.calibration.terms import CommonDraws, Errors
 from bayescal.density.elimination import Whitening, invert, left_of, orthonormalise, project_out
-from bayescal.density.low_rank_columns import Coefficients, find_coefficients, split
+from bayescal.density.low_rank import Coefficients, find_coefficients, split
 from bayescal.density.outliers import Outliers
 from bayescal.density.posterior import Elimination, Funnel, Posterior
 from bayescal.density.priors import Prior
@@ -414,20 +414,12 @@ class JointFit:
 
     Machine, poses and coefficients move together, the latter two eliminated from each step; what is unknown of the
     errors stays as it is.
-
-    Attributes
-    ----------
-    likelihood : CalibrationLikelihood
-    sampling : AffineSampling
-    errors : Errors
-    zeta : ndarray, shape (k,)
-        Coordinates of the errors.
     """
 
     likelihood: CalibrationLikelihood
     sampling: AffineSampling
     errors: Errors
-    zeta: Array
+    zeta: Array  # (k,): coordinates of the errors
 
     @cached_property
     def _tails(self) -> Outliers:

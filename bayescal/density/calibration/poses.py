@@ -48,38 +48,18 @@ LARGEST = 2**24  # entries of the derivatives of H, 128 MB
 
 @dataclass(frozen=True, eq=False)
 class Expansion:
-    """Poses and H of machines near an anchor of D parameters, at P poses of q coordinates with K readings.
+    """Poses and H of machines near an anchor of D parameters, at P poses of q coordinates with K readings."""
 
-    Attributes
-    ----------
-    anchor : ndarray, shape (D,)
-    pose : ndarray, shape (P, q)
-        Where the anchor explains the readings.
-    slope : ndarray, shape (q, P, K)
-        H there, not white.
-    moves : ndarray, shape (D, P, q)
-        How poses follow the parameters.
-    close : float
-        White readings that a pose may move by in a step that is taken to first order.
-    free : ndarray of int, shape (F,)
-        Which parameters may differ from the anchor's.
-    bends : ndarray, shape (F, q, P, K), or None
-        How H follows them; None where that is not known.
-    metric : ndarray, shape (F, F)
-        The square of M, summed over poses and coordinates, as a quadratic form of the parameters' change.
-    limit : float
-        Its value up to which H is good enough.
-    """
-
-    anchor: Array
-    pose: Array
-    slope: Array
-    moves: Array
-    close: float
-    free: np.ndarray
-    bends: Array | None
+    anchor: Array  # (D,)
+    pose: Array  # (P, q): where the anchor explains the readings
+    slope: Array  # (q, P, K): H there, not white
+    moves: Array  # (D, P, q): how poses follow the parameters
+    close: float  # white readings that a pose may move by in a step that is taken to first order
+    free: np.ndarray  # (F,): which parameters may differ from the anchor's
+    bends: Array | None  # (F, q, P, K): how H follows them; None where that is not known
+    # (F, F): the square of M, summed over poses and coordinates, as a quadratic form of the parameters' change
     metric: Array
-    limit: float
+    limit: float  # its value up to which H is good enough
 
     def measure(self, theta: Array) -> Array:
         """Return the square of the slopes' relative change for machines (C, D), shape (C,); infinite if not known."""
@@ -123,26 +103,13 @@ MAX_STEPS, MAX_CHORDS, MAX_SEARCH, PATIENCE = 30, 8, 60, 4
 
 @dataclass(frozen=True, eq=False)
 class Stand:
-    """C machines where they explain the readings best.
+    """C machines where they explain the readings best."""
 
-    Attributes
-    ----------
-    pose : ndarray, shape (C, P, q)
-    error : ndarray, shape (C, P, K)
-        What is left, white.
-    slope : ndarray, shape (C, P, K, q)
-        H, white.
-    known_volume : ndarray, shape (C, P), or None
-        ½ log |HᵀΣ⁻¹H| where it has been computed.
-    known_prior : ndarray, shape (C, P), or None
-        Log-density of the poses before anything is read, the same.
-    """
-
-    pose: Array
-    error: Array
-    slope: Array
-    known_volume: Array | None = None
-    known_prior: Array | None = None
+    pose: Array  # (C, P, q)
+    error: Array  # (C, P, K): what is left, white
+    slope: Array  # (C, P, K, q): H, white
+    known_volume: Array | None = None  # (C, P): ½ log |HᵀΣ⁻¹H| where it has been computed
+    known_prior: Array | None = None  # (C, P): Log-density of the poses before anything is read, the same
 
     @property
     def square(self) -> Array:
@@ -157,24 +124,13 @@ class Stand:
 
 @dataclass(frozen=True, eq=False)
 class PoseElimination:
-    """Readings of P poses for batches of machines and of deviations: their white rows free of the poses, and volumes.
-
-    Attributes
-    ----------
-    model : ReadingModel
-    data : Measurements
-    volume : float
-        V, in the units of the coordinates.
-    start : ndarray, shape (P, q)
-        Poses from which the best ones are looked for.
-    expansion : Expansion or None
-        About a machine near those that are asked for, which explains the readings at ``start``.
-    """
+    """Readings of P poses for batches of machines and of deviations: white rows free of the poses, volumes."""
 
     model: ReadingModel
     data: Measurements
-    volume: float
-    start: Array
+    volume: float  # V, in the units of the coordinates
+    start: Array  # (P, q): poses from which the best ones are looked for
+    # about a machine near those that are asked for, which explains the readings at ``start``
     expansion: Expansion | None = None
 
     @cached_property

@@ -16,24 +16,17 @@ INTERVAL = 0.9
 
 @dataclass(frozen=True, eq=False)
 class ReadingPredictions:
-    """Readings, each predicted from the pose's other readings.
+    """Readings, each predicted from the pose's other readings."""
 
-    Attributes
-    ----------
-    pose, channel : ndarray of int, shape (n,)
-        Which reading of which pose.
-    measured, mean, sd, low, high : ndarray, shape (n,)
-        In the channels' units; the 90 % interval holds the reading's noise. On a circle, and as a part of a rotation,
-        what is predicted is counted from the reading, the short way round.
-    """
-
-    pose: np.ndarray
-    channel: np.ndarray
+    pose: np.ndarray  # (n,): which reading of which pose
+    channel: np.ndarray  # (n,)
+    # (n,): in the channels' units; the 90 % interval holds the reading's noise. On a circle, and as a part of a
+    # rotation, what is predicted is counted from the reading, the short way round
     measured: Array
-    mean: Array
-    sd: Array
-    low: Array
-    high: Array
+    mean: Array  # (n,)
+    sd: Array  # (n,)
+    low: Array  # (n,)
+    high: Array  # (n,)
 
     @property
     def inside(self) -> np.ndarray:

@@ -169,21 +169,11 @@ def _differ(values: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class GroupTerm(ErrorTerm):
-    """A term with one unknown, which changes the noise of a group of channels.
+    """A term with one unknown, which changes the noise of a group of channels."""
 
-    Attributes
-    ----------
-    label : str
-        Of the group.
-    channels : ndarray of bool, shape (K,)
-    scale : float
-        Of its prior.
-    unit : str
-    """
-
-    label: str
-    channels: np.ndarray
-    scale: float
+    label: str  # of the group
+    channels: np.ndarray  # (K,)
+    scale: float  # of its prior
     unit: str = "1"
     what: ClassVar[str]
 
@@ -251,11 +241,6 @@ class Errors:
 
     Coordinates ζ of what is unknown are the terms' in their order, then the outliers': as their priors say, standard
     normal about their places.
-
-    Attributes
-    ----------
-    terms : tuple of ErrorTerm
-    outliers : Outliers
     """
 
     terms: tuple[ErrorTerm, ...] = ()
@@ -483,17 +468,11 @@ def check_term(term: ErrorTerm, data: Measurements) -> None:
 
 @dataclass(frozen=True, eq=False)
 class CommonDraws:
-    """Draws of the coefficients of errors common to all rows.
-
-    Attributes
-    ----------
-    errors : Errors
-    parts : tuple of (zeta, coefficients)
-        Of some of the T draws each, (B, n) and (B, N): with a free length coefficients belong together with the others
-        that they were drawn with.
-    """
+    """Draws of the coefficients of errors common to all rows."""
 
     errors: Errors
+    # of some of the T draws each, (B, n) and (B, N): with a free length coefficients belong together with the others
+    # that they were drawn with
     parts: tuple[tuple[Array, Array], ...]
 
     def by_term(self, data: Measurements) -> list[Array | None]:

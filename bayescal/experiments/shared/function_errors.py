@@ -13,7 +13,7 @@ from bayescal.density.calibration.functions import FunctionErrors
 from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.density.calibration.measurements import Measurements
 from bayescal.density.calibration.terms import CommonDraws
-from bayescal.density.low_rank_columns import BUDGET
+from bayescal.density.low_rank import BUDGET
 from bayescal.density.priors import BORDER
 from bayescal.experiments.frame.memory import Need, check_memory
 from bayescal.numerics.geometry import Array

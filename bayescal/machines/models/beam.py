@@ -13,7 +13,6 @@ to stand in for it.
 
 from __future__ import annotations
 
-from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -21,8 +20,8 @@ import numpy as np
 from bayescal.errors import InputError
 from bayescal.machines.deformations import DeformationBasis
 from bayescal.machines.mechanism import Flexures, Mechanism
-from bayescal.machines.models.base import BoundClosure, Closure, KinematicModel, Linearisation
-from bayescal.machines.models.home import BatchHome, Home, home_solver, solve_home
+from bayescal.machines.models.base import BoundClosure, Linearisation
+from bayescal.machines.models.home import Home, HomeModel, home_solver
 from bayescal.machines.models.legs import compute_leg_vectors, cross, dot
 from bayescal.machines.models.six_pus import SixPus, SixPusClosure
 from bayescal.machines.parameters import ParameterBlock, ParameterLayout
@@ -73,7 +72,7 @@ def require_flexures(mechanism: Mechanism, model: str) -> Flexures:
     return mechanism.flexures
 
 
-class Beam(KinematicModel):
+class Beam(HomeModel):
     """P-U-S legs whose joints are flexures that bend as beams."""
 
     name: ClassVar[str] = "beam"
@@ -87,14 +86,6 @@ class Beam(KinematicModel):
             ParameterBlock("l_b", tuple(flexures.lengths.tolist()), lower=0.0),
             ParameterBlock("beta", tuple(flexures.beta.tolist()), "1", lower=0.0, upper=0.5),
         )
-
-    def prepare(self, layout: ParameterLayout, theta: Array) -> Closure:
-        """Return eq. (32), with the machines' home poses found."""
-        return self.prepare_known(layout, theta, None)
-
-    def prepare_known(self, layout: ParameterLayout, theta: Array, home: BatchHome | None) -> Closure:
-        """Return the closure of machines whose home poses may be known."""
-        return partial(self._close, layout, theta, solve_home(layout, theta, home))
 
     def _close(
         self,

@@ -35,19 +35,11 @@ COMPLEX_STEP = 1e-30
 
 @dataclass(frozen=True, eq=False)
 class ChainStiffness:
-    """A chain of round beams between the centres of its two flexures, l apart.
+    """A chain of round beams between the centres of its two flexures, l apart."""
 
-    Attributes
-    ----------
-    axial, torsional : ndarray
-        Force per elongation, N/mm; moment per twist, N mm.
-    near, far : ndarray
-        Bending: moment at a centre per rotation there and at the other one, relative to the chord, N mm.
-    """
-
-    axial: Array
+    axial: Array  # force per elongation, N/mm; moment per twist, N mm
     torsional: Array
-    near: Array
+    near: Array  # bending: moment at a centre per rotation there and at the other one, relative to the chord, N mm
     far: Array
 
     def times(self, factor: Array) -> ChainStiffness:
@@ -57,19 +49,11 @@ class ChainStiffness:
 
 @dataclass(frozen=True)
 class AxialReference:
-    """A chain's axial compliance, by which that of others is measured.
+    """A chain's axial compliance, by which that of others is measured."""
 
-    Attributes
-    ----------
-    flexures, leg : float
-        Length of both flexures together and of the leg between them, mm.
-    k2_d, k2_l : float
-        Their axial stiffness, N.
-    """
-
-    flexures: float
+    flexures: float  # length of both flexures together and of the leg between them, mm
     leg: float
-    k2_d: float
+    k2_d: float  # their axial stiffness, N
     k2_l: float
 
     def scale(self, k2_d: Array, k2_l: Array) -> Array:
@@ -180,20 +164,11 @@ class LegState(ABC):
 
 @dataclass(frozen=True, eq=False)
 class LegLoads:
-    """The legs' loads on the platform's origin and their derivatives.
+    """The legs' loads on the platform's origin and their derivatives."""
 
-    Attributes
-    ----------
-    chain : ChainStiffness
-        Shapes (..., N).
-    state : LegState
-    phi : ndarray, shape (..., 1, 3)
-        φ in radians.
-    """
-
-    chain: ChainStiffness
+    chain: ChainStiffness  # shapes (..., N)
     state: LegState
-    phi: Array
+    phi: Array  # (..., 1, 3): φ in radians
 
     @cached_property
     def _lean(self) -> Array:
@@ -270,29 +245,16 @@ class LegLoads:
 
 @dataclass(frozen=True, eq=False)
 class Equilibrium:
-    """The closure of given machines.
-
-    Attributes
-    ----------
-    layout : ParameterLayout
-    theta : ndarray, shape (..., D)
-    to_elongation : ndarray, shape (6, 6)
-        Q.
-    reference : AxialReference
-    state : type of LegState
-    load : callable
-        From rotations (..., 3, 3) to P_E, shape (..., 6), in N and N mm, and its derivative by them, (..., 3, 6).
-    known : BatchHome, optional
-        The machines' home poses, where these are known.
-    """
+    """The closure of given machines."""
 
     layout: ParameterLayout
-    theta: Array
-    to_elongation: Array
+    theta: Array  # (..., D)
+    to_elongation: Array  # (6, 6): Q
     reference: AxialReference
     state: type[LegState]
+    # from rotations (..., 3, 3) to P_E, shape (..., 6), in N and N mm, and its derivative by them, (..., 3, 6)
     load: Callable[[Array], tuple[Array, Array]]
-    known: BatchHome | None = None
+    known: BatchHome | None = None  # the machines' home poses, where these are known
 
     @cached_property
     def _home(self) -> Home:

@@ -7,14 +7,15 @@ G is the pseudo-inverse of the pose Jacobian at the nominal home. For six legs t
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 
 import numpy as np
 
 from bayescal.errors import InputError, NumericalError
 from bayescal.machines.deformations import DeformationBasis
-from bayescal.machines.models.base import newton_step
+from bayescal.machines.models.base import Closure, KinematicModel, Linearisation, newton_step
 from bayescal.machines.models.legs import (
     LegVectors,
     add_columns,
@@ -152,51 +153,28 @@ def guess_level_pose(
 
 @dataclass(frozen=True, eq=False)
 class BatchHome:
-    """Home poses of a batch of B machines, the batch last; NaN for a machine without one.
+    """Home poses of a batch of B machines, the batch last; NaN for a machine without one."""
 
-    Attributes
-    ----------
-    position, rotation : ndarray, shapes (3, B) and (3, 3, B)
-    direction, arm, vector : ndarray, shape (3, N, B)
-        u, R^0 b and g^0.
-    length : ndarray, shape (N, B)
-        |g^0|.
-    gain : ndarray, shape (6, N)
-        G.
-    """
-
-    position: Array
-    rotation: Array
-    direction: Array
-    arm: Array
-    vector: Array
-    length: Array
-    gain: Array
+    position: Array  # (3, B)
+    rotation: Array  # (3, 3, B)
+    direction: Array  # (3, N, B): u, R^0 b and g^0
+    arm: Array  # (3, N, B)
+    vector: Array  # (3, N, B)
+    length: Array  # (N, B): |g^0|
+    gain: Array  # (6, N): G
 
 
 @dataclass(frozen=True, eq=False)
 class HomeSolver:
-    """Home pose of the nominal machine, from which those of others are found.
-
-    Attributes
-    ----------
-    layout : ParameterLayout
-    position, rotation : ndarray, shapes (3,) and (3, 3)
-        Nominal home pose; NaN where there is none.
-    gain : ndarray, shape (6, N)
-        G: pose error (mm, rad) per mm of closure.
-    projection : ndarray, shape (N, N), or None
-        The part of a closure that a pose error explains; None for six legs, where that is all of it.
-    slope : ndarray, shape (6, D)
-        Derivative of the pose (position, rotation vector) by the parameters.
-    """
+    """Home pose of the nominal machine, from which those of others are found."""
 
     layout: ParameterLayout
-    position: Array
-    rotation: Array
-    gain: Array
+    position: Array  # (3,): nominal home pose; NaN where there is none
+    rotation: Array  # (3, 3)
+    gain: Array  # (6, N): G: pose error (mm, rad) per mm of closure
+    # (N, N): the part of a closure that a pose error explains; None for six legs, where that is all of it
     projection: Array | None
-    slope: Array
+    slope: Array  # (6, D): derivative of the pose (position, rotation vector) by the parameters
 
     @cached_property
     def _points(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -323,22 +301,12 @@ def home_solver(layout: ParameterLayout) -> HomeSolver:
 
 @dataclass(frozen=True, eq=False)
 class Home:
-    """Home poses of parameter vectors with their first derivatives; leading axes are those of the vectors.
+    """Home poses of parameter vectors with their first derivatives; leading axes are those of the vectors."""
 
-    Attributes
-    ----------
-    position, rotation : ndarray, shapes (..., 3) and (..., 3, 3)
-        p^0 in mm and R^0; NaN where there is none.
-    legs : LegVectors
-        Leg vectors there.
-    gain : ndarray, shape (6, N)
-        G.
-    """
-
-    position: Array
-    rotation: Array
-    legs: LegVectors
-    gain: Array
+    position: Array  # (..., 3): p^0 in mm and R^0; NaN where there is none
+    rotation: Array  # (..., 3, 3)
+    legs: LegVectors  # leg vectors there
+    gain: Array  # (6, N): G
 
     @cached_property
     def slope(self) -> Array:
@@ -383,3 +351,17 @@ def solve_home(layout: ParameterLayout, theta: Array, known: BatchHome | None = 
     travel = layout.take(theta, "rho0")
     legs = LegVectors(layout, basis, rotation, direction, arm, vector, axis, travel, length)
     return Home(batch_first(found.position), rotation, legs, found.gain)
+
+
+class HomeModel(KinematicModel):
+    """A model whose closure is referred to the home poses of its machines: ``_close`` takes these after θ."""
+
+    _close: Callable[..., Linearisation]
+
+    def prepare(self, layout: ParameterLayout, theta: Array) -> Closure:
+        """Return the closure, with the machines' home poses found."""
+        return self.prepare_known(layout, theta, None)
+
+    def prepare_known(self, layout: ParameterLayout, theta: Array, home: BatchHome | None) -> Closure:
+        """Return the closure of machines whose home poses may be known."""
+        return partial(self._close, layout, theta, solve_home(layout, theta, home))

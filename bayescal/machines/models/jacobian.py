@@ -10,15 +10,14 @@ closure of the redundant ones for more.
 
 from __future__ import annotations
 
-from functools import partial
 from typing import ClassVar
 
 import numpy as np
 
 from bayescal.machines.deformations import DeformationBasis
 from bayescal.machines.mechanism import Mechanism
-from bayescal.machines.models.base import BoundClosure, Closure, KinematicModel, Linearisation
-from bayescal.machines.models.home import BatchHome, BatchTurns, Home, compute_turn, home_solver, solve_home
+from bayescal.machines.models.base import BoundClosure, Linearisation
+from bayescal.machines.models.home import BatchTurns, Home, HomeModel, compute_turn, home_solver
 from bayescal.machines.models.legs import cross, cross_first_axis, dot
 from bayescal.machines.models.six_pus import SixPus
 from bayescal.machines.parameters import ParameterBlock, ParameterLayout
@@ -26,7 +25,7 @@ from bayescal.numerics.geometry import Array, compute_left_inverse_jacobian
 from bayescal.numerics.scratch import Scratch
 
 
-class Jacobian(KinematicModel):
+class Jacobian(HomeModel):
     """Kinematics linear in pose and actuators."""
 
     name: ClassVar[str] = "jacobian"
@@ -35,14 +34,6 @@ class Jacobian(KinematicModel):
     def blocks(self, mechanism: Mechanism) -> tuple[ParameterBlock, ...]:
         """Return the parameters of the 6-PUS."""
         return SixPus().blocks(mechanism)
-
-    def prepare(self, layout: ParameterLayout, theta: Array) -> Closure:
-        """Return the closure of the module's docstring, with the machines' home poses found."""
-        return self.prepare_known(layout, theta, None)
-
-    def prepare_known(self, layout: ParameterLayout, theta: Array, home: BatchHome | None) -> Closure:
-        """Return the closure of machines whose home poses may be known."""
-        return partial(self._close, layout, theta, solve_home(layout, theta, home))
 
     def _close(
         self,

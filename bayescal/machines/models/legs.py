@@ -75,19 +75,11 @@ def cross_first_axis(first: Array, second: Array, out: Array | None = None) -> A
 
 @dataclass(frozen=True)
 class PulledBack:
-    """Derivatives of Σ w · dg of one leg each, by everything the leg vector depends on; leading axes those of w.
+    """Derivatives of Σ w · dg of one leg each, by everything the leg vector depends on; leading axes those of w."""
 
-    Attributes
-    ----------
-    pose : ndarray, shape (..., N, 6)
-    actuators : ndarray, shape (..., N, N)
-    columns : dict of symbol to ndarray, shape (..., N)
-        By the leg's own parameters.
-    """
-
-    pose: Array
-    actuators: Array
-    columns: dict[str, Array]
+    pose: Array  # (..., N, 6)
+    actuators: Array  # (..., N, N)
+    columns: dict[str, Array]  # (..., N): by the leg's own parameters
 
 
 @dataclass(frozen=True, eq=False)

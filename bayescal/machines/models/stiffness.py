@@ -37,7 +37,7 @@ import numpy as np
 from bayescal.errors import InputError
 from bayescal.machines.deformations import DeformationBasis
 from bayescal.machines.mechanism import Mechanism
-from bayescal.machines.models.base import BoundClosure, Closure, KinematicModel
+from bayescal.machines.models.base import BoundClosure, Closure
 from bayescal.machines.models.beam import require_flexures
 from bayescal.machines.models.equilibrium import (
     SYMBOLS,
@@ -48,7 +48,7 @@ from bayescal.machines.models.equilibrium import (
     LegState,
     compute_chain_stiffness,
 )
-from bayescal.machines.models.home import BatchHome, BatchTurns, home_solver, solve_home
+from bayescal.machines.models.home import BatchHome, BatchTurns, HomeModel, home_solver, solve_home
 from bayescal.machines.models.legs import LegVectors, cross, cross_first_axis, dot
 from bayescal.machines.models.six_pus import SixPus, SixPusClosure
 from bayescal.machines.parameters import ParameterBlock, ParameterLayout
@@ -267,7 +267,7 @@ class HomeLegs(LegState):
 
 
 @dataclass(frozen=True, eq=False)
-class Stiffness(KinematicModel):
+class Stiffness(HomeModel):
     """Static equilibrium on legs that are chains of beams, taken along the legs as they stand."""
 
     mechanism: Mechanism
@@ -325,10 +325,6 @@ class Stiffness(KinematicModel):
         assert flexures.leg_section is not None
         length, l_b = self.mechanism.leg_lengths[0], flexures.lengths[0]
         return AxialReference(2 * l_b, length - l_b, flexures.section.k2, flexures.leg_section.k2)
-
-    def prepare(self, layout: ParameterLayout, theta: Array) -> Closure:
-        """Return s Q W; home poses and the stiffness of the legs are found once."""
-        return self.prepare_known(layout, theta, None)
 
     def prepare_known(self, layout: ParameterLayout, theta: Array, home: BatchHome | None) -> Closure:
         """Return s Q W of machines whose home poses may be known."""

@@ -16,8 +16,9 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from operator import attrgetter
 from types import MappingProxyType
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -275,6 +276,11 @@ class Readings:
             return self
         more = self.by_parameters[..., places, :] if self.by_parameters.ndim > 1 else self.by_parameters
         return Readings(self.values[..., places], self.by_pose[..., places, :], more)
+
+
+def hand_on(name: str) -> Any:
+    """Return a property that is what a part of an object says: `whole.given` is ``given`` of ``whole``."""
+    return property(attrgetter(name))
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,6 +30,7 @@ from bayescal.machines.readings.base import (
     Readings,
     colour,
     draw_points,
+    hand_on,
 )
 from bayescal.numerics.geometry import Array
 
@@ -313,11 +314,6 @@ class _Steps:
 class FunctionModel(ReadingModel):
     """A machine of one function as a model of readings.
 
-    Attributes
-    ----------
-    name : str
-    machine : ReadingMachine
-
     Raises
     ------
     InputError
@@ -358,15 +354,9 @@ class FunctionModel(ReadingModel):
         """What has to be known of each row of the data."""
         return tuple(self.machine.given)
 
-    @property
-    def actuated(self) -> Sequence[str]:
-        """What the machine says that a controller can command."""
-        return self.machine.commanded
-
-    @property
-    def member(self) -> str:
-        """What one of many is called."""
-        return self.machine.member
+    actuated = hand_on("machine.commanded")
+    member = hand_on("machine.member")
+    check_given = hand_on("machine.check_given")
 
     @cached_property
     def pose_channels(self) -> tuple[Channel, ...]:
@@ -398,10 +388,6 @@ class FunctionModel(ReadingModel):
         """Return what the machine says; see `ReadingModel.rotation`."""
         turned = self.machine.rotation(pose)
         return super().rotation(pose) if turned is None else np.asarray(turned)
-
-    def check_given(self, poses: Sequence[str], given: Given, free: Sequence[str]) -> None:
-        """Check as the machine does."""
-        self.machine.check_given(poses, given, free)
 
     # --- readings ------------------------------------------------------------------------------------------------
 

@@ -64,23 +64,13 @@ def list_leg_channels(n_legs: int, inclined: bool) -> tuple[Channel, ...]:
 
 @dataclass(frozen=True, eq=False)
 class Legs(ReadingModel):
-    """A machine of N legs with their encoders and inclinometers, and the pose as an instrument sees it.
+    """A machine of N legs with their encoders and inclinometers, and the pose as an instrument sees it."""
 
-    Attributes
-    ----------
-    machine : Machine
-        Mechanism, model and deformation.
-    tool_point : ndarray, shape (3,), or None
-        The tool's centre, platform frame, mm; known. None where the whole pose has to be accurate.
-    name : str
-        That of the mechanism where it is left out.
-    inclined : bool
-        Whether it could have inclinometers, whose zeros are parameters then: K = 3 N + 6 sensors in place of N + 6.
-    """
-
-    machine: Machine
+    machine: Machine  # mechanism, model and deformation
+    # (3,): the tool's centre, platform frame, mm; known. None where the whole pose has to be accurate
     tool_point: Array | None = None
-    name: str = ""
+    name: str = ""  # that of the mechanism where it is left out
+    # whether it could have inclinometers, whose zeros are parameters then: K = 3 N + 6 sensors in place of N + 6
     inclined: bool = False
 
     def __post_init__(self) -> None:

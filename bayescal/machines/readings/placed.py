@@ -13,7 +13,7 @@ rotation vector among the tool's numbers, or else `ReadingModel.rotation`.
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -24,7 +24,7 @@ from pydantic import Field
 from bayescal.config.sections import Section, Vector
 from bayescal.errors import InputError, name_faults
 from bayescal.machines.parameters import ParameterBlock, ParameterLayout
-from bayescal.machines.readings.base import NOTHING, Channel, Coordinate, Given, ReadingModel, Readings
+from bayescal.machines.readings.base import NOTHING, Channel, Coordinate, Given, ReadingModel, Readings, hand_on
 from bayescal.machines.readings.function import STEP, FunctionModel, Parameters, ReadingMachine
 from bayescal.numerics.analytic import norm, rotation_matrix, rotation_vector
 from bayescal.numerics.geometry import Array
@@ -227,58 +227,18 @@ class Placed(ReadingModel):
 
     # --- what the machine says -----------------------------------------------------------------------------------
 
-    @property
-    def coordinates(self) -> tuple[Coordinate, ...]:
-        """The machine's."""
-        return self.whole.coordinates
-
-    @property
-    def given(self) -> tuple[str, ...]:
-        """What the machine has to know."""
-        return self.whole.given
-
-    @property
-    def commanded(self) -> tuple[str, ...]:
-        """What the machine can be commanded by."""
-        return self.whole.commanded
-
-    @property
-    def command_range(self) -> Array:
-        """The machine's."""
-        return self.whole.command_range
-
-    @property
-    def member(self) -> str:
-        """What the machine says."""
-        return self.whole.member
-
-    @property
-    def pose_channels(self) -> tuple[Channel, ...]:
-        """The machine's."""
-        return self.whole.pose_channels
-
-    @property
-    def tool_channels(self) -> tuple[Channel, ...]:
-        """The machine's: no instrument moves the tool."""
-        return self.whole.tool_channels
-
-    @property
-    def states_tool(self) -> bool:
-        """What the machine says."""
-        return self.whole.states_tool
-
-    @property
-    def tells_rotation(self) -> bool:
-        """What the machine says."""
-        return self.whole.tells_rotation
-
-    def check_given(self, poses: Sequence[str], given: Given, free: Sequence[str]) -> None:
-        """Check as the machine does."""
-        self.whole.check_given(poses, given, free)
-
-    def rotation(self, pose: Array) -> Array:
-        """Return the machine's."""
-        return self.whole.rotation(pose)
+    # no instrument moves the tool, is commanded or has coordinates
+    coordinates = hand_on("whole.coordinates")
+    given = hand_on("whole.given")
+    commanded = hand_on("whole.commanded")
+    command_range = hand_on("whole.command_range")
+    member = hand_on("whole.member")
+    pose_channels = hand_on("whole.pose_channels")
+    tool_channels = hand_on("whole.tool_channels")
+    states_tool = hand_on("whole.states_tool")
+    tells_rotation = hand_on("whole.tells_rotation")
+    check_given = hand_on("whole.check_given")
+    rotation = hand_on("whole.rotation")
 
     def _split(self, theta: Array) -> list[Array]:
         """Return the machine's parameters and those of each instrument."""

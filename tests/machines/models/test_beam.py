@@ -1,6 +1,7 @@
-"""The beam model against RR-8096's equations (10) to (17) solved numerically, and the one solution that it has."""
+"""The beam model against RR-8096's equations (10) to (17) solved numerically, and the one solution that it has.
 
-from __future__ import annotations
+The end of a bent flexure against quadrature of eq. (11), and the circle of eq. (13) against both.
+"""
 
 import numpy as np
 import pytest
@@ -10,7 +11,14 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 
 from bayescal.machines.kinematics import check_home_pose, solve_forward_kinematics, solve_inverse_kinematics
-from bayescal.machines.models.beam import compute_shift
+from bayescal.machines.models.beam import (
+    CIRCLE,
+    PIVOT,
+    SERIES_BELOW,
+    compute_beam_shift,
+    compute_circle_shift,
+    compute_shift,
+)
 
 REACH = 3.0  # mm, more than twice the actuator range
 HALVED_TWICE = 16.0  # a term of the fourth power when the angle is halved
@@ -171,3 +179,41 @@ def test_newton_returns_the_same_from_far_starts(configurations, rng):
         here = machine.linearise(theta, pose.position, pose.rotation, rho)
         rho = rho - np.linalg.solve(here.actuators, here.residual[..., None])[..., 0]
     np.testing.assert_allclose(rho, np.broadcast_to(usual, rho.shape), rtol=0, atol=1e-9)
+
+
+LENGTH = 10.0
+ANGLES = np.array([1e-9, 1e-4, np.radians(0.5), np.radians(1.0), 0.999 * SERIES_BELOW, 1.001 * SERIES_BELOW, 0.3])
+
+
+def integrate_shift(angle: float) -> float:
+    """Return Δx of eq. (11) by Gauss-Legendre quadrature of sqrt(1 + t²) - 1, written without cancellation."""
+    node, weight = np.polynomial.legendre.leggauss(40)
+    square = (angle * 0.5 * (node + 1.0)) ** 2
+    return LENGTH * float(np.sum(0.5 * weight * square / (1.0 + np.sqrt(1.0 + square))))
+
+
+def test_beam_shift_is_the_integral():
+    along, across = compute_beam_shift(ANGLES, LENGTH)
+    np.testing.assert_allclose(along, [integrate_shift(a) for a in ANGLES], rtol=1e-12)
+    np.testing.assert_allclose(across, LENGTH * ANGLES / 2, rtol=1e-15)
+
+
+def test_straight_flexure_and_both_signs():
+    along, across = compute_beam_shift(np.array([0.0, 0.01, -0.01, 0.2, -0.2]), LENGTH)
+    assert along[0] == across[0] == 0.0
+    assert along[1] == along[2] > 0
+    np.testing.assert_allclose(along[3], along[4], rtol=1e-15)
+
+
+def test_circle_point_lies_on_the_circle():
+    across = np.array([0.0, 1e-6, 0.1, 2.0])
+    along = compute_circle_shift(across, 7.5)
+    np.testing.assert_allclose((along - 7.5) ** 2 + across**2, 7.5**2, rtol=1e-15)
+
+
+@pytest.mark.parametrize(("share", "order"), [(CIRCLE, 4), (PIVOT, 2)])
+def test_circle_is_right_to_fourth_order_and_the_pivot_to_second(share, order):
+    """Halving the angle divides the error by 2^order."""
+    along, across = compute_beam_shift(np.array([0.2, 0.1]), LENGTH)
+    error = compute_circle_shift(across, share * LENGTH) - along
+    assert np.log2(error[0] / error[1]) == pytest.approx(order, abs=0.1)
