@@ -1,0 +1,51 @@
+"""The same quantity is the same figure wherever a page says it: of committed studies of legs and of another machine."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bayescal.experiments.frame.results import read_results
+from bayescal.experiments.shared.knowledge_page import show_next, state_next
+from bayescal.experiments.shared.variant_tables import compute_contraction
+from bayescal.experiments.study.page.build import build_page
+from bayescal.experiments.study.page.ranking import tabulate_ranking
+from bayescal.experiments.study.page.results import StudyResults
+from bayescal.report.blocks import Table, unfold
+
+RESULTS = Path(__file__).parents[4] / "results"
+
+
+@pytest.mark.parametrize("name", ["telescope", "hangprinter"])
+def test_a_contraction_is_that_of_the_standard_deviations_beside_it(name):
+    rows = StudyResults.of(read_results(RESULTS / name)).table("parameters")
+    expected = compute_contraction(rows["sd"].to_numpy(), rows["prior_sd"].to_numpy())
+    np.testing.assert_allclose(rows["contraction"], expected, atol=1e-7)
+
+
+def test_the_best_pose_promises_the_same_in_the_verdict_and_in_the_table():
+    tables, said = read_results(RESULTS / "hangprinter").tables, 0
+    for variant in tables["next"]["variant"].unique():
+        (section,) = show_next(tables, variant)
+        (table,) = (one for one in unfold(section.blocks) if isinstance(one, Table))
+        for statement in state_next(tables, variant):
+            sensors, gain = re.search(r"with (.*) sensors, at .* reduce the error by (.*)\.$", statement.text).groups()
+            first = next(row for row in table.rows if row[0].text == sensors)
+            assert first[-1].text == gain
+            said += 1
+    assert said > 0
+
+
+def test_the_distance_from_nominal_is_one_figure():
+    results = read_results(RESULTS / "telescope")
+    study, fit = StudyResults.of(results), results.summary["variants"]
+    table = tabulate_ranking(study, "free")
+    column = next(k for k, one in enumerate(table.columns) if one.unit == "tolerances")
+    shown = {cell.text: row[column].text for row in table.rows for cell in row[:2]}
+    assert f"{fit[study.best_name]['distance_from_nominal_prior_sd']:.2g}" in shown[study.label(study.best_name)]
+    verdict = " ".join(one.text for one in build_page(results).verdict)
+    said = re.findall(r"deviations from nominal are (\S+) times", verdict)
+    assert said == [shown[study.label(study.best_name)]] * len(said)
