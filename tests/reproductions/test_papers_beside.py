@@ -24,7 +24,7 @@ def list_imports(path: Path) -> Iterator[tuple[str, str]]:
 
 
 def test_papers_are_here():
-    assert {path.parent.name for path in FILES} == {"rr8096", "sika2008", "yu2023"}
+    assert {path.parent.name for path in FILES} == {"pose_selection", "rr8096", "sika2008", "yu2023"}
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(studies.EXPERIMENTS)))
