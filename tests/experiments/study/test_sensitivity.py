@@ -98,7 +98,7 @@ def test_a_doubtful_evidence_is_mended_where_the_variant_is_in_question(tmp_path
     monkeypatch.setattr("bayescal.experiments.shared.prior_widths.explore_near", note("near"))
     monkeypatch.setattr("bayescal.experiments.shared.prior_widths.explore", note("anew"))
     doubtful = ImportanceEvidence(1.0, 0.1, 0.01, 0.9, 100)
-    monkeypatch.setattr("bayescal.experiments.shared.prior_widths.estimate_by_importance", lambda *_: doubtful)
+    monkeypatch.setattr("bayescal.experiments.shared.prior_widths.weigh_proposal", lambda *_: doubtful)
     weighed = weigh(inputs, WidthTask(variant, 0.5, np.stack([mode.y for mode in found.modes]), behind))
     assert said == explored
     assert weighed.pareto_k == 0.9  # on the page it is marked
