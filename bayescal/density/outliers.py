@@ -7,15 +7,17 @@ coordinates, residuals are t distributed,
     t_ν(r) = Γ((ν + m)/2) / Γ(ν/2) (νπ)^(-m/2) (1 + r²/ν)^(-(ν + m)/2),
 
 and (ν + m) / (ν + r²), the mean of w given r, says how much a row counts. That the mean of w is one makes the stated
-noise the t's scale, which is less than what normal residuals scatter by: with ν = 4 an unknown noise of clean rows would
-come out 0.83 to 0.90 times as large as it is, for m of 1 to 6. So rows have the stated noise times factors 1/√w whose
-*logarithm* has mean zero: w is Gamma(ν/2, c²ν/2) and residuals are c t_ν distributed, with
+noise the t's scale, which is less than what normal residuals scatter by: for ν = 4 an unknown noise of clean rows comes
+out 0.83 to 0.90 times as large as it is, m being 1 to 6. So rows have the stated noise times factors 1/√w whose
+*logarithm* has mean zero: w is Gamma(ν/2, c²ν/2), residuals are c t_ν distributed, with
 
     c² = exp(ψ(ν/2)) / (ν/2),
 
 0.874² for ν = 4; the scale that fits normal residuals is then within 5 % of them. It is the same for rows of any number
-of readings, of which it has to be that some are no others than those of more. A contaminated normal density (Tukey 1960;
-its weights are those of Box and Tiao 1968) has a share ε of such rows among others that are as stated,
+of readings: some of a row's are distributed as those of a row that has no more.
+
+A contaminated normal density (Tukey 1960; its weights are those of Box and Tiao 1968) has a share ε of such rows, but
+for κ in place of c, among others that are as stated,
 
     p(r) = (1 - ε) N(r) + ε κ^-m t_ν(r / κ),    ε ~ Beta(1, 1/μ - 1),
 

@@ -6,8 +6,6 @@ integrated: a dense covariance of everything says what the posterior of the fact
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from calibration_problems import density, linear_model, measurements
