@@ -138,8 +138,8 @@ def _count_beyond(study: StudyResults) -> tuple[str, int, int]:
     The setting of the model error is what the evidence prefers: one that is not needed widens all bounds. Calibration
     poses are left out for it: a posterior that has seen a pose fits it too well.
     """
-    best, known = study.best_name, study.settings
-    compared = [one for one in known if study.is_compared(best, one)] or known
+    best = study.best_name
+    compared = [one for one in study.settings if study.is_compared(best, one)] or study.settings
     setting = max(compared, key=lambda setting: study.evidence(best, setting))
     table = study.table("poses", study.best_name)
     chosen = table[table["model_error"] == setting]

@@ -291,7 +291,7 @@ def test_of_variants_that_tie_the_one_with_fewest_unknowns_comes_first(make_resu
     assert describe_lead(study).endswith(f"{words}.")
     assert describe_lead(study).startswith("beam, 6-PUS and stiffness with the matrix deformation fit")
     table = tabulate_ranking(study, "free")
-    assert [row[1].text for row in table.rows][0] == "beam/matrix"  # of the lowest evidence of the three
+    assert next(row[1].text for row in table.rows) == "beam/matrix"  # of the lowest evidence of the three
     assert words in table.notes[0].text
     assert study.chosen == "beam/matrix"
     console = Console(file=io.StringIO(), record=True, width=200)
