@@ -270,14 +270,10 @@ def test_twenty_clean_studies_pass(seed):
 
 
 def test_which_slips_would_pass_unnoticed_is_said(subject):
-    text = state_cause(search_cause(subject.measured)).text
-    assert (
-        "none explains the data better than the study does; no planted slip of the table would pass unnoticed" in text
-    )
-    wide = {name: NormalPrior(one.mean, 100.0 * one.sd) for name, one in subject.posterior.priors.items()}
-    posterior = replace(subject.measured.posterior, priors=wide)
-    text = state_cause(search_cause(replace(subject.measured, posterior=posterior))).text
-    assert "planted slips of the table that would pass unnoticed within the tolerances: " in text
+    search = search_cause(subject.measured)
+    assert "no planted slip of the table would pass unnoticed" in state_cause(search).text
+    text = state_cause(replace(search, unnoticed=["readings of s seem to be in inches"])).text
+    assert "planted slips of the table that would pass unnoticed within the tolerances: readings of s in inches" in text
 
 
 def test_a_slip_is_named_and_nothing_else_said(subject):
