@@ -11,6 +11,8 @@ EFFECTIVE_LIMIT = 200.0
 """Effective draws of an importance sampler, below which its weights tell nothing, their tail included."""
 STUCK_SHARE, STUCK_STEPS = 0.4, 60
 """A walker that stands still for this share of its steps, and for as many, is stuck."""
+HARMLESS = 0.01
+"""Share of a posterior that moves no interval that matters: walkers may stand still where no more than that can be."""
 AGREEMENT = 0.1
 """Largest difference of the two log-evidences, nats."""
 OUT_OF_QUESTION = 50.0

@@ -34,15 +34,18 @@ class LinearRows(NamedTuple):
     """Rows at one machine.
 
     ``errors`` (P, R) and ``slope`` (P, R, D) by θ; ``constant`` (P,) of the log-density; ``covariance`` takes what is
-    unknown of the errors, in the posterior's coordinates, to (P, R, R). ``basis`` (P, K, R): the directions of white
-    readings that they are.
+    unknown of the errors, in the posterior's coordinates, and factors (K,) on the stated noise, to (P, R, R). ``basis``
+    (P, K, R): the directions of white readings that they are; ``left`` (P, R, K): how the readings as they are show in
+    them; ``common`` takes what is unknown of the errors to columns of those common to all rows, (P, R, N).
     """
 
     errors: Array
     slope: Array
     constant: Array
-    covariance: Callable[[Array], Array]
+    covariance: Callable[..., Array]
     basis: Array
+    left: Array
+    common: Callable[[Array], Array]
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,15 +70,18 @@ class ReadingRows:
         """What is unknown of the noise."""
         return self.posterior.n_parameters - self.posterior.n_geometry
 
-    def linearise(self, theta: Array) -> LinearRows:
-        """Return what no pose explains of the readings at a machine (D,), white by the stated noise."""
+    def linearise(self, theta: Array, pose: Array | None = None) -> LinearRows:
+        """Return what no pose explains of the readings at a machine (D,), white by the stated noise.
+
+        About the poses that explain them best, or about others near these, (P, q).
+        """
         likelihood = self.posterior.likelihood
         own, tau = likelihood.noise(self.posterior.errors, np.zeros((1, self.n_errors)))
         white = likelihood.whiten(np.broadcast_to(likelihood.sd, own.shape), np.zeros_like(tau))
         with np.errstate(all="ignore"):
-            at = likelihood.stand(theta[None], white)
-            error, slope, by_parameters = likelihood.linearise(theta[None], at.pose, white, with_parameters=True)
-            volume = likelihood.log_volume(Stand(at.pose, error, slope), white)[0]
+            where = likelihood.stand(theta[None], white).pose if pose is None else pose[None]
+            error, slope, by_parameters = likelihood.linearise(theta[None], where, white, with_parameters=True)
+            volume = likelihood.log_volume(Stand(where, error, slope), white)[0]
         q = slope.shape[-1]
         basis = np.linalg.qr(np.nan_to_num(slope[0]), mode="complete")[0][:, :, q:]
         across = np.swapaxes(basis, 1, 2)
@@ -87,14 +93,18 @@ class ReadingRows:
         spread = left if likelihood.error_gain is None else left @ likelihood.error_gain
         absent = across * ~there[:, None, :] @ basis
 
-        def covariance(zeta: Array) -> Array:
+        def covariance(zeta: Array, factor: Array | float = 1.0) -> Array:
             own, tau = (one[0] for one in likelihood.noise(self.posterior.errors, zeta[None]))
-            stated, added = left * own[:, None, :], spread * tau[:, None, :]
+            stated, added = left * (factor * own)[:, None, :], spread * tau[:, None, :]
             found = stated @ likelihood.correlation @ np.swapaxes(stated, 1, 2) + added @ np.swapaxes(added, 1, 2)
             return np.asarray(found + absent)
 
+        def common(zeta: Array) -> Array:
+            return np.asarray(left @ self.posterior.errors.columns(zeta[None], likelihood.data)[0])
+
         errors = (across @ error[0][..., None])[..., 0]
-        return LinearRows(errors, -(across @ by_parameters[0]), constant, covariance, basis)
+        slope = -(across @ by_parameters[0])
+        return LinearRows(errors, slope, constant, covariance, basis, left, common)
 
     def evaluate(self, theta: Array, errors: Array) -> Array:
         """Return the log-likelihood of machines (B, D) with errors (B, n), poses eliminated, (B,)."""

@@ -9,10 +9,12 @@ from functools import lru_cache
 import numpy as np
 from scipy.special import ndtri
 
+from bayescal.inference.ensemble import JUMP_SHARE
 from bayescal.limits import (
     EFFECTIVE_LIMIT,
     ESS_BULK_LIMIT,
     ESS_TAIL_LIMIT,
+    HARMLESS,
     PARETO_K_LIMIT,
     RHAT_LIMIT,
     STUCK_SHARE,
@@ -27,6 +29,7 @@ APART = 100.0  # R-hat of ensembles that stand still at different places
 BLOM = 3.0 / 8.0
 """Offset of ranks (Blom 1958)."""
 TAILS = (0.05, 0.95)
+MET = 3.0  # jumps expected at a place, of which there is one at least in 95 of 100 cases
 LEAST = 8  # draws of a chain whose halves are judged
 
 POWERS = (0.99, 1.01)
@@ -70,25 +73,56 @@ def diagnose(draws: Array) -> Diagnostics:
     return Diagnostics(rhat, np.where(np.isfinite(bulk), bulk, 1.0), np.where(np.isfinite(tail), tail, 1.0))
 
 
-def measure_longest_stand(log_density: Array) -> int:
-    """Return for how many steps the most patient walker stood still; log-densities (ensembles, walkers, steps).
+def measure_longest_stand(log_density: Array, log_ratio: Array) -> int:
+    """Return for how many steps the most patient walker stood still where that matters.
 
     Where a proposal misses mass, a walker that gets there finds no way back: effective sizes, which average over
-    walkers that never went, do not see it.
+    walkers that never went, do not see it. But a long stand alone says little: by jumps of density q a walker leaves a
+    place of density p after p / q steps on average, long where q has a lighter tail than p, and such stands are part of
+    what makes the draws right. What mass the place may hold decides. Stands do not count, if together they are less
+    than `HARMLESS` of the draws,
+
+    - where jumps lead often enough: of J jumps J m q / p get to where there is a mass m, and a mass of `HARMLESS` or
+      more would have been met;
+    - where the density is far below that of nearly all draws: moves by differential evolution are as long as the
+      ensemble is wide and did not move the walker, so the place is no wider than the ensemble and holds far less.
+
+    Parameters
+    ----------
+    log_density : ndarray, shape (E, W, S)
+    log_ratio : ndarray, shape (E, W, S)
+        Log of p / q, both normalised.
     """
+    met = log_ratio < np.log(HARMLESS * JUMP_SHARE * log_density.size / MET)
+    visit = met | _find_low(log_density)
+    longest, visits = (_measure_stands(log_density, where) for where in (~visit, visit))
+    long = visits[visits >= STUCK_STEPS]
+    return int(max(longest.max(), long.max(initial=0) if long.sum() > HARMLESS * log_density.size else 0))
+
+
+def _find_low(log_density: Array) -> np.ndarray:
+    """Return where log-densities are lower than nearly all and by a factor 1 / `HARMLESS` below the median."""
+    rare, middle = np.quantile(log_density, [TAILS[0], 0.5])
+    return np.asarray(log_density < min(float(rare), float(middle) + np.log(HARMLESS)))
+
+
+def _measure_stands(log_density: Array, where: np.ndarray) -> np.ndarray:
+    """Return for how many steps each walker (E, W) stood still at most, at places that are in a mask (E, W, S)."""
     longest = current = np.zeros(log_density.shape[:2], dtype=int)
-    for moved in np.moveaxis(np.diff(log_density, axis=2) != 0.0, 2, 0):
-        current = np.where(moved, 0, current + 1)
+    stood = (np.diff(log_density, axis=2) == 0.0) & where[..., 1:]
+    for still in np.moveaxis(stood, 2, 0):
+        current = np.where(still, current + 1, 0)
         longest = np.maximum(longest, current)
-    return int(longest.max())
+    return longest
 
 
 def list_stand_problems(longest_stand: int, n_steps: int) -> list[str]:
-    """Return in words whether a walker is stuck; empty where none is."""
+    """Return in words whether a walker is stuck, and what cures it; empty where none is."""
     limit = max(STUCK_STEPS, int(np.ceil(STUCK_SHARE * n_steps)))
     if longest_stand < limit:
         return []
-    return [f"a walker stood still for {longest_stand} of {n_steps} steps, limit {limit}"]
+    stood = f"a walker stood still for {longest_stand} of {n_steps} steps, limit {limit}"
+    return [f"{stood}, where jumps seldom lead and mass may be missing (more `steps` in `[sampler]`)"]
 
 
 def list_importance_problems(pareto_k: float, n_effective: float) -> list[str]:

@@ -19,14 +19,13 @@ from bayescal.errors import NumericalError
 from bayescal.experiments.check.inputs import Subject, draw_posterior
 from bayescal.experiments.shared.chi_square import ChiSquare, format_chance
 from bayescal.experiments.shared.measured import Found, MeasuredReadings, MeasuredVariant, see_legs
-from bayescal.experiments.shared.measured_slips import audit_slips
-from bayescal.experiments.shared.slips import FoundSlip
+from bayescal.experiments.shared.slip_search import PATIENCE, Search, search_cause
 from bayescal.experiments.shared.soundness import fit_rows
 from bayescal.inference.mode import Mode, find_mode
 from bayescal.inference.target import Target
 from bayescal.limits import INFORMED
 from bayescal.numerics.geometry import Array
-from bayescal.report.numbers import join_words
+from bayescal.report.numbers import format_significant, join_words
 
 STEP = 1e-3  # prior sd, or of the half width of the workspace; halved, and both extrapolated
 WRONG = 1e-3  # of the largest difference along a parameter; right ones agree to 1e-6
@@ -43,13 +42,11 @@ MOST_ERROR = 8.0
 CLEARLY = 3.0  # nats by which model errors have to explain more than noise does
 IMPROBABLE_PRIOR = 1e-3  # of all groups together
 NAMED_SLIPS = 3
-GRAVEST = ("derivative", "unit", "legs", "channel")
-"""Faults that leave nothing else to be said."""
-
+MOST_ODDS = 13.8  # nats
 type Level = Literal["good", "warning", "bad"]
 type Look = tuple[list[Finding], Array, Array]
-"""Findings, and draws of the posterior of the measured data, (S, n) in natural units and in coordinates; none after the
-gravest faults."""
+"""Findings, and draws of the posterior of the measured data, (S, n) in natural units and in coordinates; none after a
+cause that has to be corrected first."""
 
 
 @dataclass(frozen=True)
@@ -382,10 +379,10 @@ def look_at_data(task: tuple[Subject, int, int]) -> Look:
     subject, n_draws, seed = task
     draw_seed, mode_seed, derivative_seed = np.random.SeedSequence([seed, 1]).spawn(3)
     posterior = subject.posterior
-    slips = state_slips(*audit_slips(subject.measured))
-    findings = [check_derivatives(subject, np.random.default_rng(derivative_seed)), slips]
+    findings = [check_derivatives(subject, np.random.default_rng(derivative_seed))]
+    findings.append(state_cause(search_cause(subject.measured)))
     nothing = np.empty((0, posterior.n_parameters))
-    if any(one.fault in GRAVEST for one in findings):
+    if any(one.fault for one in findings):  # nothing else can be said then
         return findings, nothing, nothing
     try:
         draws, y, found, _ = draw_posterior(posterior, n_draws, draw_seed)
@@ -401,22 +398,29 @@ def look_at_data(task: tuple[Subject, int, int]) -> Look:
     return [*findings, modes, noise, check_priors(posterior, draws)], draws, y
 
 
-def state_slips(found: FoundSlip | None, planted: tuple[int, list[str]]) -> Finding:
-    """Return what the search for slips found, or which of those planted would pass unnoticed."""
-    if found is not None:
-        gain = f"better by {found.gain:.0f} nats" if np.isfinite(found.gain) else "they fit then"
-        text = f"{found.text} ({gain}). Correct the table; all other findings rest on it."
-        return Finding("Units and order", found.fault, "bad", text)
-    count, unnoticed = planted
-    text = f"no other unit, sign or order of channels or rows explains the data better; of {count} planted slips "
-    if not unnoticed:
-        return Finding("Units and order", "", "good", f"{text}none would pass unnoticed.")
-    shown = [one.partition(":")[0] for one in unnoticed[:NAMED_SLIPS]]
+def state_cause(search: Search) -> Finding:
+    """Return what explains the data better than the study does: what to do first, how sure that is, and why."""
+    first, check = search.first, "Likely cause"
+    if first is not None:
+        text = (
+            f"{first.text}. Odds against the next explanation ({first.rival}): {_say_odds(first.odds)}. The data are "
+            f"explained better by {format_significant(first.gain, 2)} nats, {search.tried} causes tried; all other "
+            "findings rest on it."
+        )
+        return Finding(check, first.fault, "bad", text)
+    text = f"of {search.tried} causes tried none explains the data better than the study does"
+    if search.stopped:
+        text = f"no cause was found in {PATIENCE:.0f} s; {search.tried} were tried: units, signs, order, frames, noise"
+        return Finding(check, "", "warning", f"{text}, rows, single channels, tolerances and drifts.")
+    if not search.unnoticed:
+        return Finding(check, "", "good", f"{text}; no planted slip of the table would pass unnoticed.")
+    shown = [one.partition(":")[0] for one in search.unnoticed[:NAMED_SLIPS]]
     named = "; ".join(one.replace(" seem to be", "").replace(" seems to be", "") for one in shown)
-    more = f"; {len(unnoticed) - NAMED_SLIPS} more" if len(unnoticed) > NAMED_SLIPS else ""
-    return Finding(
-        "Units and order",
-        "",
-        "good",
-        f"{text}{len(unnoticed)} would pass unnoticed within the tolerances: {named}{more}.",
-    )
+    more = f"; {len(search.unnoticed) - NAMED_SLIPS} more" if len(search.unnoticed) > NAMED_SLIPS else ""
+    text += f"; planted slips of the table that would pass unnoticed within the tolerances: {named}{more}"
+    return Finding(check, "", "good", f"{text}.")
+
+
+def _say_odds(nats: float) -> str:
+    """Return odds to one in words."""
+    return "more than a million to 1" if nats > MOST_ODDS else f"{format_significant(float(np.exp(nats)), 2)} to 1"

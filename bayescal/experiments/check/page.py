@@ -32,8 +32,13 @@ NAMES = {
     "noise": "the noise is not as stated",
     "model error": "the model misses something",
     "unit": "a unit or a sign has slipped",
-    "legs": "two legs are exchanged",
-    "rows": "rows are shifted",
+    "legs": "legs or channels are exchanged",
+    "poses": "poses are read in another way",
+    "channel": "a channel is wrong",
+    "frame": "poses are given in another frame",
+    "drift": "readings drift",
+    "tolerance": "a tolerance is too tight",
+    "rows": "rows do not belong together",
     "mode": "a mode is missed",
     "derivative": "a derivative is wrong",
     "prior": "a tolerance is too tight",
@@ -54,9 +59,10 @@ METHOD = (
     ),
     (
         "Do the data fit the config?",
-        "Simulations of a model know nothing of data that are not of it. Units, signs and exchanged legs are tried as "
-        "if they were so, derivatives compared with differences, climbs started elsewhere, and what is left of the "
-        "poses and how far the machine lies from nominal set against noise and tolerances.",
+        "Simulations of a model know nothing of data that are not of it. Units, signs, order, frames, "
+        "noise, single rows and channels, tolerances and drifts are tried as if they were so and compared by one "
+        "log-density, derivatives compared with differences, searches started elsewhere, and residuals of the poses "
+        "and how far the machine lies from nominal set against noise and tolerances.",
     ),
 )
 

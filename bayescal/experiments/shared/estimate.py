@@ -41,7 +41,7 @@ from bayescal.inference.overdispersed import (
     send_scouts,
     widen_tails,
 )
-from bayescal.inference.sampling import sample_posterior
+from bayescal.inference.sampling import Sample, sample_posterior
 from bayescal.inference.schema import EvidenceConfig, SamplerConfig
 from bayescal.inference.stages import expect
 from bayescal.inference.target import Fittable, Target
@@ -126,7 +126,7 @@ class Estimate:
     importance : ImportanceEvidence
     bridge : BridgeEvidence
     longest_stand, n_steps : int
-        For how many of its steps the most patient walker stood still.
+        For how many of its steps the most patient walker stood still, harmless visits to tails left out.
     scouts : Scouts
         Where walkers that started far out ended.
     tails : Tails
@@ -361,6 +361,7 @@ def _estimate(
         else:
             seeds = correct_seed.spawn(sampler.ensembles)
             sample = sample_exactly(costly, found, sample, correction.move, seeds)
+    moved = shift_evidence(importance, correction)
     shape, n = sample.log_density.shape, posterior.n_parameters
     places = choose_draws(shape[0], shape[1] * shape[2], KEPT_DRAWS) if subject is None else subject.choose(shape)
     low, high = np.quantile(sample.natural, (0.05, 0.95), axis=(0, 1, 2))
@@ -376,9 +377,9 @@ def _estimate(
         modes_converged=all(mode.converged for mode in found.modes),
         acceptance=sample.acceptance,
         diagnostics=sample.diagnostics,
-        importance=shift_evidence(importance, correction),
+        importance=moved,
         bridge=shift_evidence(bridge, correction),
-        longest_stand=measure_longest_stand(sample.log_density),
+        longest_stand=measure_longest_stand(sample.log_density, _compare_densities(found, sample, moved.log_evidence)),
         n_steps=sampler.steps,
         scouts=scouts,
         tails=tails,
@@ -386,6 +387,13 @@ def _estimate(
         correction=correction,
     )
     return estimate, found
+
+
+def _compare_densities(found: Exploration, sample: Sample, log_evidence: float) -> Array:
+    """Return the log of the posterior's density over the proposal's at all draws, shape (E, W, S)."""
+    flat = sample.straight.reshape(-1, sample.straight.shape[-1])
+    proposed = found.proposal.log_density(flat).reshape(sample.log_density.shape)
+    return np.asarray(sample.log_density - proposed - log_evidence)
 
 
 def shift_evidence[T: (ImportanceEvidence, BridgeEvidence, Check)](found: T, correction: Correction | None) -> T:

@@ -2,7 +2,9 @@
 
 - Variants are compared within one set of data. Where two log-evidences differ by less than 1 nat, or by less than twice
   the error of their estimates, the variants fit equally well, and the simplest of them is the one to use.
-- What did not converge is not used, not ranked and never called converged.
+- Where variants fit equally well, the one with the fewest unknowns is named first, and said to be named for that.
+- What did not converge is not used, not ranked, not compared and never called converged; where it may be better, that
+  is said in words.
 - One variant by itself is not ranked.
 - A variant that is ruled out is not shown as the more accurate one without saying so.
 - An accuracy says whether it is a standard uncertainty or which coverage it has.
@@ -25,6 +27,8 @@ DECISIVE = 5.0
 """The same from which on the worse variant is ruled out: odds of 150 to 1."""
 LIKELY = 0.9
 """Probability from which on a requirement counts as safely met."""
+RERUN = "more `steps` and `burn_in` in `[sampler]`"
+"""What cures sampling that did not converge, unless its problems name another cure."""
 NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
 
 
@@ -62,21 +66,40 @@ class Candidate:
 def group_candidates(candidates: Sequence[Candidate]) -> list[list[Candidate]]:
     """Return candidates in groups by evidence, the best group first; none is distinguishable from its group's best.
 
-    Within a group they keep their order.
+    Those that did not converge are in none. Within a group the simplest comes first; those that are equally simple keep
+    their order.
     """
     groups: list[list[Candidate]] = []
-    for one in sorted(candidates, key=lambda one: -one.log_evidence):
+    sound = [one for one in candidates if one.converged]
+    for one in sorted(sound, key=lambda one: -one.log_evidence):
         if groups and not groups[-1][0].is_distinguishable(one):
             groups[-1].append(one)
         else:
             groups.append([one])
-    return [sorted(group, key=candidates.index) for group in groups]
+    return [sorted(group, key=lambda one: (one.size, candidates.index(one))) for group in groups]
+
+
+def order_candidates(candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Return candidates by evidence, but those that fit as well as the best before all, the simplest of them first.
+
+    Those that did not converge come last.
+    """
+    first = next(iter(group_candidates(candidates)), [])
+    others = [one for one in candidates if one not in first]
+    return [*first, *sorted(others, key=lambda one: (not one.converged, -one.log_evidence))]
+
+
+def find_rivals(candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Return those that did not converge and that may be better than the one to use; none where none converged."""
+    chosen = choose_candidate(candidates)
+    failed = [one for one in candidates if chosen.converged and not one.converged]
+    return [one for one in failed if not one.log_evidence < chosen.log_evidence or not one.is_distinguishable(chosen)]
 
 
 def choose_candidate(candidates: Sequence[Candidate]) -> Candidate:
     """Return the one to use: the simplest that fits as well as the best, of those that converged where any did."""
-    sound = [one for one in candidates if one.converged]
-    return min(group_candidates(sound or candidates)[0], key=lambda one: one.size)
+    groups = group_candidates(candidates)
+    return groups[0][0] if groups else max(candidates, key=lambda one: one.log_evidence)
 
 
 def list_candidates(summary: Mapping[str, Any], setting: str = "free") -> list[Candidate]:
@@ -92,10 +115,11 @@ def list_candidates(summary: Mapping[str, Any], setting: str = "free") -> list[C
     rows = summary["variants"]
     ranking = max(summary["rankings"], key=lambda names: (rows[names[0]].get("n_equations", 0), len(names)))
     chosen = [(name, row if setting == "free" else row["without_model_error"]) for name, row in rows.items()]
-    return [_describe_candidate(name, row) for name, row in chosen if name in ranking]
+    return [describe_candidate(name, row) for name, row in chosen if name in ranking]
 
 
-def _describe_candidate(name: str, row: Mapping[str, Any]) -> Candidate:
+def describe_candidate(name: str, row: Mapping[str, Any]) -> Candidate:
+    """Return a variant of a row of the summary."""
     title, evidence = str(row["title"]), (float(row["log_evidence"]), float(row["log_evidence_se"]))
     errors = (row.get(f"{use}_position_error_max_mm") for use in ("verification", "calibration"))
     error = next((float(one) for one in errors if one is not None), math.nan)
@@ -128,18 +152,49 @@ def say_choice(candidates: Sequence[Candidate], label: str = "", careful: bool =
     words, failed = f"Use {label or chosen.label}", [one for one in candidates if not one.converged]
     if not chosen.converged:
         return f"Use none yet: not converged (best so far: {label or chosen.label})"
-    rivals = [one for one in failed if one.log_evidence > chosen.log_evidence or not one.is_distinguishable(chosen)]
-    if rivals:
+    if rivals := find_rivals(candidates):
         names = join_words([one.label for one in rivals])
         return f"Use none yet: {names} did not converge and may be better (best so far: {label or chosen.label})"
-    alike = group_candidates([one for one in candidates if one.converged])[0]
+    alike = group_candidates(candidates)[0]
     if len(candidates) == 1:
         words += ", the only variant"
     elif len(alike) > 1:
-        words += f", the simplest of {say_count(len(alike))} that fit equally well"
+        simplest = "the simplest" if alike[0].size < alike[1].size else "one"
+        words += f", {simplest} of {say_count(len(alike))} that fit equally well"
     if failed:
         words += f" ({say_count(len(failed))} of {len(candidates)} did not converge)"
     return f"{words}, with care (see the warnings)" if careful else words
+
+
+def say_named_first(candidates: Sequence[Candidate]) -> str:
+    """Return why the one to use is named before others that fit equally well; empty where none has fewer unknowns.
+
+    Parameters
+    ----------
+    candidates : sequence of Candidate
+        Of the same data; the first number of their sizes is that of the unknowns.
+    """
+    first, *others = next(iter(group_candidates(candidates)), candidates[:1])
+    if not others or not first.size[:1] < others[0].size[:1]:
+        return ""
+    counts = sorted({one.size[0] for one in others})
+    theirs = str(counts[0]) if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"
+    return f"{first.label} is named first because it has the fewest unknowns ({first.size[0]} against {theirs})"
+
+
+def state_rivals(candidates: Sequence[Candidate]) -> list[Statement]:
+    """Say which variants may be better than the one to use although nothing may be said of them yet."""
+    rivals = find_rivals(candidates)
+    if not rivals:
+        return []
+    names, its, it = join_words([one.label for one in rivals]), "its", "it"
+    if len(rivals) > 1:
+        its, it = "their", "them"
+    text = (
+        f"{names} may be better than {choose_candidate(candidates).label}: {its} sampling did not converge, and {its} "
+        f"log-evidence is not compared. Run {it} again with {RERUN}."
+    )
+    return [Statement(text, "warning", "Evidence")]
 
 
 def state_ruled_out(candidates: Sequence[Candidate], what: str) -> list[Statement]:
@@ -156,6 +211,7 @@ def state_ruled_out(candidates: Sequence[Candidate], what: str) -> list[Statemen
         f"{one.label} ({say_odds(chosen.log_evidence - one.log_evidence)} against it)"
         for one in candidates
         if one.error < chosen.error
+        and one.converged
         and chosen.log_evidence - one.log_evidence > DECISIVE
         and chosen.is_distinguishable(one)
     ]

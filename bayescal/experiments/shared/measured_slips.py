@@ -38,9 +38,7 @@ from bayescal.experiments.shared.slips import (
     find_slip,
     fit_rows,
     list_leg_slips,
-    list_pose_units,
     list_reading_slips,
-    list_unnoticed,
     weigh_rows,
 )
 from bayescal.machines.kinematics import Machine
@@ -248,22 +246,6 @@ def find_measured_slip(variants: Sequence[MeasuredReadings], denied: Collection[
         start, stated = legs[0].machine.mechanism.initial_actuator_positions, max(map(state_error, legs))
         return find_leg_slip((suspect_poses(one, stated) for one in legs), start, denied)
     return find_calibration_slip((Suspicion(one.posterior, one.low, one.high) for one in variants), denied)
-
-
-def audit_slips(measured: MeasuredReadings) -> tuple[FoundSlip | None, tuple[int, list[str]]]:
-    """Return the slip that explains readings best, however well they fit, and without one what planted slips do.
-
-    Of these, how many there are and which would pass unnoticed.
-    """
-    if measured.legs is not None:
-        suspect = suspect_poses(measured.legs, state_error(measured.legs), whole=True)
-        start = measured.legs.machine.mechanism.initial_actuator_positions
-        slips = [*list_leg_slips(suspect.data, start), *list_pose_units(suspect.data)]
-        found = find_slip(suspect.weigh, suspect.data, [replace(one, least=0.0, tried_from=0.0) for one in slips], 0.0)
-        return found, (0, []) if found is not None else list_unnoticed(suspect.weigh, slips, REREAD)
-    suspicion = Suspicion(measured.posterior, measured.low, measured.high)
-    found = suspicion.find()
-    return found, (0, []) if found is not None else list_unnoticed(suspicion.weigh, suspicion.list_slips(), BETTER)
 
 
 def find_calibration_slip(variants: Iterable[Suspicion], denied: Collection[str] = ()) -> FoundSlip | None:

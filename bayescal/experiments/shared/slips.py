@@ -21,7 +21,7 @@ from bayescal.config.sections import check_once
 from bayescal.data.instruments.read_poses import FIXED, ROLL_PITCH_YAW, name_angles
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.errors import BayescalError
-from bayescal.numerics.geometry import Array, matrix_from_rotation_vector, rotation_vector_from_matrix
+from bayescal.numerics.geometry import Array, rotation_vector_from_matrix
 from bayescal.report.blocks import Statement
 from bayescal.report.numbers import format_significant, join_words
 
@@ -46,7 +46,14 @@ LENGTHS = {
     "in mm where inches are stated": 1.0 / 25.4,
     "of the other sign": -1.0,
 }
-ANGLES = {"in degrees": np.pi / 180.0, "in radians where degrees are stated": 180.0 / np.pi, "of the other sign": -1.0}
+ANGLES = {
+    "in milliradians, 1000 times too large": 1e-3,
+    "1000 times too small": 1e3,
+    "in arcseconds": np.pi / 648000.0,
+    "in degrees": np.pi / 180.0,
+    "in radians where degrees are stated": 180.0 / np.pi,
+    "of the other sign": -1.0,
+}
 GEARS = {"twice too large": 0.5, "half as large as they should be": 2.0}
 """What happens to a single sensor: another gear ratio, edges counted once or twice."""
 REREAD = 1.5
@@ -185,16 +192,21 @@ class Columns:
 
 
 def list_reading_slips(
-    names: Sequence[str], units: Sequence[str], values: Array, given: Sequence[str] = ()
+    names: Sequence[str],
+    units: Sequence[str],
+    values: Array,
+    given: Sequence[str] = (),
+    external: Sequence[bool] | np.ndarray | None = None,
 ) -> Iterator[Slip[Columns]]:
     """Yield what may have happened to readings (P, K), mm and rad, of sensors named ``kind[leg]``.
 
-    What is ``given`` of each row besides are columns that all readings may be shifted against.
+    What is ``given`` of each row besides are columns that all readings may be shifted against; channels of instruments
+    beside the machine are ``external``.
     """
     kinds: dict[str, list[int]] = {}
     for k, name in enumerate(names):
         kinds.setdefault(name.partition("[")[0], []).append(k)
-    yield from _scale_instruments(kinds, units, values)
+    yield from _scale_instruments(kinds, units, values, external)
     for kind in sorted(kinds):
         own = np.array(kinds[kind])
         yield from _scale(kind, own, units[own[0]], values)
@@ -220,13 +232,16 @@ def list_reading_slips(
         yield from _shift(f"all readings against {join_words(list(given))}", np.arange(values.shape[1]), values, True)
 
 
-def _scale_instruments(kinds: Mapping[str, list[int]], units: Sequence[str], values: Array) -> Iterator[Slip[Columns]]:
+def _scale_instruments(
+    kinds: Mapping[str, list[int]], units: Sequence[str], values: Array, external: Sequence[bool] | np.ndarray | None
+) -> Iterator[Slip[Columns]]:
     """Yield kinds of one unit that belong together, as ``cam_x`` and ``cam_y`` do, or all of them, in another unit."""
     groups: dict[tuple[int, ...], list[str]] = {}
     for unit in dict.fromkeys(units):
         alike = [kind for kind, places in kinds.items() if units[places[0]] == unit]
         stems = dict.fromkeys(kind.rpartition("_")[0] for kind in alike if "_" in kind)
-        for some in [[kind for kind in alike if kind.rpartition("_")[0] == stem] for stem in stems] + [alike]:
+        beside = [] if external is None else [kind for kind in alike if external[kinds[kind][0]]]
+        for some in [[kind for kind in alike if kind.rpartition("_")[0] == stem] for stem in stems] + [beside, alike]:
             if len(some) > 1:
                 groups[tuple(k for kind in some for k in kinds[kind])] = some
     for places, some in groups.items():
@@ -303,14 +318,6 @@ def fit_rows(rest: Array, moves: Array, n_spare: np.ndarray) -> Array:
     return np.asarray(off)
 
 
-def list_unnoticed[D](
-    weigh: Callable[[D, np.ndarray | None], Weight], slips: Iterable[Slip[D]], fits: float
-) -> tuple[int, list[str]]:
-    """Return how many slips are planted in data that fit, one by one, and those after which they fit all the same."""
-    texts = [(slip.text, weigh(slip.data, slip.chosen).misfit <= fits) for slip in slips]
-    return len(texts), [text for text, fit in texts if fit]
-
-
 # --- what may happen to actuators and measured poses of a machine on legs ----------------------------------------
 
 
@@ -334,22 +341,6 @@ def list_leg_slips(data: LegData, start: Array) -> Iterator[Slip[LegData]]:
     if data.poses is not None:
         for text, poses in list_rereads(data.poses):
             yield Slip(POSES, text, LegData(data.actuators, poses), least=REREAD)
-
-
-def list_pose_units(data: LegData) -> Iterator[Slip[LegData]]:
-    """Yield measured poses as if they had other units."""
-    assert data.poses is not None
-    poses, count = data.poses, 3 * data.poses.n_poses
-    for words, factor in LENGTHS.items():
-        if factor > 0.0:
-            scaled, volume = replace(poses, position=factor * poses.position), count * float(np.log(factor))
-            text = f"positions of the poses seem to be {words}"
-            yield Slip(UNIT, text, LegData(data.actuators, scaled), None, volume)
-    for words, factor in ANGLES.items():
-        turned = matrix_from_rotation_vector(factor * rotation_vector_from_matrix(poses.rotation))
-        text = f"rotations of the poses seem to be {'inverted' if factor < 0.0 else words}"
-        moved = LegData(data.actuators, replace(poses, rotation=turned))
-        yield Slip(UNIT, text, moved, None, count * float(np.log(abs(factor))))
 
 
 def _list_actuators(actuators: Array, start: Array) -> Iterator[tuple[str, str, Array, np.ndarray | None]]:

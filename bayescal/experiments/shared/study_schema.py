@@ -214,7 +214,7 @@ class VariantConfig(KernelChoiceConfig, FreeConfig):
         """What poses are like that are wrong as a whole."""
         if self.outlier_share is not None:
             return Contaminated(SharePrior(self.outlier_share))
-        return NORMAL if self.robust is None else StudentT(self.robust)
+        return NORMAL if self.robust is None else StudentT.centred(self.robust)
 
     @property
     def seen(self) -> tuple[str, str]:

@@ -369,7 +369,13 @@ class StudyInputs(Inputs):
             raise InputError(
                 f"{path}: found blunders, expected none: audits and checks have no poses that may be spoilt"
             )
-        return {name: see_legs(self._measure(self.variant(name), path, with_model_error)) for name in names}
+        # points that tell whole poses are taken as these: the density of poses has no frames among its parameters
+        poses = self.poses(verification=False)
+        found = {name: self._measure(self.variant(name), path, with_model_error) for name in names}
+        return {
+            name: see_legs(one if one.posterior.likelihood.of_poses else one.with_poses(poses))
+            for name, one in found.items()
+        }
 
     def _measure(self, variant: VariantConfig, path: Path, with_model_error: bool) -> MeasuredVariant:
         left, (priors, fixed) = self.matrix_variance(variant, verification=False), self.priors(variant)

@@ -112,7 +112,7 @@ class Study(MachineExperiment[StudyConfig, Inputs], Measuring, Calibrating):
         show_comparison(table, console)
 
     def compare(self, results: Mapping[str, Results]) -> pd.DataFrame:
-        """Return the variants of several studies of the same data, the largest log-evidence first."""
+        """Return the variants of several studies of the same data, the largest log-evidence first, if converged."""
         rows, data = [], {}
         for name, one in results.items():
             try:
@@ -125,9 +125,14 @@ class Study(MachineExperiment[StudyConfig, Inputs], Measuring, Calibrating):
             except (KeyError, TypeError, AttributeError) as error:
                 raise InputError(f"{name}: is no study's results directory, {error} is missing") from error
         self.check_comparable(data)
-        table = pd.DataFrame(rows).sort_values("log_evidence", ascending=False, ignore_index=True)
-        table.insert(4, "difference", table["log_evidence"] - table["log_evidence"].max())
-        return table
+        table = pd.DataFrame(rows)
+        sound = table["converged"] == "yes"  # the others come last and are not compared
+        table = table.assign(failed=~sound).sort_values(
+            ["failed", "log_evidence"], ascending=[True, False], ignore_index=True
+        )
+        best = table["log_evidence"].where(~table["failed"])
+        table.insert(4, "difference", best - best.max())
+        return table.drop(columns="failed")
 
 
 def _identify_data(provenance: Mapping[str, Any]) -> dict[str, object]:

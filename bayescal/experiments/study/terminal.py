@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import PurePath
 from typing import Any
@@ -10,6 +11,12 @@ import pandas as pd
 from rich.console import Console
 
 from bayescal.experiments.frame.terminal import Shown, print_table, print_text
+from bayescal.experiments.shared.headline import (
+    describe_candidate,
+    order_candidates,
+    say_named_first,
+    state_rivals,
+)
 from bayescal.experiments.shared.origin import name_origin
 from bayescal.report.numbers import MICROMETRES, format_estimate, format_fixed
 
@@ -41,15 +48,19 @@ def show_ranking(summary: Mapping[str, Any], console: Console) -> None:
     use = "verification" if summary["n_poses"]["verification"] else "calibration"
     of_poses = any(use in fit for fit in summary["variants"].values())
     shown = [one for one in RANKING if of_poses or one.title != "position error"]
-    rows = []
+    rows, told = [], list[str]()
     for ranking in summary["rankings"]:
-        fits = {name: summary["variants"][name] for name in ranking}
+        of_data = {name: summary["variants"][name] for name in ranking}
+        candidates = [describe_candidate(*one) for one in of_data.items()]
+        fits = {one.name: of_data[one.name] for one in order_candidates(candidates)}
+        best = max((one.log_evidence for one in candidates if one.converged), default=math.nan)
+        told += [*filter(None, [say_named_first(candidates)]), *(one.text for one in state_rivals(candidates))]
         for rank, (name, fit) in enumerate(fits.items(), start=1):
             row = [
                 str(rank) if fit["converged"] else "not ranked",
                 name,
                 format_estimate(fit["log_evidence"], fit["log_evidence_se"], 2),
-                format_fixed(fit["log_evidence"] - fits[ranking[0]]["log_evidence"], 1),
+                format_fixed(fit["log_evidence"] - best if fit["converged"] else math.nan, 1),
                 format_estimate(fit["elpd_loo"], fit["elpd_loo_se"], 1),
                 format_fixed(fit["elpd"], 1),
             ]
@@ -60,6 +71,8 @@ def show_ranking(summary: Mapping[str, Any], console: Console) -> None:
     print_table(console, tuple(shown), rows)
     errors = f"position error: mean / largest on the {use} poses; " if of_poses else ""
     print_text(console, f"{errors}log-evidence in nats")
+    for said in told:
+        print_text(console, said)
     for name, fit in summary["variants"].items():
         for setting, one in (("", fit), (" without model error", fit.get("without_model_error"))):
             if one is not None and one.get("log_evidence_tempered") is not None:

@@ -25,16 +25,16 @@ from bayescal.experiments.check.faults import (
     check_priors,
     list_starts,
     look_at_data,
-    state_slips,
+    state_cause,
 )
 from bayescal.experiments.check.inputs import Subject, draw_posterior, read_check
 from bayescal.experiments.check.kind import configure_check
-from bayescal.experiments.shared.measured_slips import audit_slips
+from bayescal.experiments.shared.slip_search import search_cause
 from bayescal.experiments.shared.soundness import find_misfit
 from bayescal.inference.mode import find_modes
 from bayescal.numerics.geometry import matrix_from_rotation_vector, rotation_vector_from_matrix
 
-CHECKS = ["Derivatives", "Units and order", "Modes", "Noise", "Tolerances"]
+CHECKS = ["Derivatives", "Likely cause", "Modes", "Noise", "Tolerances"]
 FUNCTION = """
 [errors.motors]
 channels = ["s"]
@@ -163,14 +163,14 @@ def test_a_unit_slip_of_the_actuators_is_named(factor):
     slipped = checked.change_actuators(checked.make_clean(4), lambda rho: start + factor * (rho - start))
     faults, said = look(slipped)
     assert faults == ["unit"]
-    assert "actuator displacements seem to be" in said["Units and order"].text
+    assert "displacements of rho from home seem to be" in said["Likely cause"].text
 
 
 def test_shifted_rows_are_named():
     found = checked.change_actuators(checked.make_clean(4), lambda rho: np.roll(rho, 1, axis=0))
-    found = state_slips(*audit_slips(found.measured))
+    found = state_cause(search_cause(found.measured))
     assert (found.fault, found.level) == ("rows", "bad")
-    assert "rows seem to be shifted by one" in found.text
+    assert "rows of rho seem to be shifted by one" in found.text
 
 
 def test_rotations_in_degrees_are_named():
@@ -178,7 +178,7 @@ def test_rotations_in_degrees_are_named():
     poses = subject.measured.legs.poses
     turned = matrix_from_rotation_vector(np.degrees(rotation_vector_from_matrix(poses.rotation)))
     turned = checked.with_poses(subject.measured.legs, replace(poses, rotation=turned))
-    found = state_slips(*audit_slips(turned.measured))
+    found = state_cause(search_cause(turned.measured))
     assert (found.fault, "in degrees" in found.text) == ("unit", True)
 
 
@@ -191,7 +191,7 @@ def test_two_exchanged_legs_are_named(legs):
 
     faults, said = look(checked.change_actuators(checked.make_clean(5), exchange))
     assert faults == ["legs"]
-    assert f"legs {legs[0] + 1} and {legs[1] + 1} seem to be exchanged" in said["Units and order"].text
+    assert f"readings of rho[{legs[0] + 1}] and rho[{legs[1] + 1}] seem to be exchanged" in said["Likely cause"].text
 
 
 @pytest.mark.parametrize(("symbol", "said"), [("kappa", "by kappa are wrong"), ("l", "by l are wrong: off by up to 1")])
@@ -270,8 +270,10 @@ def test_twenty_clean_studies_pass(seed):
 
 
 def test_which_slips_would_pass_unnoticed_is_said(subject):
-    text = state_slips(*audit_slips(subject.measured)).text
-    assert "of 125 planted slips 1 would pass unnoticed within the tolerances: readings of s, cam_x" in text
+    search = search_cause(subject.measured)
+    assert "no planted slip of the table would pass unnoticed" in state_cause(search).text
+    text = state_cause(replace(search, unnoticed=["readings of s seem to be in inches"])).text
+    assert "planted slips of the table that would pass unnoticed within the tolerances: readings of s in inches" in text
 
 
 def test_a_slip_is_named_and_nothing_else_said(subject):
@@ -330,7 +332,7 @@ def test_the_command_checks_a_calibration(tmp_path, call, no_pictures):
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert list(summary["variants"]) == ["one_rod"]
     assert summary["data_origin"] == "Simulated, never measured: one machine drawn within its tolerances"
-    assert "Units and order" in (tmp_path / "out" / "report.html").read_text()
+    assert "Likely cause" in (tmp_path / "out" / "report.html").read_text()
 
 
 @pytest.mark.parametrize(

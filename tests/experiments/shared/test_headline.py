@@ -1,15 +1,22 @@
 """The rules of headlines: what to use, how good it is, and what may not be said."""
 
+import math
+from dataclasses import replace
+
 import pytest
 
 from bayescal.experiments.shared.headline import (
     Candidate,
     choose_candidate,
+    find_rivals,
     group_candidates,
+    order_candidates,
     say_accuracy,
     say_choice,
+    say_named_first,
     say_probability,
     say_requirements,
+    state_rivals,
     state_ruled_out,
     write_headline,
 )
@@ -21,9 +28,33 @@ WRONG = Candidate("wrong", "wrong", -125.9, size=(2,), error=0.5)
 
 def test_equally_good_variants_are_one_group_and_the_simplest_is_used() -> None:
     candidates = [SOFT, RIGID, WRONG]
-    assert group_candidates(candidates) == [[SOFT, RIGID], [WRONG]]
+    assert group_candidates(candidates) == [[RIGID, SOFT], [WRONG]]
     assert choose_candidate(candidates) is RIGID
     assert say_choice(candidates) == "Use rigid, the simplest of two that fit equally well"
+
+
+def test_where_variants_tie_the_one_with_fewer_unknowns_is_first_and_said_to_be() -> None:
+    assert order_candidates([WRONG, SOFT, RIGID]) == [RIGID, SOFT, WRONG]
+    assert say_named_first([WRONG, SOFT, RIGID]) == (
+        "rigid is named first because it has the fewest unknowns (3 against 5)"
+    )
+    alike = replace(RIGID, size=SOFT.size)
+    assert not say_named_first([SOFT, alike])  # neither is simpler
+    assert say_choice([SOFT, alike]) == "Use soft, one of two that fit equally well"
+    assert not say_named_first([SOFT, WRONG])  # nothing ties
+
+
+def test_what_did_not_converge_is_not_compared_and_is_said_to_be_better_perhaps() -> None:
+    failed = Candidate("best", "best", 107.0, converged=False)
+    assert group_candidates([failed, RIGID, WRONG]) == [[RIGID], [WRONG]]
+    assert order_candidates([failed, WRONG, RIGID]) == [RIGID, WRONG, failed]
+    (said,) = state_rivals([failed, RIGID, WRONG])
+    assert said.text.startswith("best may be better than rigid: its sampling did not converge")
+    assert "Run it again with more `steps` and `burn_in`" in said.text
+    assert [one.name for one in find_rivals([replace(failed, log_evidence=math.nan), RIGID])] == ["best"]
+    assert not state_rivals([replace(failed, log_evidence=-90.0), RIGID])
+    assert not state_rivals([failed])  # nothing is sound
+    assert not group_candidates([failed])
 
 
 def test_an_uncertain_evidence_distinguishes_less() -> None:

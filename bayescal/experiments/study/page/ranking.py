@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
+import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Drawing
 from matplotlib.ticker import FuncFormatter, SymmetricalLogLocator
 
+from bayescal.experiments.shared.headline import describe_candidate, order_candidates, say_named_first
 from bayescal.experiments.study.page.evidence import format_evidence
 from bayescal.experiments.study.page.results import USES, VARIANT, ErrorScale, StudyResults, get_number
 from bayescal.experiments.study.page.styles import Styles, assign_styles
@@ -42,6 +45,7 @@ STACKING = (
     "calibration poses. Stacking weighs them so that the mixture predicts left-out poses best; a small "
     "weight means that a variant adds nothing to the others, not that it is wrong."
 )
+NOT_COMPARED = "Variants that are not ranked did not converge: their log-evidence is not compared."
 THICKNESS = 0.62
 
 type Found = list[tuple[Column, str | Cell]]
@@ -66,10 +70,11 @@ def tabulate_ranking(study: StudyResults, setting: str) -> Table:
     columns, several = list[Column](), len(study.names) > 1
     for names in study.summary["rankings"]:
         fits = {name: study.fit(name, setting) for name in names}
-        order = sorted(fits, key=lambda name: (not fits[name]["converged"], -fits[name]["log_evidence"]))
-        best = max(one["elpd_loo"] for one in fits.values())
-        for rank, name in enumerate(order, start=1):
-            apart = fits[name]["log_evidence"] - fits[order[0]]["log_evidence"]
+        candidates = [describe_candidate(*one) for one in fits.items()]
+        sound = [fits[one.name] for one in candidates if one.converged] or list(fits.values())
+        best, highest = (max(one[key] for one in sound) for key in ("elpd_loo", "log_evidence"))
+        for rank, name in enumerate((one.name for one in order_candidates(candidates)), start=1):
+            apart = fits[name]["log_evidence"] - highest
             behind = _compare(fits[name], apart, best) if several else []
             found: Found = [(Column("Rank"), str(rank) if fits[name]["converged"] else "not ranked")] if several else []
             found += _describe(study, name, fits[name], behind)
@@ -82,17 +87,18 @@ def tabulate_ranking(study: StudyResults, setting: str) -> Table:
         text = f"(n) n poses with Pareto k above {PARETO_K_LIMIT} that no run left out: elpd LOO is unreliable."
         notes.append(Statement(text, "warning"))
     if setting == "free":
+        notes += _state_order(study)
         notes += _state_names(study)
     return make_table(caption, columns, rows, notes, "wide")
 
 
 def _compare(fit: dict[str, Any], behind: float, best: float) -> Found:
-    """Return how far one of several variants is behind the best: in evidence, then by LOO."""
-    error = fit["elpd_loo_difference_se"]
+    """Return how far one of several variants is behind the best, in evidence, then by LOO; dashes if not converged."""
+    error, compared = fit["elpd_loo_difference_se"], fit["converged"]
     loo = format_fixed(0.0, 1) if fit["elpd_loo"] == best else format_estimate(fit["elpd_loo"] - best, error, 1)
     return [
-        (Column("behind the best", "nat", "Log-evidence"), format_fixed(behind, 1)),
-        (Column("behind the best", "nat", "elpd LOO"), loo),
+        (Column("behind the best", "nat", "Log-evidence"), format_fixed(behind, 1) if compared else NOTHING),
+        (Column("behind the best", "nat", "elpd LOO"), loo if compared else NOTHING),
         (Column("stacking weight", "%", "elpd LOO"), format_percent(fit["stacking_weight"]).rstrip(" %")),
     ]
 
@@ -124,6 +130,14 @@ def _describe(study: StudyResults, name: str, fit: dict[str, Any], behind: Found
     if len(study.summary["rankings"]) > 1:
         found.append((Column("Readings", kind="name"), str(fit["data"])))
     return found
+
+
+def _state_order(study: StudyResults) -> list[Statement]:
+    """Say why rows are not in the order of their evidences, and which are not compared."""
+    candidates = study.candidates()
+    said = say_named_first(candidates)
+    found = [Statement(f"{said}; these fit equally well.")] if said else []
+    return found if len(study.compared) == len(candidates) else [*found, Statement(NOT_COMPARED, "warning")]
 
 
 def _state_names(study: StudyResults) -> list[Statement]:
@@ -215,11 +229,14 @@ def tabulate_stacking(study: StudyResults) -> Table | None:
 def _illustrate(study: StudyResults) -> Figure:
     """Return evidence and pose errors of all variants."""
     use = study.use
-    groups = [sorted(group, key=study.ranking.index) for group in study.group(study.ranking)]
+    failed = [name for name in study.ranking if name not in study.compared]
+    groups = [*study.group(study.ranking), *([failed] if failed else [])]
     behind: dict[tuple[str, str], float] = {}
     for setting in study.settings:
-        best = max(study.evidence(name, setting) for name in study.ranking)
-        behind |= {(name, setting): best - study.evidence(name, setting) for name in study.ranking}
+        sound = [name for name in study.ranking if study.is_compared(name, setting)]
+        best = max((study.evidence(name, setting) for name in sound), default=math.nan)
+        behind |= {(name, setting): math.nan for name in study.ranking}
+        behind |= {(name, setting): best - study.evidence(name, setting) for name in sound}
     bands = " A shared band joins variants that fit equally well." if len(groups) > 1 else ""
     caption = (
         "Left: how far each variant's log-evidence with model error lies below the best one, logarithmic beyond 1 nat. "
@@ -245,7 +262,7 @@ def _draw(
     """Return panels with a row per variant: evidence, position error, orientation error where it was measured.
 
     Variants of a group, which fit equally well, share a band; ``behind`` is their log-evidence below the best, nats, by
-    variant and setting of the model error.
+    variant and setting of the model error; NaN of one that did not converge.
     """
     names = [name for group in groups for name in group]
     rows, colours = range(len(names)), [styles[name].colour for name in names]
@@ -259,8 +276,8 @@ def _draw(
             top += len(group)
         panel.grid(axis="x")
         panel.tick_params(axis="y", length=0)
-    free, zero = ([max(0.0, behind[name, setting]) for name in names] for setting in ("free", "zero"))
-    axes[0].barh(rows, free, height=THICKNESS, color=colours, linewidth=0)
+    free, zero = ([behind[name, setting] for name in names] for setting in ("free", "zero"))
+    axes[0].barh(rows, np.nan_to_num(free), height=THICKNESS, color=colours, linewidth=0)
     _label_evidence(axes[0], free, "Log-evidence below\nthe best (nat)")
     for panel, scale in zip(axes[1:-1], scales, strict=True):
         errors = scale.factor * predictions.groupby(["variant", "model_error"])[scale.column].agg(["mean", "max"])
@@ -279,12 +296,13 @@ def _draw(
 
 def _label_evidence(axes: Axes, values: Sequence[float], label: str) -> None:
     axes.set_xscale("symlog", linthresh=1.0, linscale=0.5)
-    axes.set_xlim(0, 100 * max(1.0, *values))
+    ends = np.nan_to_num(values)
+    axes.set_xlim(0, 100 * max(1.0, *ends))
     locator = axes.xaxis.get_major_locator()
     if isinstance(locator, SymmetricalLogLocator):
         locator.set_params(numticks=4)
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: format_power(value, 1)))
-    _write_at(axes, values, [format_fixed(-one, 1) for one in values])
+    _write_at(axes, ends.tolist(), ["not converged" if math.isnan(one) else format_fixed(-one, 1) for one in values])
     axes.set_xlabel(label)
 
 

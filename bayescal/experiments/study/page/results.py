@@ -66,6 +66,8 @@ COLUMNS: dict[str, dict[str, tuple[str, ...]]] = {
         ),
     },
     "predictions": {"texts": ("variant", "pose", "channel", "unit"), "numbers": ("measured", "mean", "sd", "inside")},
+    "not_predicted": {"texts": ("variant", "pose", "channel", "why"), "numbers": ()},
+    "tool_predictions": {"texts": ("variant", "pose", "channel"), "numbers": ("inside",)},
     "sensitivity": {"texts": ("variant",), "numbers": ("factor", "log_evidence", "pareto_k")},
     "tau_scale": {"texts": ("variant",), "numbers": ("tau_scale_um", "log_evidence", "pareto_k")},
     "least_squares": {
@@ -216,9 +218,18 @@ class StudyResults:
         others = [name for ranking in self.summary["rankings"] for name in ranking if name not in self.ranking]
         return [*self.ranking, *others]
 
+    @cached_property
+    def compared(self) -> list[str]:
+        """Those of the ranking that converged, as only they are compared."""
+        return [name for name in self.ranking if self.is_compared(name)]
+
+    def is_compared(self, name: str, setting: str = "free") -> bool:
+        """Whether a variant's posterior converged."""
+        return bool(self.fit(name, setting)["converged"])
+
     @property
     def best_name(self) -> str:
-        """The variant of the largest log-evidence."""
+        """The variant of the largest log-evidence, of those that converged where any did."""
         return self.ranking[0]
 
     @cached_property
@@ -265,8 +276,9 @@ class StudyResults:
         return [name for name, own in pairs.items() if model in (None, own[0]) and deformation in (None, own[1])]
 
     def find_best(self, model: str, deformation: str) -> str | None:
-        """Return the variant of a model and deformation with the largest log-evidence; None where there is none."""
-        return max(self.find(model, deformation), key=self.evidence, default=None)
+        """Return the variant of a model and deformation with the largest log-evidence; None where none converged."""
+        compared = [name for name in self.find(model, deformation) if self.is_compared(name)]
+        return max(compared, key=self.evidence, default=None)
 
     @property
     def free_sets(self) -> dict[tuple[str, str], list[str]]:
@@ -324,13 +336,13 @@ class StudyResults:
         return first.is_distinguishable(second)
 
     def group(self, names: Sequence[str], setting: str = "free") -> list[list[str]]:
-        """Return variants in groups by evidence, the best group first; within a group in the order of the study."""
+        """Return variants in groups by evidence, the best group first; within a group the simplest first."""
         groups = group_candidates([one for one in self.candidates(setting) if one.name in names])
         return [[one.name for one in group] for group in groups]
 
     def find_leaders(self, setting: str = "free") -> list[str]:
-        """Return the variants that fit as well as the best one, in the order of the study."""
-        return self.group(self.ranking, setting)[0]
+        """Return the variants that fit as well as the best one, the simplest first; one alone where none converged."""
+        return next(iter(self.group(self.ranking, setting)), [self.best_name])
 
     @cached_property
     def sensitivity_grid(self) -> pd.DataFrame:

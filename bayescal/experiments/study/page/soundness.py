@@ -138,7 +138,9 @@ def _count_beyond(study: StudyResults) -> tuple[str, int, int]:
     The setting of the model error is what the evidence prefers: one that is not needed widens all bounds. Calibration
     poses are left out for it: a posterior that has seen a pose fits it too well.
     """
-    setting = max(("free", "zero"), key=lambda setting: study.evidence(study.best_name, setting))
+    best = study.best_name
+    compared = [one for one in study.settings if study.is_compared(best, one)] or study.settings
+    setting = max(compared, key=lambda setting: study.evidence(best, setting))
     table = study.table("poses", study.best_name)
     chosen = table[table["model_error"] == setting]
     pits = chosen[["position_pit", "orientation_pit"]].to_numpy(dtype=float).ravel()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 import pandas as pd
@@ -15,8 +15,10 @@ from bayescal.experiments.shared.headline import (
     NOT_DISTINGUISHABLE,
     say_accuracy,
     say_choice,
+    say_named_first,
     say_odds,
     say_requirements,
+    state_rivals,
     state_ruled_out,
     write_headline,
 )
@@ -111,6 +113,7 @@ def state_verdict(study: StudyResults) -> list[Statement]:
         *state_convergence(study),
         *state_held_back(study),
         *state_prediction(study),
+        *state_rivals(study.candidates()),
         *_state_lead(study),
         *_state_deformations(study),
         *_state_models(study),
@@ -151,10 +154,10 @@ def _state_accuracy(study: StudyResults) -> list[Statement]:
 
 
 def _state_lead(study: StudyResults) -> list[Statement]:
-    """Say which variant fits best and by how much; nothing of a single one."""
-    if len(study.ranking) == 1:
+    """Say which variant fits best and by how much; nothing of a single one that converged."""
+    if len(study.compared) < 2:
         return []
-    error = 2.0 * max(one.se for one in study.candidates())
+    error = 2.0 * max(one.se for one in study.candidates() if one.converged)
     if error > DECISIVE:
         text = f"The evidence is uncertain by {format_fixed(error, 0)} nat, too much to compare the variants."
         return [Statement(text, "warning", "Evidence")]
@@ -164,18 +167,19 @@ def _state_lead(study: StudyResults) -> list[Statement]:
 def describe_lead(study: StudyResults) -> str:
     """Return which variant fits best and by how much, or which fit equally well."""
     best, leaders = study.best_name, study.find_leaders()
-    others = [name for name in study.ranking if name not in leaders]
+    others = [name for name in study.compared if name not in leaders]
     if len(leaders) > 1:
         within = f"{format_fixed(study.spread(leaders), 2)} nat of log-evidence between them"
+        first = f" {named}." if (named := say_named_first(study.candidates())) else ""
         if not others:
-            return f"{study.name_variants(leaders)} fit equally well: {within}."
+            return f"{study.name_variants(leaders)} fit equally well: {within}.{first}"
         behind = study.spread((best, others[0]))
         words = "fit the measurements best and equally well" if behind > DECISIVE else "fit equally well"
         follows = f"{study.label(others[0])} follows {format_fixed(behind, 1)} nat behind"
-        return f"{study.name_variants(leaders)} {words}: {within}; {follows}."
-    lead = study.spread(study.ranking[:2])
+        return f"{study.name_variants(leaders)} {words}: {within}; {follows}.{first}"
+    lead = study.spread(study.compared[:2])
     word = "explains the measurements best" if lead > DECISIVE else "is preferred, not decisively"
-    second = study.label(study.ranking[1])
+    second = study.label(study.compared[1])
     return f"{study.label(best)} {word}, by {format_fixed(lead, 1)} nat over {second} ({say_odds(lead)})."
 
 
@@ -191,7 +195,7 @@ def _state_deformations(study: StudyResults) -> list[Statement]:
                 gaps[study.label_model(model)] = study.evidence(one) - study.evidence(two)
         if gaps:
             parts[other] = (max(gaps.values()), f"of {other} by {_describe_gaps(gaps)}")
-    if not parts or len(study.ranking) < 3:
+    if not parts or len(study.compared) < 3:
         return []
     nearest_first = "; ".join(text for _, text in sorted(parts.values()))
     first = "no deformation" if best == "none" else best
@@ -235,13 +239,13 @@ def _describe_groups(study: StudyResults, labels: Mapping[str, str], against_fir
 def _state_models(study: StudyResults) -> list[Statement]:
     """Say which models the evidence distinguishes, deformation by deformation, the best first."""
     parts = []
-    for deformation in dict.fromkeys(study.split(name)[1] for name in study.ranking):
+    for deformation in dict.fromkeys(study.split(name)[1] for name in study.compared):
         best = {model: study.find_best(model, deformation) for model in study.models}
         labels = {name: study.label_model(model) for model, name in best.items() if name is not None}
         if len(labels) > 1:
             described = _describe_groups(study, labels, True)
             parts.append(f"{describe_deformation(deformation)}, {described}")
-    if not parts or len(study.ranking) < 3:
+    if not parts or len(study.compared) < 3:
         return []
     text = "; ".join(parts)
     return [Statement(f"{text[0].upper()}{text[1:]}.", lead="Model")]
@@ -250,17 +254,20 @@ def _state_models(study: StudyResults) -> list[Statement]:
 def _state_free_sets(study: StudyResults) -> list[Statement]:
     """Say which free sets of one model and deformation the evidence distinguishes."""
     parts = []
-    for (model, deformation), names in study.free_sets.items():
+    for (model, deformation), every in study.free_sets.items():
+        names = [name for name in every if name in study.compared]
+        if len(names) < 2:
+            continue
         described = _describe_groups(study, {name: study.label(name) for name in names}, False)
         parts.append(f"{study.label_model(model)} {describe_deformation(deformation)}: {described}")
     return [Statement(f"{'; '.join(parts)}.", lead="Free parameters")] if parts else []
 
 
 def _state_pairs(study: StudyResults) -> list[Statement]:
-    gaps = {pair: study.spread(pair) for pair in combinations(study.ranking, 2)}
+    gaps = {pair: study.spread(pair) for pair in combinations(study.compared, 2)}
     apart = [gap for pair, gap in gaps.items() if study.distinguishes(*pair)]
     tied = [gap for pair, gap in gaps.items() if not study.distinguishes(*pair)]
-    if not apart or not tied or len(study.ranking) < 3:
+    if not apart or not tied or len(study.compared) < 3:
         return []
     text = (
         f"Of {len(gaps)} pairs of variants {len(apart)} are distinguishable, by "
@@ -270,7 +277,7 @@ def _state_pairs(study: StudyResults) -> list[Statement]:
 
 
 def _state_odds(study: StudyResults) -> list[Statement]:
-    others = [name for name in study.ranking if name not in study.find_leaders()]
+    others = [name for name in study.compared if name not in study.find_leaders()]
     if not others or not study.spread((study.best_name, others[0])) > BEYOND_BELIEF:
         return []
     text = (
@@ -306,18 +313,18 @@ def _compare(study: StudyResults, one: str, other: str, use: str) -> tuple[str, 
 
 def state_prediction(study: StudyResults) -> list[Statement]:
     """Say whether cross-validation and the poses held back name the same variants as the evidence."""
-    if len(study.ranking) == 1:
+    if len(study.compared) < 2:
         return []
     by_pose = study.n_verification and study.has("pose_errors")
     statements = [_compare_order(study, use) for use in SCORES if use == "calibration" or by_pose]
     if not by_pose:
-        elpd = {name: get_number(study.fit(name), "elpd") for name in study.ranking}
+        elpd = {name: get_number(study.fit(name), "elpd") for name in study.compared}
         first = max((name for name in elpd if math.isfinite(elpd[name])), key=lambda name: elpd[name], default=None)
         if first is not None and first not in study.find_leaders():
             text = f"Held-back readings are predicted best by {study.label(first)}, which the evidence ranks lower."
             statements.append(Statement(text, "warning", "Prediction"))
-    refitted = sum(int(study.fit(name)["loo_refitted"]) for name in study.ranking)
-    bad = {name: int(study.fit(name)["loo_unreliable"]) for name in study.ranking}
+    refitted = sum(int(study.fit(name)["loo_refitted"]) for name in study.compared)
+    bad = {name: int(study.fit(name)["loo_unreliable"]) for name in study.compared}
     unreliable = [f"{study.label(name)} ({n} {'pose' if n == 1 else 'poses'})" for name, n in bad.items() if n]
     if unreliable:
         named = name_or_count(unreliable, len(bad))
@@ -332,7 +339,7 @@ def state_prediction(study: StudyResults) -> list[Statement]:
 
 def _compare_order(study: StudyResults, use: str) -> Statement:
     name, verb = SCORES[use]
-    values = {variant: _read_elpd(study, variant, use) for variant in study.ranking}
+    values = {variant: _read_elpd(study, variant, use) for variant in study.compared}
     order = sorted(values, key=lambda variant: -values[variant] if values[variant] == values[variant] else math.inf)
     leaders = study.find_leaders()
     others = [variant for variant in order if variant not in leaders]
@@ -360,9 +367,9 @@ def _compare_order(study: StudyResults, use: str) -> Statement:
 
 def _describe_rest(study: StudyResults, use: str) -> str:
     """Say whether the order further down contradicts the evidence by more than two standard errors."""
-    if len(study.ranking) < 3:
+    if len(study.compared) < 3:
         return ""
-    pairs = [(low, high) for high, low in combinations(study.ranking, 2) if study.distinguishes(low, high)]
+    pairs = [(low, high) for high, low in combinations(study.compared, 2) if study.distinguishes(low, high)]
     n = sum(_compare(study, low, high, use)[1] for low, high in pairs)
     if not n:
         return "; no pair that the evidence distinguishes is reversed by more than two standard errors"
@@ -376,8 +383,8 @@ def _state_stability(study: StudyResults) -> list[Statement]:
     """Say whether the same variants lead with wider and narrower priors."""
     if not study.has("sensitivity"):
         return []
-    wide = study.sensitivity_grid
-    if len(study.ranking) == 1 or len(wide) == 1:
+    wide = study.sensitivity_grid[study.compared]
+    if len(study.compared) < 2 or len(wide) == 1:
         return []
     statements = [_compare_widths(study, wide)]
     found = study.table("sensitivity")
@@ -420,7 +427,7 @@ def _compare_widths(study: StudyResults, wide: pd.DataFrame) -> Statement:
 
 def _describe_reversals(study: StudyResults, wide: pd.DataFrame) -> str:
     """Name who passes whom at which factor on the priors, beyond what is not distinguishable anyway."""
-    ranking = study.ranking
+    ranking = study.compared
     pairs = [(low, high) for k, low in enumerate(ranking) for high in ranking[:k] if study.distinguishes(low, high)]
     passes: dict[str, list[str]] = {}
     for factor, row in zip(wide.index, wide.to_dict("records"), strict=True):
@@ -440,10 +447,10 @@ def _describe_reversals(study: StudyResults, wide: pd.DataFrame) -> str:
 
 def _state_model_error(study: StudyResults) -> list[Statement]:
     """Say which variants the data want a model error for, and who leads without it."""
-    if "zero" not in study.settings:
-        return []
-    gain = {name: study.gain(name) for name in study.ranking}
     leaders = study.find_leaders()
+    if "zero" not in study.settings or not all(study.is_compared(*one) for one in product(leaders, study.settings)):
+        return []
+    gain = {name: study.gain(name) for name in study.compared if study.is_compared(name, "zero")}
     names, gains = study.name_variants(leaders), [gain[name] for name in leaders]
     change = format_span([abs(one) for one in gains])
     need, their = ("needs", "its") if len(leaders) == 1 else ("need", "their")
@@ -459,7 +466,7 @@ def _state_model_error(study: StudyResults) -> list[Statement]:
     else:
         wanting = study.name_variants([name for name in leaders if gain[name] >= 0])
         text = f"Of {names} only {wanting} would do worse without the model error τ"
-    others = [name for name in study.ranking if name not in leaders]
+    others = [name for name in gain if name not in leaders]
     needing = [name for name in others if gain[name] >= NOTHING_GAINED]
     if needing:
         least = format_fixed(min(gain[name] for name in needing), 1)
@@ -475,10 +482,11 @@ def _state_model_error(study: StudyResults) -> list[Statement]:
 
 def _compare_without(study: StudyResults, leaders: list[str], text: str) -> Statement:
     """Add who leads with the model error set to zero; a warning where it is another variant."""
-    if len(study.ranking) == 1:
+    if len(study.compared) < 2:
         return Statement(f"{text}.", lead="Model error")
     without = study.find_leaders("zero")
-    others = [study.evidence(name, "zero") for name in study.ranking if name not in without]
+    compared = [name for name in study.compared if study.is_compared(name, "zero")]
+    others = [study.evidence(name, "zero") for name in compared if name not in without]
     lead = ""
     if others:
         least = min(study.evidence(name, "zero") for name in without)

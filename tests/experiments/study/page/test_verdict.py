@@ -2,16 +2,25 @@
 
 from __future__ import annotations
 
+import io
+import json
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 from made_up_results import TWELVE, TWO, read_page, read_study, set_fit, set_rows
+from rich.console import Console
 
-from bayescal.experiments.study.page.ranking import tabulate_effects, tabulate_ranking, tabulate_stacking
+from bayescal.experiments.study.page.ranking import (
+    show_ranking,
+    tabulate_effects,
+    tabulate_ranking,
+    tabulate_stacking,
+)
 from bayescal.experiments.study.page.soundness import title_failures
 from bayescal.experiments.study.page.verdict import describe_lead, measure_error, state_headline, state_verdict
-from bayescal.report.blocks import Level, Table
+from bayescal.experiments.study.terminal import show_ranking as show_on_terminal
+from bayescal.report.blocks import Figure, Level, Table
 
 MATRIX = "6-PUS, beam and stiffness with the matrix deformation"
 
@@ -227,7 +236,7 @@ def test_the_headline_says_what_to_use_and_how_good_it_is(make_results):
     assert page.headline.startswith("Use pus with the linear deformation; largest error on 2 held-back poses 9.0 µm")
     assert not page.failures
     assert state_headline(read_study(make_results(variants=TWELVE))) == (
-        "Use 6-PUS with the matrix deformation, the simplest of three that fit equally well; largest error on 2 "
+        "Use 6-PUS with the matrix deformation, one of three that fit equally well; largest error on 2 "
         "held-back poses 9.0 µm, mean 4.0 µm. Accuracy requirements: none stated; to judge them "
         "run an audit of this study."
     )
@@ -241,6 +250,53 @@ def test_nothing_is_advised_where_what_may_be_best_did_not_converge(make_results
     fail = set_fit("stiffness/matrix", converged=False, problems="bulk ESS 12, limit 1000")
     text = state_headline(read_study(make_results(fail, variants=TWELVE)))
     assert text.startswith("Use none yet: stiffness/matrix did not converge and may be better (best so far: 6-PUS with")
+
+
+def test_what_did_not_converge_is_compared_nowhere(make_results):
+    """The unconverged one is 97 nats better: no sentence, table or figure ranks it or its elpd against others."""
+    fail = (
+        raise_evidence("pus/none", 217.0, elpd_loo=400.0, elpd=300.0),
+        set_fit("pus/none", converged=False, problems="bulk ESS 12, limit 1000"),
+    )
+    folder = make_results(fail)
+    summary = json.loads((folder / "summary.json").read_text())
+    summary["rankings"] = [["pus/linear", "pus/none"]]  # as studies rank
+    (folder / "summary.json").write_text(json.dumps(summary))
+    study = read_study(folder)
+    said = {one.text for one in state_verdict(study) if one.lead not in ("Checks", "Coverage")}
+    (rival,) = (text for text in said if "pus/none" in text)
+    assert rival.startswith("pus/none may be better than pus/linear: its sampling did not converge")
+    assert study.find_leaders() == ["pus/linear"]
+    assert not any("odds" in text.lower() or "ahead" in text for text in said)
+    table = tabulate_ranking(study, "free")
+    title = [(column.group, column.title) for column in table.columns]
+    shown = {row[1].text: [cell.text for cell in row] for row in table.rows}
+    assert shown["pus/none"][0] == "not ranked"
+    for group in ("Log-evidence", "elpd LOO"):
+        place = title.index((group, "behind the best"))
+        assert (shown["pus/linear"][place], shown["pus/none"][place]) == ("0.0", "–")
+    figure = next(one for one in show_ranking(study).blocks if isinstance(one, Figure)).draw()
+    texts = [text.get_text() for text in figure.axes[0].texts]
+    assert texts == ["0.0", "not converged"]
+    console = Console(file=io.StringIO(), record=True, width=200)
+    show_on_terminal(study.summary, console)
+    printed = console.export_text()
+    assert "pus/none may be better than pus/linear" in printed
+    assert "97.0" not in printed
+
+
+def test_of_variants_that_tie_the_one_with_fewest_unknowns_comes_first(make_results):
+    study = read_study(make_results(set_fit("beam/matrix", n_parameters=9), variants=TWELVE))
+    words = "beam/matrix is named first because it has the fewest unknowns (9 against 14)"
+    assert describe_lead(study).endswith(f"{words}.")
+    assert describe_lead(study).startswith("beam, 6-PUS and stiffness with the matrix deformation fit")
+    table = tabulate_ranking(study, "free")
+    assert next(row[1].text for row in table.rows) == "beam/matrix"  # of the lowest evidence of the three
+    assert words in table.notes[0].text
+    assert study.chosen == "beam/matrix"
+    console = Console(file=io.StringIO(), record=True, width=200)
+    show_on_terminal(study.summary, console)
+    assert words in " ".join(console.export_text().split())
 
 
 @pytest.mark.parametrize(

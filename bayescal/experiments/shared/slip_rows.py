@@ -1,0 +1,282 @@
+"""How well readings fit a machine if something has happened to them: one linearised residual model of any machine.
+
+Readings s (P, K) with the poses eliminated are rows e = Zᵀ (s - h) (see `bayescal.density.sessions`). About a machine
+
+    e = -G y + Zᵀ B u + ε,    y ~ N(0, 1),   u ~ N(0, τ²),   ε ~ N(0, C),
+
+G the slope by the parameters in their tolerances, B (P, K, k) what a cause does to readings, in k unknowns as large as
+the data say: the density is maximal over τ, and pays for having been asked at so many. A parameter whose tolerance is f
+times too tight is a column of G once more, τ² = f² - 1. A noise is a factor on C, a row that does not belong is left
+out, and what was read otherwise is another table: all are weighed by the same log-density of the readings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from bayescal.density.calibration.likelihood import CalibrationLikelihood, CalibrationPosterior
+from bayescal.density.calibration.poses import search_poses
+from bayescal.density.sessions import LinearRows, ReadingRows
+from bayescal.errors import BayescalError
+from bayescal.numerics.geometry import Array
+
+SIZES = np.geomspace(1.0, 1e5, 11)
+"""τ in units of a column's rms of one stated noise."""
+WIDER = np.array([2.0, 3.0, 5.0, 8.0, 12.0, 20.0, 40.0, 100.0])
+"""Factors on a tolerance."""
+LOST = float(np.log(1e3))  # nats per reading of a row that is left out
+STARTS, SPREAD = 9, 0.6  # poses of the workspace from which others are looked for, in its half widths
+TURN = 2.0 * float(np.pi)
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """Readings (Q, K) of some of the rows, NaN where nothing was read, and channels compared on a circle."""
+
+    values: Array
+    rows: np.ndarray  # (Q,): which of the study's
+    circular: tuple[int, ...] = ()
+    log_volume: float = 0.0  # of the change, for densities of changed readings to be compared
+
+    def pick(self, some: np.ndarray) -> Table:
+        """Return some of its rows, by a mask over the study's rows."""
+        here = some[self.rows]
+        share = float(here.mean()) if len(here) else 0.0
+        return Table(self.values[here], self.rows[here], self.circular, share * self.log_volume)
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """Rows of a table about a machine y (m,), and where it stands, (Q, q)."""
+
+    rows: np.ndarray
+    linear: LinearRows
+    slope: Array  # (Q, R, m): -G
+    errors: Array  # (Q, R): as those of the machine as expected, to first order
+    stands: np.ndarray  # (Q,): rows without a pose are none
+    pose: Array
+    log_volume: float
+    kept: dict[tuple[bytes, bytes], Array] = field(default_factory=dict)
+
+    def split(self, tables: list[Table]) -> list[Sight]:
+        """Return the rows of several tables that were seen one below the other."""
+        ends = np.cumsum([0, *(len(one.rows) for one in tables)])
+        found = []
+        for one, start, end in zip(tables, ends[:-1], ends[1:], strict=True):
+            part, linear = slice(int(start), int(end)), self.linear
+
+            def covariance(zeta: Array, factor: Array | float = 1.0, part: slice = part) -> Array:
+                return self.covariance(zeta, factor)[part]
+
+            def common(zeta: Array, part: slice = part) -> Array:
+                return self.linear.common(zeta)[part]
+
+            arrays = (linear.errors, linear.slope, linear.constant, linear.basis, linear.left)
+            errors, slope, constant, basis, left = (array[part] for array in arrays)
+            own = LinearRows(errors, slope, constant, covariance, basis, left, common)
+            found.append(
+                Sight(
+                    one.rows,
+                    own,
+                    self.slope[part],
+                    self.errors[part],
+                    self.stands[part],
+                    self.pose[part],
+                    one.log_volume,
+                )
+            )
+        return found
+
+    def covariance(self, zeta: Array, factor: Array | float) -> Array:
+        """Return the covariance of all rows, kept for the last errors and factors that were asked for."""
+        key = (zeta.tobytes(), np.asarray(factor).tobytes())
+        if key not in self.kept:
+            self.kept.clear()
+            self.kept[key] = self.linear.covariance(zeta, factor)
+        return self.kept[key]
+
+    def whiten(self, zeta: Array, factor: Array | float = 1.0, columns: Array | None = None) -> White:
+        """Return them white by errors ζ and factors (K,) on the stated noise, with columns (P, K, c) of all rows."""
+        extra = self.linear.common(zeta)
+        shown = np.zeros((*self.errors.shape, 0)) if columns is None else self.linear.left @ columns[self.rows]
+        every = np.concatenate([-self.slope, extra, shown, self.errors[..., None]], axis=-1)
+        every = np.where(self.stands[:, None, None], every, 0.0)
+        covariance = np.where(self.stands[:, None, None], self.linear.covariance(zeta, factor), np.eye(every.shape[1]))
+        root = np.linalg.cholesky(covariance)
+        white = np.linalg.solve(root, every)
+        constant = np.where(self.stands, self.linear.constant, 0.0)
+        constant = constant - np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1)
+        usual = float(np.median(constant[self.stands])) if self.stands.any() else 0.0
+        constant = np.where(self.stands, constant, usual - LOST * every.shape[1])
+        known = self.slope.shape[-1] + extra.shape[-1]
+        return White(white, constant, known, self.log_volume)
+
+
+@dataclass(frozen=True, eq=False)
+class White:
+    """White rows (Q, R, m + N + c + 1): slopes of what is standard normal, columns of causes, errors."""
+
+    rows: Array
+    constant: Array  # (Q,)
+    known: int  # m + N
+    log_volume: float
+
+    @cached_property
+    def by_row(self) -> Array:
+        """Products of what is known and the errors, (Q, m + N + 1, m + N + 1)."""
+        some = self.rows[..., [*range(self.known), self.rows.shape[-1] - 1]]
+        return np.asarray(np.swapaxes(some, 1, 2) @ some)
+
+    def weigh(self, gram: Array | None = None, constant: float | None = None) -> float:
+        """Return the log-density without any cause, of other products of rows where these are given."""
+        gram = self.by_row.sum(axis=0) if gram is None else gram
+        inner = np.eye(self.known) + gram[:-1, :-1]
+        root = np.linalg.cholesky(inner)
+        side = np.linalg.solve(root, gram[:-1, -1])
+        constant = float(self.constant.sum()) if constant is None else constant
+        return constant + self.log_volume - 0.5 * float(gram[-1, -1] - side @ side) - float(np.log(np.diag(root)).sum())
+
+    def misfit(self, y: Array, which: np.ndarray, unknown: Array) -> float:
+        """Return the rms of what a machine (m,) and unknowns (k,) of columns leave, in the noise."""
+        own = which[which >= self.known]
+        left = self.rows[..., -1] - self.rows[..., : len(y)] @ y - self.rows[..., own] @ unknown
+        return float(np.sqrt(np.mean(left**2)))
+
+    @cached_property
+    def reduced(self) -> tuple[Array, Array, Array]:
+        """S (n, n) and t (n,) of all columns, those known again among them, and their scale (n,) of one noise's rms.
+
+        What is known is integrated: -2 log-density = const - tᵀ (τ⁻² + S)⁻¹ t + log |1 + τ² S|.
+        """
+        flat = self.rows.reshape(-1, self.rows.shape[-1])
+        gram = flat.T @ flat
+        inner = np.linalg.solve(np.eye(self.known) + gram[: self.known, : self.known], gram[: self.known])
+        left = gram - gram[:, : self.known] @ inner
+        size = np.sqrt(np.diag(gram)[:-1] / max(int(np.count_nonzero(flat[:, -1])), 1))
+        return left[:-1, :-1], left[:-1, -1], np.where(size > 0.0, 1.0 / np.maximum(size, 1e-300), 0.0)
+
+    def gain(self, columns: np.ndarray, wider: bool = False) -> tuple[float, float]:
+        """Return by how much columns raise the log-density, and their τ or the factor on a tolerance."""
+        square, side, scale = self.reduced
+        scale = np.ones(len(columns)) if wider else scale[columns]
+        values, axes = np.linalg.eigh(scale[:, None] * square[np.ix_(columns, columns)] * scale)
+        values, along = np.maximum(values, 0.0), axes.T @ (scale * side[columns])
+        sizes = np.sqrt(WIDER**2 - 1.0) if wider else SIZES
+        variance = sizes[:, None] ** 2
+        gains = 0.5 * np.sum(variance * along**2 / (1.0 + variance * values) - np.log1p(variance * values), axis=1)
+        best = int(np.argmax(gains))
+        return float(gains[best] - np.log(len(sizes))), float((WIDER if wider else SIZES)[best])
+
+
+@dataclass(frozen=True, eq=False)
+class Readings:
+    """Readings of one variant, of which causes are weighed.
+
+    Attributes
+    ----------
+    posterior : CalibrationPosterior
+    low, high : ndarray, shape (q,)
+        The workspace, mm and rad.
+    """
+
+    posterior: CalibrationPosterior
+    low: Array
+    high: Array
+
+    @property
+    def values(self) -> Array:
+        """As they are, (P, K)."""
+        return self.posterior.likelihood.data.values
+
+    @cached_property
+    def table(self) -> Table:
+        """All of them."""
+        return Table(self.values, np.arange(len(self.values)))
+
+    def see(self, table: Table, y: Array, start: Array | None = None, n_starts: int = 0) -> Sight | None:
+        """Return a table's rows about a machine (m,); None where they have no machine at all.
+
+        Poses are looked for from those of the study, or from others (P, q); with ``n_starts`` from so many other places
+        of the workspace, too, by steps that find their way from far.
+        """
+        likelihood = self._with(table)
+        if start is not None:
+            likelihood = replace(likelihood, start=start[table.rows])
+        posterior = replace(self.posterior, likelihood=likelihood)
+        try:
+            with np.errstate(all="ignore"):
+                theta, change = posterior.around(np.append(y, np.zeros(posterior.errors.n_parameters)))
+                pose = self._locate(posterior, theta, n_starts)
+                linear = ReadingRows(posterior).linearise(theta, pose)
+        except (BayescalError, np.linalg.LinAlgError):
+            return None
+        slope = linear.slope @ change
+        stands = np.isfinite(linear.errors).all(axis=1) & np.isfinite(slope).all(axis=(1, 2))
+        stands &= np.isfinite(linear.constant) & (likelihood.n_spare > 0)
+        errors = linear.errors - slope @ y
+        return Sight(table.rows, linear, slope, errors, stands, pose, table.log_volume)
+
+    def _with(self, table: Table):  # type: ignore[no-untyped-def]
+        """Return the density of a table's readings."""
+        likelihood = self.posterior.likelihood
+        model = likelihood.model
+        if table.circular:
+            channels = enumerate(model.channels)
+            known = tuple(replace(one, period=TURN) if k in table.circular else one for k, one in channels)
+            model = replace(model, channels=known)
+        data = replace(likelihood.data.pick(table.rows), values=table.values)
+        return replace(likelihood, model=model, data=data, start=likelihood.start[table.rows], expansion=None)
+
+    def _locate(self, posterior: CalibrationPosterior, theta: Array, n_starts: int) -> Array:
+        """Return where a machine explains readings best, (Q, q)."""
+        likelihood = posterior.likelihood
+        if not likelihood.start.shape[1]:
+            return likelihood.start
+        if n_starts:
+            return self._search(likelihood, theta, n_starts)
+        white = likelihood.whiten(likelihood.sd[None], np.zeros((1, 1, likelihood.sd.shape[1])))
+        at = likelihood.stand(theta[None], white)
+        pose, lost = at.pose[0].copy(), np.flatnonzero(~np.isfinite(at.error[0]).all(axis=1))
+        if len(lost):
+            pose[lost] = self._search(likelihood.pick(lost), theta, 3)
+        return pose
+
+    def _search(self, likelihood: CalibrationLikelihood, theta: Array, n_starts: int) -> Array:
+        """Return the same from the likelihood's poses and from others of the workspace, home first."""
+        rng, middle, half = np.random.default_rng(0), 0.5 * (self.low + self.high), 0.5 * (self.high - self.low)
+        spread = middle + SPREAD * half * rng.uniform(-1.0, 1.0, (n_starts, len(half)))
+        elsewhere = np.vstack([likelihood.model.home_pose, spread])[: n_starts - 1]
+        starts = np.concatenate([likelihood.start[None], np.repeat(elsewhere[:, None], len(likelihood.start), axis=1)])
+        sd = np.repeat(likelihood.sd[None], n_starts, axis=0)
+        white = likelihood.whiten(sd, np.zeros((1, 1, sd.shape[2])))
+        found, off = search_poses(likelihood, np.tile(theta, (n_starts, 1)), white, starts)
+        best = np.where(np.isfinite(off), off, np.inf).argmin(axis=0)
+        return np.asarray(found[best, np.arange(len(best))])
+
+
+type Weigh = Callable[[Array], float]
+
+
+def profile(weigh: Weigh, n_errors: int) -> tuple[Array, float]:
+    """Return the errors' coordinates ζ (n,) with the largest log-density and prior, and these, on a grid by turns."""
+    best, value = np.zeros(n_errors), weigh(np.zeros(n_errors))
+
+    def attempt(zeta: Array) -> None:
+        nonlocal best, value
+        found = weigh(zeta) - 0.5 * float(zeta @ zeta)
+        if found > value:
+            best, value = zeta, found
+
+    if n_errors:
+        for size in (-3.0, -2.0, -1.0, 1.0, 2.0, 3.0, 4.0, 5.0):
+            attempt(np.full(n_errors, size))
+        for k in range(n_errors) if n_errors > 1 else ():
+            for step in (-2.0, -1.0, 1.0, 2.0):
+                zeta = best.copy()
+                zeta[k] += step
+                attempt(zeta)
+    return best, value

@@ -1,0 +1,179 @@
+"""Slips as they happen to tables of readings (P, K), mm and rad, each planted in simulated ones.
+
+A plant returns the readings with a slip, the fault that has to be named, and words of which one has to stand in the
+sentence that names it: channels, a row, a parameter. Poses of points and targets are planted as poses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from bayescal.experiments.check.inputs import Subject
+from bayescal.numerics.geometry import Array
+
+SHIFT_MM, TURN_DEG = 1.0, 0.3  # of a frame
+NOISE = 5.0
+TOLERANCES = 8.0
+DRIFT = 25.0  # in the stated noise, from the first to the last row
+OFFSET = {"mm": 3.0, "rad": 0.02}  # or as many times the noise as LOUD says
+LOUD = 100.0
+SCALE = 0.02
+
+type Planted = tuple[Array, str, tuple[str, ...]]
+"""Readings, fault, words."""
+
+
+def simulate(subject: Subject, rng: np.random.Generator, y: Array | None = None, noise: Array | float = 1.0) -> Array:
+    """Return readings of a machine of the priors, or of one (n,), whose noise is so many times the stated one."""
+    posterior = subject.measured.posterior
+    likelihood = posterior.likelihood
+    loud = replace(likelihood, data=replace(likelihood.data, sd=likelihood.data.sd * noise), expansion=None)
+    noisy = Subject(replace(subject.measured, posterior=replace(posterior, likelihood=loud)))
+    for _ in range(100):
+        found = noisy.simulate(subject.posterior.draw_prior(1, rng)[0] if y is None else y, rng)
+        if found is not None:
+            return found
+    raise RuntimeError("found no machine that takes the poses")
+
+
+def _channels(subject: Subject) -> tuple[list[str], list[str], np.ndarray]:
+    model = subject.measured.posterior.likelihood.model
+    return list(model.names), [one.unit for one in model.channels], subject.measured.internal
+
+
+def frame(subject: Subject, rng: np.random.Generator) -> Planted:
+    """Plant an instrument in a frame that is off, or a probe on the tool."""
+    values, (_, units, internal) = simulate(subject, rng), _channels(subject)
+    places = [k for k in np.flatnonzero(~internal) if units[k] == "mm"]
+    turned = [k for k in np.flatnonzero(~internal) if units[k] == "rad"]
+    move, axis = rng.standard_normal(3), rng.standard_normal(3)
+    move *= SHIFT_MM / np.linalg.norm(move)
+    turn = Rotation.from_rotvec(np.radians(TURN_DEG) * axis / np.linalg.norm(axis))
+    position = values[:, places]
+    moved = values.copy()
+    if len(turned) == 3 and rng.random() < 0.5:  # the tool's
+        now = Rotation.from_rotvec(values[:, turned])
+        moved[:, places], moved[:, turned] = position + now.apply(move), (now * turn).as_rotvec()
+    else:
+        moved[:, places] = turn.apply(position) + move
+        if len(turned) == 3:
+            moved[:, turned] = (turn * Rotation.from_rotvec(values[:, turned])).as_rotvec()
+    return moved, "frame", ("frame",)
+
+
+def unit(subject: Subject, rng: np.random.Generator) -> Planted:
+    """Plant columns in metres, in degrees, or one of them a thousand times too large."""
+    values, (names, units, internal) = simulate(subject, rng), _channels(subject)
+    groups = [
+        np.flatnonzero([(one == other) and inside == own for other, inside in zip(units, internal, strict=True)])
+        for one, own in dict.fromkeys(zip(units, internal.tolist(), strict=True))
+    ]
+    some = groups[rng.integers(len(groups))]
+    if rng.random() < 1 / 3:
+        some = some[[rng.integers(len(some))]]
+        factor = 1e3
+    else:
+        factor = 1e-3 if units[some[0]] == "mm" else float(np.degrees(1.0))
+    moved = values.copy()
+    moved[:, some] *= factor
+    return moved, "unit", tuple({names[k].partition("[")[0] for k in some})
+
+
+def sign(subject: Subject, rng: np.random.Generator) -> Planted:
+    """Plant a channel of the other sign."""
+    values, (names, _, _) = simulate(subject, rng), _channels(subject)
+    k = rng.integers(len(names))
+    moved = values.copy()
+    moved[:, k] *= -1.0
+    return moved, "unit", (names[k],)
+
+
+def exchanged(subject: Subject, rng: np.random.Generator) -> Planted:
+    """Plant two channels of one unit exchanged."""
+    values, (names, units, internal) = simulate(subject, rng), _channels(subject)
+    pairs = [(a, b) for a in range(len(names)) for b in range(a) if units[a] == units[b] and internal[a] == internal[b]]
+    a, b = pairs[rng.integers(len(pairs))]
+    moved = values.copy()
+    moved[:, [a, b]] = values[:, [b, a]]
+    return moved, "legs", (f"{names[b]} and {names[a]}",)
+
+
+def noise(subject: Subject, rng: np.random.Generator) -> Planted:
+    """Make the instrument, or all channels, five times as noisy as stated, or as quiet."""
+    _, _, internal = _channels(subject)
+    factor = NOISE if rng.random() < 0.5 else 1.0 / NOISE
+    loud = np.where(~internal | (rng.random() < 0.5), factor, 1.0)
+    return simulate(subject, rng, None, loud), "noise", ("noise",)
+
+
+def row(subject: Subject, rng: np.random.Generator) -> Planted:
+    """Plant a row whose commands belong to another pose, or rows shifted by one from some place on."""
+    values, (_, _, internal) = simulate(subject, rng), _channels(subject)
+    n = len(values)
+    moved, own = values.copy(), np.flatnonzero(internal)
+    if rng.random() < 0.5:
+        k, other = rng.choice(n, 2, replace=False)
+        moved[k, own] = values[other, own]
+        return moved, "rows", (f"row {k + 1} ",)
+    start = int(rng.integers(2, n - 3))
+    moved[start:, own] = values[start - 1 : -1, own]
+    return moved, "rows", ("shifted by one",)
+
+
+def sensor(subject: Subject, rng: np.random.Generator) -> Planted:
+    """Plant a channel that is frozen, scaled or shifted."""
+    values, (names, units, _) = simulate(subject, rng), _channels(subject)
+    k, kind = rng.integers(len(names)), rng.integers(3)
+    moved = values.copy()
+    if kind == 0:
+        moved[:, k] = values[0, k]
+    elif kind == 1:
+        moved[:, k] *= 1.0 + rng.choice([-1.0, 1.0]) * SCALE
+    else:
+        sd = float(subject.measured.posterior.likelihood.data.sd[0, k])
+        moved[:, k] += rng.choice([-1.0, 1.0]) * max(OFFSET[units[k]], LOUD * sd)
+    return moved, "channel", (names[k],)
+
+
+def tolerance(subject: Subject, rng: np.random.Generator) -> Planted:
+    """Plant a parameter eight of its tolerances off."""
+    posterior = subject.posterior
+    y = posterior.draw_prior(1, rng)[0]
+    k = rng.integers(posterior.n_geometry)
+    own = posterior.natural(y[None])[0]
+    names = posterior.names
+    prior = posterior.priors[names[k]]
+    wanted = prior.mean + rng.choice([-1.0, 1.0]) * TOLERANCES * prior.sd
+    y = _solve(posterior, y, k, wanted - own[k])
+    return simulate(subject, rng, y), "tolerance", (names[k],)
+
+
+def _solve(posterior: object, y: Array, k: int, move: float) -> Array:
+    """Return coordinates whose natural parameter k is moved, all others as they are."""
+    theta = posterior.theta(y[None])[0]  # type: ignore[attr-defined]
+    theta[posterior.sampling.layout.names.index(posterior.names[k])] += move  # type: ignore[attr-defined]
+    return posterior.adopt(theta[None], y[None, posterior.n_geometry :])[0]  # type: ignore[attr-defined]
+
+
+def drift(subject: Subject, rng: np.random.Generator) -> Planted:
+    """Plant a channel that drifts while the rows are measured."""
+    values, (names, _, _) = simulate(subject, rng), _channels(subject)
+    k = rng.integers(len(names))
+    sd = subject.measured.posterior.likelihood.data.sd[:, k]
+    moved = values.copy()
+    moved[:, k] += rng.choice([-1.0, 1.0]) * DRIFT * sd * np.linspace(0.0, 1.0, len(values))
+    return moved, "drift", (names[k].partition("[")[0], "frame")
+
+
+def clean(subject: Subject, rng: np.random.Generator) -> Planted:
+    """Plant nothing."""
+    return simulate(subject, rng), "", ()
+
+
+PLANTS: dict[str, Callable[[Subject, np.random.Generator], Planted]] = {
+    one.__name__: one for one in (clean, frame, unit, sign, exchanged, noise, row, sensor, tolerance, drift)
+}

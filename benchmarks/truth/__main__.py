@@ -1,0 +1,66 @@
+"""Tables of how often intervals hold the truth, on machines that err by what no model states.
+
+    python -m benchmarks.truth ROW... --machine hexapod [--sizes 1] [--twins 40] [--seed 1] [--default init|tau]
+                                      [--out benchmarks/truth/hexapod.csv]
+
+Rows are named in `errors.py`; none are all that the machine can have. With --out lines are written into the table, in
+the columns `before` of τ alone or `after` of what `bayescal init` writes; other lines and columns stay.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from benchmarks.truth.errors import MATRIX, NONE, ROWS
+from benchmarks.truth.machines import MACHINES
+from benchmarks.truth.projects import DEFAULTS
+from benchmarks.truth.scores import judge_twins, summarise
+
+KEYS = ["row", "size"]
+PREFIX = {"tau": "before", "init": "after"}
+
+
+def main() -> None:
+    """Judge rows, print them and write them into a table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("rows", nargs="*", metavar="ROW", help=f"of {', '.join(ROWS)}")
+    parser.add_argument("--machine", choices=list(MACHINES), default="hexapod")
+    parser.add_argument("--sizes", type=float, nargs="+", default=[1.0])
+    parser.add_argument("--twins", type=int, default=40)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--default", choices=DEFAULTS, default="init")
+    parser.add_argument("--out", type=Path)
+    arguments = parser.parse_args()
+    if unknown := set(arguments.rows) - set(ROWS):
+        parser.error(f"found rows {sorted(unknown)}, expected some of {', '.join(ROWS)}")
+    rows = arguments.rows or [one for one in ROWS if one != MATRIX or arguments.machine.startswith("telescope")]
+    for row in rows:
+        for size in [0.0] if row == NONE else arguments.sizes:
+            scores = list(judge_twins(arguments.machine, row, size, arguments.default, arguments.twins, arguments.seed))
+            found = summarise(scores)
+            said = ", ".join(f"{key} {value:g}" for key, value in found.items())
+            print(f"{arguments.machine} {row} ×{size:g}, {arguments.default}: {said}", flush=True)
+            if arguments.out is not None:
+                write(arguments.out, row, size, arguments.seed, PREFIX[arguments.default], found)
+
+
+def write(path: Path, row: str, size: float, seed: int, prefix: str, found: dict[str, float]) -> None:
+    """Write one line into a table, beside what stands there."""
+    table = pd.read_csv(path).set_index(KEYS) if path.exists() else pd.DataFrame(columns=KEYS).set_index(KEYS)
+    table.index = pd.MultiIndex.from_tuples(table.index.to_list(), names=KEYS)
+    values = {f"{prefix}_{key}": value for key, value in {"seed": seed, **found}.items()}
+    for key, value in values.items():
+        if key not in table:
+            table[key] = np.nan
+        table.loc[(row, size), key] = value
+    order = {name: k for k, name in enumerate(ROWS)}
+    table = table.reset_index().sort_values(KEYS, key=lambda one: one.map(order) if one.name == "row" else one)
+    table.to_csv(path, index=False)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,416 @@
+"""Machines that are simulated here: what they read at a pose, their tolerances and their workspace.
+
+Nothing of this is bayescal's: legs, carriages, arm and cables are written down once more, in millimetres and radians.
+A machine reads s = h(θ, v): its actuators first, then what an instrument beside it sees. Rotation vectors state
+platforms' orientations; bodies' points are p + R b.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+from numpy.typing import NDArray
+
+type Array = NDArray[np.float64]
+
+ARCSEC = np.pi / 648_000.0
+STEP = 1e-4  # of a coordinate's or a tolerance's size, for differences
+NEWTON = 12
+TOLD = 0.1  # of a direction's prior variance, below which it is well determined
+
+
+def rotate(vector: Array, points: Array) -> Array:
+    """Return points (N, 3) turned by rotation vectors (P, 3), shape (P, N, 3): Rodrigues' formula."""
+    angle = np.linalg.norm(vector, axis=-1)[:, None, None]
+    axis = np.broadcast_to(vector[:, None, :], (len(vector), *points.shape))
+    across, twice = np.cross(axis, points), np.cross(axis, np.cross(axis, points))
+    safe = np.where(angle > 1e-12, angle, 1.0)
+    return (
+        points
+        + np.where(angle > 1e-12, np.sin(safe) / safe, 1.0) * across
+        + (np.where(angle > 1e-12, (1.0 - np.cos(safe)) / safe**2, 0.5) * twice)
+    )
+
+
+def difference(function, at: Array, steps: Array) -> Array:
+    """Return central differences of a function of (D,), its values' shape with D at the end."""
+    columns = []
+    for k, step in enumerate(steps):
+        move = np.zeros_like(at)
+        move[k] = step
+        columns.append((function(at + move) - function(at - move)) / (2.0 * step))
+    return np.stack(columns, axis=-1)
+
+
+class Simulated(ABC):
+    """A machine that reads m channels at poses of q coordinates, N of them actuators.
+
+    Attributes
+    ----------
+    names : list of str
+        Of the D parameters, as results name them.
+    nominal, sd : ndarray, shape (D,)
+        Drawing and tolerances.
+    noise : ndarray, shape (m,)
+        Stated standard deviations.
+    size : ndarray, shape (q,)
+        How far coordinates go to either side of ``home`` (q,).
+    lever : ndarray, shape (N,)
+        Of each actuator: by how many millimetres one unit of it moves the tool, roughly.
+    n_actuators : int
+    seen : list of int
+        Channels in which the instrument sees lengths.
+    """
+
+    names: list[str]
+    nominal: Array
+    sd: Array
+    noise: Array
+    home: Array
+    size: Array
+    lever: Array
+    n_actuators: int
+    seen: list[int]
+
+    @abstractmethod
+    def read(self, theta: Array, v: Array) -> Array:
+        """Return the channels (P, m) of a machine (D,) at poses (P, q)."""
+
+    @abstractmethod
+    def draw_poses(self, theta: Array, n: int, rng: np.random.Generator) -> Array:
+        """Return n poses of the workspace of a machine (D,), shape (n, q)."""
+
+    def travel(self, v: Array) -> Array:
+        """Return how far actuators are from home, shape (P, N), about one at the ends."""
+        moved = self.read(self.nominal, v) - self.read(self.nominal, self.home[None])
+        return moved[:, : self.n_actuators] / self.reach
+
+    @property
+    def reach(self) -> Array | float:
+        """Travel of the actuators to either side."""
+        return 1.0
+
+    def place(self, v: Array) -> Array:
+        """Return the pose's coordinates about home, about one at the ends, shape (P, q)."""
+        return (v - self.home) / self.size
+
+    def tilt(self, v: Array) -> Array:
+        """Return two coordinates whose squares joints feel, about one at the ends, shape (P, 2)."""
+        return self.place(v)[:, :2]
+
+    def add_noise(self, exact: Array, rng: np.random.Generator) -> Array:
+        """Return channels (P, m) with the stated noise."""
+        return exact + self.noise * rng.standard_normal(exact.shape)
+
+    def information(self, theta: Array, v: Array) -> Array:
+        """Return what rows at poses (P, q) tell of parameters in units of their tolerances, shape (D, D).
+
+        Poses are unknown with flat priors: each row's weighted slopes are projected across those by its pose.
+        """
+        by_theta = difference(lambda one: self.read(one, v), theta, STEP * self.sd) * self.sd / self.noise[:, None]
+        flat = np.zeros(v.shape[1])
+        by_pose = difference(lambda move: self.read(theta, v + move), flat, STEP * self.size) / self.noise[:, None]
+        found = np.zeros((theta.size, theta.size))
+        for rows, slopes in zip(by_theta, by_pose, strict=True):
+            basis = np.linalg.qr(slopes)[0]
+            left = rows - basis @ (basis.T @ rows)
+            found += left.T @ left
+        return found
+
+    def well_determined(self, theta: Array, v: Array) -> Array:
+        """Return directions (K, D) of parameters over their tolerances that the right model leaves few doubts of."""
+        value, vector = np.linalg.eigh(np.linalg.inv(self.information(theta, v) + np.eye(theta.size)))
+        return vector.T[value < TOLD]
+
+
+# --- platforms on six legs -------------------------------------------------------------------------------------------
+
+
+def on_circle(radius: float, azimuth_deg: list[float]) -> Array:
+    """Return points (N, 3) on a circle about z."""
+    angle = np.radians(azimuth_deg)
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle), np.zeros(len(angle))], axis=-1)
+
+
+class Platform(Simulated):
+    """Six legs between a + (what drives them) and p + R b; actuators, then the pose that an instrument hands out.
+
+    Attributes
+    ----------
+    tolerances : dict of str to float
+        By symbol.
+    initial, range_mm : float
+        What actuators read at home, and how far they go.
+    """
+
+    symbols = ("a_x", "a_y", "a_z", "b_x", "b_y", "b_z", "u_x", "u_y", "l")
+
+    def __init__(
+        self,
+        geometry: dict[str, Array],
+        tolerances: dict[str, float],
+        home_height: float,
+        actuators: tuple[float, float],
+        noise: tuple[float, float, float],
+        size: tuple[float, float],
+    ) -> None:
+        self.geometry, self.tolerances = geometry, tolerances
+        self.initial, self.range_mm = actuators
+        self.names = [f"{symbol}[{leg}]" for symbol in tolerances for leg in range(1, 7)]
+        self.nominal = np.concatenate([geometry[symbol] for symbol in tolerances])
+        self.sd = np.repeat(list(tolerances.values()), 6)
+        self.noise = np.repeat(noise, [6, 3, 3])
+        self.home = np.array([0.0, 0.0, home_height, 0.0, 0.0, 0.0])
+        self.size = np.repeat(size, 3)
+        self.lever, self.n_actuators, self.seen = np.ones(6), 6, [6, 7, 8]
+
+    def take(self, theta: Array) -> dict[str, Array]:
+        """Return parameters by symbol, those that are known too."""
+        return self.geometry | dict(zip(self.tolerances, theta.reshape(-1, 6), strict=True))
+
+    @abstractmethod
+    def drive(self, known: dict[str, Array], v: Array, lower: Array, upper: Array) -> Array:
+        """Return what actuators read (P, N) at poses where joints are at a (N, 3) and p + R b (P, N, 3)."""
+
+    def read(self, theta: Array, v: Array) -> Array:
+        """Return actuators and pose."""
+        known = self.take(theta)
+        lower = np.stack([known["a_x"], known["a_y"], known["a_z"]], axis=-1)
+        upper = v[:, None, :3] + rotate(v[:, 3:], np.stack([known["b_x"], known["b_y"], known["b_z"]], axis=-1))
+        return np.concatenate([self.drive(known, v, lower, upper), v], axis=1)
+
+    @property
+    def reach(self) -> float:
+        """Travel of the actuators to either side."""
+        return self.range_mm
+
+    def tilt(self, v: Array) -> Array:
+        """Return the rotation about x and y."""
+        return self.place(v)[:, 3:5]
+
+    def draw_poses(self, theta: Array, n: int, rng: np.random.Generator) -> Array:
+        """Return poses of actuators drawn evenly from their travel: by Newton's steps."""
+        wanted = self.initial + self.range_mm * self.share * rng.uniform(-1.0, 1.0, (n, 6))
+        v = np.tile(self.home, (n, 1))
+        for _ in range(NEWTON):
+            slope = difference(lambda move, v=v: self.read(theta, v + move)[:, :6], np.zeros(6), STEP * self.size)
+            v = v + np.linalg.solve(slope, (wanted - self.read(theta, v)[:, :6])[..., None])[..., 0]
+        return v
+
+    share = 0.6  # of the actuators' travel, as `bayescal init` has it
+
+
+class Struts(Platform):
+    """Actuators change the legs' lengths: ρ = ρ0 + |p + R b - a| - l."""
+
+    def drive(self, known: dict[str, Array], v: Array, lower: Array, upper: Array) -> Array:
+        """Return the struts' readings."""
+        return self.initial + np.linalg.norm(upper - lower, axis=-1) - known["l"]
+
+
+class Carriages(Platform):
+    """Actuators move lower joints along u, legs keep their lengths: |p + R b - a - ρ u| = l, the root below.
+
+    ``matrix`` is K of RR-8096 eq. 4: joints b move along the platform's z by K (ρ - ρ0), in mm per mm.
+    """
+
+    matrix: Array | None = None
+
+    def drive(self, known: dict[str, Array], v: Array, lower: Array, upper: Array) -> Array:
+        """Return the carriages' readings."""
+        flat = np.stack([known["u_x"], known["u_y"]], axis=-1)
+        along = np.concatenate([flat, np.sqrt(1.0 - (flat**2).sum(axis=-1, keepdims=True))], axis=-1)
+        found = solve_carriages(upper - lower, along, known["l"])
+        if self.matrix is not None:
+            z = rotate(v[:, 3:], np.array([[0.0, 0.0, 1.0]]))
+            for _ in range(NEWTON):  # K is some hundredths, so this closes in fast
+                moved = ((found - self.initial) @ self.matrix.T)[..., None] * z
+                found = solve_carriages(upper + moved - lower, along, known["l"])
+        return found
+
+
+def solve_carriages(across: Array, along: Array, length: Array) -> Array:
+    """Return ρ with |g - ρ u| = l below the platform, for g (P, N, 3), u (N, 3) and l (N,), shape (P, N)."""
+    ahead = (across * along).sum(axis=-1)
+    return ahead - np.sqrt(length**2 - (across**2).sum(axis=-1) + ahead**2)
+
+
+def lay_out(
+    base: tuple[float, list[float]], platform: tuple[float, list[float]], height: float, travel: float = 0.0
+) -> dict[str, Array]:
+    """Return the drawing of six legs by symbol: joints on circles, actuators vertical, ``travel`` at home."""
+    lower, upper = on_circle(*base), on_circle(*platform)
+    length = np.linalg.norm(upper + np.array([0.0, 0.0, height - travel]) - lower, axis=-1)
+    found = {f"a_{axis}": lower[:, k] for k, axis in enumerate("xyz")}
+    found |= {f"b_{axis}": upper[:, k] for k, axis in enumerate("xyz")}
+    return found | {"u_x": np.zeros(6), "u_y": np.zeros(6), "l": length}
+
+
+AZIMUTHS = [350.0, 10.0, 110.0, 130.0, 230.0, 250.0], [310.0, 50.0, 70.0, 170.0, 190.0, 290.0]
+JOINTS = dict.fromkeys(("a_x", "a_y", "a_z", "b_x", "b_y", "b_z"), 0.2)
+
+
+def build_hexapod() -> Simulated:
+    """Return the hexapod of `bayescal init`, measured by poses."""
+    drawing = lay_out((300.0, AZIMUTHS[0]), (180.0, AZIMUTHS[1]), 380.0)
+    noise = 2e-3, 10e-3, 5.0 * ARCSEC
+    return Struts(drawing, {**JOINTS, "l": 0.5}, 380.0, (450.0, 40.0), noise, (30.0, 0.08))
+
+
+def build_carriages() -> Simulated:
+    """Return the machine on six carriages of `bayescal init`, measured by poses."""
+    drawing = lay_out((250.0, AZIMUTHS[0]), (120.0, AZIMUTHS[1]), 400.0)
+    tolerances = {**JOINTS, "l": 0.5, "u_x": 1e-3, "u_y": 1e-3}
+    return Carriages(drawing, tolerances, 400.0, (0.0, 40.0), (2e-3, 10e-3, 5.0 * ARCSEC), (40.0, 0.2))
+
+
+TELESCOPE = (155.0, [220.0, 320.0, 340.0, 80.0, 100.0, 200.0]), (130.0, [265.0, 275.0, 25.0, 35.0, 145.0, 155.0])
+TELESCOPE_NOISE = 1e-3, 1e-3, 2.0 * ARCSEC
+
+
+def build_telescope() -> Simulated:
+    """Return the telescope of RR-8096, of which a, b and l are free as in its study."""
+    return _build_telescope({"a_x": 2.0, "a_y": 2.0, "b_x": 2.0, "b_y": 2.0, "l": 2.0})
+
+
+def build_telescope_all() -> Simulated:
+    """Return the telescope of which everything is free."""
+    free = {"a_x": 2.0, "a_y": 2.0, "a_z": 0.5, "b_x": 2.0, "b_y": 2.0, "b_z": 0.5, "l": 2.0, "u_x": 0.01, "u_y": 0.01}
+    return _build_telescope(free)
+
+
+def _build_telescope(free: dict[str, float]) -> Simulated:
+    flat = lay_out(*TELESCOPE, 0.0)["l"]
+    height = 10.0 + float(np.sqrt(500.0**2 - np.mean(flat**2)))
+    drawing = lay_out(*TELESCOPE, height, 10.0) | {"l": np.full(6, 500.0)}
+    machine = Carriages(drawing, free, height, (10.0, 1.3), TELESCOPE_NOISE, (5.0, 0.03))
+    machine.share = 0.9
+    return machine
+
+
+# --- machines of one function ----------------------------------------------------------------------------------------
+
+
+class Delta(Simulated):
+    """The linear delta of `bayescal init --machine own`: three carriages, a camera, a probe on a tilted bed."""
+
+    def __init__(self) -> None:
+        angle = np.radians([90.0, 210.0, 330.0])
+        by_symbol = {
+            **{"x": 150.0 * np.cos(angle), "y": 150.0 * np.sin(angle), "l": np.full(3, 260.0), "s0": np.zeros(3)},
+        }
+        self.names = [f"{symbol}[{k}]" for symbol in by_symbol for k in (1, 2, 3)] + ["t_x", "t_y"]
+        self.nominal = np.concatenate([*by_symbol.values(), np.zeros(2)])
+        self.sd = np.concatenate([np.repeat([0.5, 0.5, 0.3, 0.5], 3), np.radians([0.1, 0.1])])
+        self.noise = np.array([5e-3, 5e-3, 5e-3, 20e-3, 20e-3, 10e-3])
+        self.home, self.size = np.array([0.0, 0.0, 20.0]), np.array([80.0, 80.0, 20.0])
+        self.lever, self.n_actuators, self.seen = np.ones(3), 3, [3, 4]
+
+    def read(self, theta: Array, v: Array) -> Array:
+        """Return carriages, camera and probe."""
+        x, y, rod, zero = theta[:12].reshape(4, 3)
+        across = (v[:, :1] - x) ** 2 + (v[:, 1:2] - y) ** 2
+        carriages = v[:, 2:] + np.sqrt(rod**2 - across) - zero
+        height = v[:, 2] - theta[12] * v[:, 0] - theta[13] * v[:, 1]
+        return np.column_stack([carriages, v[:, :2], height])
+
+    @property
+    def reach(self) -> float:
+        """Travel of the carriages to either side."""
+        return 60.0
+
+    def draw_poses(self, theta: Array, n: int, rng: np.random.Generator) -> Array:
+        """Return poses of the workspace."""
+        return self.home + self.size * rng.uniform(-1.0, 1.0, (n, 3))
+
+
+class Arm(Simulated):
+    """Six turning joints by Denavit and Hartenberg's numbers; encoders, and a tracker that sees the tool's place."""
+
+    drawing = np.array(
+        [  # a, d, alpha, offset of each joint
+            *([150.0, 450.0, np.pi / 2, 0.0], [600.0, 0.0, 0.0, 0.0], [120.0, 0.0, np.pi / 2, 0.0]),
+            *([0.0, 640.0, -np.pi / 2, 0.0], [0.0, 0.0, np.pi / 2, 0.0], [40.0, 150.0, 0.0, 0.0]),
+        ]
+    )
+
+    def __init__(self) -> None:
+        self.names = [f"{symbol}[{k}]" for symbol in ("a", "d", "alpha", "o") for k in range(1, 7)]
+        self.nominal = self.drawing.T.ravel()
+        self.sd = np.repeat([0.3, 0.3, np.radians(0.03), np.radians(0.03)], 6)
+        self.noise = np.concatenate([np.full(6, 5e-6), np.full(3, 20e-3)])
+        self.home = np.array([0.0, 1.2, -0.4, 0.0, 0.6, 0.0])
+        self.size = np.array([1.2, 0.5, 0.6, 1.2, 0.8, 1.2])
+        self.lever, self.n_actuators, self.seen = np.array([1000.0, 1100.0, 800.0, 200.0, 200.0, 40.0]), 6, [6, 7, 8]
+
+    def read(self, theta: Array, v: Array) -> Array:
+        """Return encoders and the tool's place."""
+        along, up, twist, zero = theta.reshape(4, 6)
+        axes, place = np.broadcast_to(np.eye(3), (len(v), 3, 3)), np.zeros((len(v), 3))
+        for k in range(6):
+            cos, sin = np.cos(v[:, k]), np.sin(v[:, k])
+            x = axes[:, :, 0] * cos[:, None] + axes[:, :, 1] * sin[:, None]
+            y = axes[:, :, 1] * cos[:, None] - axes[:, :, 0] * sin[:, None]
+            z = axes[:, :, 2]
+            place = place + up[k] * z + along[k] * x
+            turned = y * np.cos(twist[k]) + z * np.sin(twist[k]), z * np.cos(twist[k]) - y * np.sin(twist[k])
+            axes = np.stack([x, *turned], axis=-1)
+        return np.concatenate([v - zero, place], axis=1)
+
+    def travel(self, v: Array) -> Array:
+        """Return joints' angles about home."""
+        return self.place(v)
+
+    def tilt(self, v: Array) -> Array:
+        """Return shoulder and elbow."""
+        return self.place(v)[:, 1:3]
+
+    def draw_poses(self, theta: Array, n: int, rng: np.random.Generator) -> Array:
+        """Return angles of the workspace."""
+        return self.home + self.size * rng.uniform(-1.0, 1.0, (n, 6))
+
+
+class Cables(Simulated):
+    """Eight cables from the corners of a frame to those of a platform; lengths, and a tracked pose."""
+
+    def __init__(self) -> None:
+        corner = np.array([[i, j, k] for k in (-1, 1) for i, j in ((-1, -1), (1, -1), (1, 1), (-1, 1))], float)
+        frame, box = corner * [600.0, 500.0, 400.0], corner * [80.0, 60.0, -50.0]  # crossed, as such robots are built
+        self.names = [f"{s}_{axis}[{k}]" for s in "ab" for axis in "xyz" for k in range(1, 9)]
+        self.names += [f"l0[{k}]" for k in range(1, 9)]
+        self.nominal = np.concatenate([frame.T.ravel(), box.T.ravel(), np.zeros(8)])
+        self.sd = np.repeat([0.3, 0.2, 0.5], [24, 24, 8])
+        self.noise = np.repeat([20e-3, 20e-3, 50e-6], [8, 3, 3])
+        self.home, self.size = np.zeros(6), np.repeat([200.0, 0.12], 3)
+        self.lever, self.n_actuators, self.seen = np.ones(8), 8, [8, 9, 10]
+
+    def read(self, theta: Array, v: Array) -> Array:
+        """Return cables and pose."""
+        frame, box = theta[:24].reshape(3, 8).T, theta[24:48].reshape(3, 8).T
+        ends = v[:, None, :3] + rotate(v[:, 3:], box)
+        return np.concatenate([np.linalg.norm(ends - frame, axis=-1) - theta[48:], v], axis=1)
+
+    @property
+    def reach(self) -> float:
+        """Travel of the cables to either side."""
+        return 300.0
+
+    def tilt(self, v: Array) -> Array:
+        """Return the rotation about x and y."""
+        return self.place(v)[:, 3:5]
+
+    def draw_poses(self, theta: Array, n: int, rng: np.random.Generator) -> Array:
+        """Return poses of the workspace."""
+        return self.home + self.size * rng.uniform(-1.0, 1.0, (n, 6))
+
+
+MACHINES = {
+    "hexapod": build_hexapod,
+    "carriages": build_carriages,
+    "telescope": build_telescope,
+    "telescope_all": build_telescope_all,
+    "delta": Delta,
+    "arm": Arm,
+    "cables": Cables,
+}

@@ -1,0 +1,114 @@
+"""Twins: drawn, measured, calibrated and judged."""
+
+from __future__ import annotations
+
+import tempfile
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from bayescal.errors import NumericalError
+from benchmarks.truth.errors import COUPLING, MATRIX, distort
+from benchmarks.truth.machines import MACHINES, Array, Carriages, Simulated
+from benchmarks.truth.projects import calibrate, write_project, write_tables
+
+CALIBRATION, HELD = 40, 15
+INTERVAL = 0.05, 0.95
+
+
+@dataclass(frozen=True)
+class Score:
+    """What became of one twin: shares of true values inside their 90 % intervals.
+
+    ``directions`` is NaN where no direction is well determined; everything is where the calibration failed.
+    """
+
+    parameters: float
+    directions: float
+    held: float
+    n_directions: int
+    problems: int
+    seconds: float
+
+
+FAILED = Score(np.nan, np.nan, np.nan, 0, 1, np.nan)
+
+
+@dataclass(frozen=True, eq=False)
+class Twin:
+    """A true machine (D,), the poses (P, q) where it was measured, which of them are held back, and the readings."""
+
+    theta: Array
+    v: Array
+    held: np.ndarray
+    values: Array
+
+
+def draw_twin(name: str, row: str, size: float, seed: int) -> tuple[Simulated, Twin]:
+    """Return a machine and a twin of it; machine, poses and noise are the same whatever the row and its size."""
+    machine = MACHINES[name]()
+    rng = np.random.default_rng([seed, zlib.crc32(name.encode())])
+    theta = machine.nominal + machine.sd * rng.standard_normal(machine.nominal.size)
+    if row == MATRIX:
+        if not isinstance(machine, Carriages):
+            raise SystemExit(f"{row}: found machine {name!r}, expected one on carriages")
+        machine.matrix = size * COUPLING
+    v = machine.draw_poses(theta, CALIBRATION + HELD, rng)
+    held = np.isin(np.arange(len(v)), rng.choice(len(v), HELD, replace=False))
+    exact = machine.read(theta, v)
+    noise = machine.add_noise(np.zeros_like(exact), rng)
+    own = np.random.default_rng([seed, zlib.crc32(row.encode())])
+    return machine, Twin(theta, v, held, distort(machine, row, size, exact, v, own) + noise)
+
+
+def judge(name: str, row: str, size: float, folder: Path, seed: int) -> Score:
+    """Return the score of one twin, calibrated by the study of a folder."""
+    machine, twin = draw_twin(name, row, size, seed)
+    write_tables(name, machine, twin.values, twin.held, folder)
+    try:
+        found = calibrate(machine, folder, seed)
+    except NumericalError:
+        return FAILED
+    truth = (twin.theta - machine.nominal) / machine.sd
+    draws = (found.draws - machine.nominal) / machine.sd
+    directions = machine.well_determined(twin.theta, twin.v[~twin.held])
+    return Score(
+        hold(draws, truth),
+        hold(draws @ directions.T, directions @ truth) if len(directions) else np.nan,
+        float(found.held.mean()),
+        len(directions),
+        int(bool(found.problems)),
+        found.seconds,
+    )
+
+
+def hold(draws: Array, truth: Array) -> float:
+    """Return the share of true values (K,) inside the 90 % intervals of draws (T, K)."""
+    low, high = np.quantile(draws, INTERVAL, axis=0)
+    return float(np.mean((low <= truth) & (truth <= high)))
+
+
+def judge_twins(name: str, row: str, size: float, default: str, twins: int, seed: int) -> Iterator[Score]:
+    """Yield the scores of twins one by one."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "twin"
+        write_project(name, MACHINES[name](), default, path)
+        for k in range(twins):
+            yield judge(name, row, size, path, 1000 * seed + k)
+
+
+def summarise(scores: list[Score]) -> dict[str, float]:
+    """Return percentages with standard errors from the scatter between twins, since entries of one err together."""
+    found: dict[str, float] = {"twins": len(scores)}
+    for what in ("parameters", "directions", "held"):
+        values = np.array([getattr(one, what) for one in scores])
+        values = 100.0 * values[np.isfinite(values)]
+        error = values.std(ddof=1) / np.sqrt(len(values)) if len(values) > 1 else np.nan
+        found |= {what: round(float(values.mean()), 1) if len(values) else np.nan, f"{what}_se": round(float(error), 1)}
+    found["n_directions"] = round(float(np.mean([one.n_directions for one in scores])), 1)
+    found["unconverged"] = sum(one.problems for one in scores)
+    found["cpu_s"] = round(float(np.mean([one.seconds for one in scores if one is not FAILED] or [np.nan])), 2)
+    return found
