@@ -12,11 +12,16 @@ from bayescal.density.elimination import find_step
 from bayescal.numerics.geometry import Array
 
 INTERVAL = 0.9
+NOT_DETERMINED = "other readings do not determine the pose for every draw of the machine"
+"""Why a reading has no prediction: they are degenerate there, or a draw's machine does not get there."""
 
 
 @dataclass(frozen=True, eq=False)
 class ReadingPredictions:
-    """Readings, each predicted from the pose's other readings."""
+    """Readings, each predicted from the pose's other readings.
+
+    ``lost`` are those without a prediction: pose, channel, and why in words.
+    """
 
     pose: np.ndarray  # (n,): which reading of which pose
     channel: np.ndarray  # (n,)
@@ -27,6 +32,7 @@ class ReadingPredictions:
     sd: Array  # (n,)
     low: Array  # (n,)
     high: Array  # (n,)
+    lost: tuple[tuple[int, int, str], ...] = ()
 
     @property
     def inside(self) -> np.ndarray:
@@ -35,13 +41,17 @@ class ReadingPredictions:
 
 
 def predict_readings(
-    posterior: CalibrationPosterior, held: CalibrationLikelihood, y: Array, rng: np.random.Generator
+    posterior: CalibrationPosterior,
+    held: CalibrationLikelihood,
+    y: Array,
+    rng: np.random.Generator,
+    by: np.ndarray | None = None,
 ) -> ReadingPredictions:
     """Return what draws of a posterior predict for each reading of held-back poses from the other readings there.
 
     Given a machine, the pose that the other readings tell is normal about the best one, to first order; where noise is
     correlated, theirs tells some of the reading's own. The components of a rotation are predicted without one another.
-    A reading without which the pose is not told is left out.
+    A reading without which the pose is not determined has no prediction and is named as lost.
 
     Parameters
     ----------
@@ -52,18 +62,25 @@ def predict_readings(
     y : ndarray, shape (T, n)
         Draws.
     rng : Generator
+    by : ndarray of bool, shape (K,), optional
+        Channels by which all others are predicted, in place of each by the others.
     """
-    q, parts = len(held.model.coordinates), []
-    for channel in np.flatnonzero(held.data.present.any(axis=0)):
-        others = _apart(held, int(channel))
-        enough = held.data.present[:, channel] & (held.data.present[:, others].sum(axis=1) >= q)
+    q, parts, lost = len(held.model.coordinates), [], list[tuple[int, int, str]]()
+    predicted = held.data.present.any(axis=0) & (True if by is None else ~by)
+    for channel in np.flatnonzero(predicted):
+        others = _apart(held, int(channel)) & (True if by is None else by)
+        there = held.data.present[:, others].sum(axis=1)
+        enough = held.data.present[:, channel] & (there >= q)
+        for pose in np.flatnonzero(held.data.present[:, channel] & ~enough):
+            lost.append((int(pose), int(channel), f"{there[pose]} other readings for {q} coordinates"))
         if enough.any():
             where = np.flatnonzero(enough)
             mean, spread = _predict(posterior, held.pick(where), int(channel), others, y, rng)
             told = np.isfinite(mean).all(axis=0) & np.isfinite(spread).all(axis=0)
+            lost += [(int(pose), int(channel), NOT_DETERMINED) for pose in where[~told]]
             if told.any():
                 parts.append((where[told], int(channel), mean[:, told], spread[:, told]))
-    return _collect(held, parts)
+    return replace(_collect(held, parts), lost=tuple(lost))
 
 
 def replicate_readings(

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 PRIOR_DRAWS = 300
 ONLY_SAVED = ("log_likelihood", "replicated", "prior", "prior_replicated")
 PROPOSED = 8  # draws of the proposal for each that is used
-IMPROBABLE = 0.01  # probability under the stated noise below which a pose's residuals contradict it
+IMPROBABLE = 0.01  # probability by the noise, of all poses together, below which a pose's residuals contradict it
 DISTRUSTED = 0.5  # mean of a pose's precision below which a robust density takes it for an outlier
 
 
@@ -74,6 +74,19 @@ class Residuals:
     trust: Array
     freedom: np.ndarray
 
+    @property
+    def chance(self) -> Array:
+        """With which probability the noise alone makes r² as large, shape (P,)."""
+        return np.asarray(chi2.sf(self.square, np.maximum(self.freedom, 1)))
+
+    def find_contradicting(self, robust: bool) -> np.ndarray:
+        """Return which poses the others contradict, shape (P,); in 99 of 100 clean studies none.
+
+        Where single poses may be wrong, these have to be distrusted, too.
+        """
+        improbable = self.chance < IMPROBABLE / len(self.square)  # each pose is a test of its own
+        return improbable & (self.trust < DISTRUSTED) if robust else improbable
+
 
 @dataclass(frozen=True, eq=False)
 class Held:
@@ -89,6 +102,8 @@ class Held:
         Of the posterior's draws.
     predictions : ReadingPredictions
         Its poses count within ``rows``.
+    tool : ReadingPredictions
+        The same of what an instrument reads of the tool, from the machine's own readings alone.
     """
 
     rows: np.ndarray
@@ -96,6 +111,7 @@ class Held:
     efficiency: float
     pareto_k: float
     predictions: ReadingPredictions
+    tool: ReadingPredictions
 
 
 @dataclass(frozen=True, eq=False)
@@ -256,7 +272,8 @@ def hold_back(inputs: ReadingInputs, task: tuple[str, int], known: Array | None 
     variant, fold = inputs.variants[task[0]], task[1]
     held = list_folds(inputs, variant)[fold]
     posterior, effort = variant.posterior(~held).anchored(), inputs.config.validation.draws
-    first, second = np.random.SeedSequence([inputs.config.seed, 7, fold, zlib.crc32(variant.name.encode())]).spawn(2)
+    seeds = np.random.SeedSequence([inputs.config.seed, 7, fold, zlib.crc32(variant.name.encode())])
+    first, second, third = seeds.spawn(3)
     rng = np.random.default_rng(second)
     efficiency, pareto_k = 1.0, float("nan")
     if known is None:
@@ -269,7 +286,8 @@ def hold_back(inputs: ReadingInputs, task: tuple[str, int], known: Array | None 
     with np.errstate(all="ignore"):
         elpd = compute_elpd(posterior.predict_density(likelihood, y))
         predictions = predict_readings(posterior, likelihood, y, rng)
-    return Held(np.flatnonzero(held), elpd, efficiency, pareto_k, predictions)
+        tool = predict_readings(posterior, likelihood, y, np.random.default_rng(third), variant.internal)
+    return Held(np.flatnonzero(held), elpd, efficiency, pareto_k, predictions, tool)
 
 
 def describe_readings(inputs: ReadingInputs, fits: Mapping[Task, Fit], run: Run) -> Described:
@@ -287,7 +305,10 @@ def describe_readings(inputs: ReadingInputs, fits: Mapping[Task, Fit], run: Run)
         for name, fit in found.items()
     }
     every, units = [(inputs.variants[name], fit) for name, fit in found.items()], inputs.config.units
-    predictions = pd.DataFrame([row for variant, _ in every for row in _list_predictions(variant, held[variant.name])])
+    predictions = pd.DataFrame([row for variant, _ in every for row in list_predictions(variant, held[variant.name])])
+    tool = pd.DataFrame(
+        [row for variant, _ in every for row in list_predictions(variant, held[variant.name], of_tool=True)]
+    )
     rows = pd.DataFrame([_describe(*one, held[one[0].name], predictions) for one in every])
     variants = tabulate_comparison(rows, {name: fit.left_out for name, fit in found.items()}, "data")
     tables = {
@@ -296,6 +317,8 @@ def describe_readings(inputs: ReadingInputs, fits: Mapping[Task, Fit], run: Run)
         "residuals": _table(_list_residuals(*one) for one in every),
         "poses": pd.concat([_list_poses(*one) for one in every], ignore_index=True),
         "predictions": predictions,
+        "not_predicted": _table(list_lost(variant, held[variant.name]) for variant, _ in every),
+        "tool_predictions": tool,
         "accuracy": pd.concat([tabulate_accuracy(one, fit.knowledge, units) for one, fit in every], ignore_index=True),
         "ridges": _table(list_ridges(variant, fit.knowledge) for variant, fit in every),
         "next": _table(list_next(variant, fit.knowledge) for variant, fit in every),
@@ -362,18 +385,32 @@ def _list_residuals(variant: Variant, fit: ReadingFit) -> Iterator[dict[str, Any
 
 def _list_poses(variant: Variant, fit: ReadingFit) -> pd.DataFrame:
     left = fit.residuals
-    chance = chi2.sf(left.square, np.maximum(left.freedom, 1))
+    chance = left.chance
     coordinates = {f"{c.name}_{c.unit}": left.pose[:, k] for k, c in enumerate(variant.model.coordinates)}
     used = variant.data.pick(~variant.verification)
-    contradicting = (left.trust < DISTRUSTED) | ((not variant.config.outliers.expected) & (chance < IMPROBABLE))
+    contradicting = left.find_contradicting(variant.config.outliers.expected)
     own = {"equations": left.freedom, "square": left.square, "chance": chance, "trust": left.trust}
     common = tabulate_left_out(variant.name, fit, used.poses, np.zeros(used.n_poses, dtype=bool))
     return common.assign(**coordinates, **own, contradicting=contradicting)
 
 
-def _list_predictions(variant: Variant, held: list[Held]) -> Iterator[dict[str, Any]]:
+def list_lost(variant: Variant, held: list[Held]) -> Iterator[dict[str, Any]]:
+    """Yield the held-back readings that have no prediction, with the reason."""
     for one in held:
-        found = one.predictions
+        for pose, channel, why in one.predictions.lost:
+            yield {
+                "variant": variant.name,
+                "pose": variant.data.poses[one.rows[pose]],
+                "channel": variant.model.channels[channel].name,
+                "external": variant.model.channels[channel].external,
+                "why": why,
+            }
+
+
+def list_predictions(variant: Variant, held: list[Held], of_tool: bool = False) -> Iterator[dict[str, Any]]:
+    """Yield each held-back reading with its prediction; ``of_tool`` by the machine's own readings alone."""
+    for one in held:
+        found = one.tool if of_tool else one.predictions
         for k, (row, channel) in enumerate(zip(one.rows[found.pose], found.channel, strict=True)):
             yield {
                 "variant": variant.name,

@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 from calibration_problems import correlation_of, density, linear_model, measurements, rows_of
 from scipy import stats
+from scipy.stats import binom
 
 from bayescal.density.calibration.prediction import replicate_readings
 from bayescal.density.calibration.terms import Errors
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior, UniformPrior
 from bayescal.experiments.shared.soundness import measure_pulls
-from bayescal.experiments.study.readings import ReadingSubject
+from bayescal.experiments.study.readings import ReadingSubject, Residuals
 from bayescal.inference.leave_one_out import leave_out
 
 N_POSES, N_READINGS, SD = 3, 6, 0.3
@@ -124,3 +125,23 @@ def test_a_row_that_tells_nothing_needs_no_run():
     assert found.pareto_k[0] == 0.0
     assert found.elpd[0] == pytest.approx(-3.0)
     assert not found.is_doubtful[0]
+
+
+def explain(rng, spoilt=0.0):
+    """Return what the best machine leaves of 25 poses' readings, the fourth pose's being off by so many deviations."""
+    posterior, _ = make_posterior(rng, draw_truth(rng), n_poses=25)
+    likelihood = posterior.likelihood
+    likelihood.data.values[3, 2] += spoilt * SD
+    at = likelihood.explain(*posterior.at(posterior.approach()[None]))[1]
+    nothing = np.empty((25, 0))
+    return Residuals(nothing, nothing, nothing, at.square[0], np.ones(25), likelihood.n_spare)
+
+
+def test_no_pose_of_a_clean_study_contradicts_the_others(rng):
+    """One study in a hundred at most has such a pose, of however many; a reading twelve deviations off shows."""
+    clean = [explain(rng) for _ in range(200)]
+    false = sum(bool(one.find_contradicting(False).any()) for one in clean)
+    assert false <= binom.ppf(0.995, len(clean), 0.01)
+    assert sum(bool((one.chance < 0.01).any()) for one in clean) > binom.ppf(0.995, len(clean), 0.1)  # pose by pose
+    named = [np.flatnonzero(explain(rng, 12.0).find_contradicting(False)).tolist() for _ in range(20)]
+    assert sum(one == [3] for one in named) >= 18

@@ -14,6 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Drawing
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter
+from scipy import stats
 
 from bayescal.experiments.frame.results import Row
 from bayescal.experiments.study.page.results import (
@@ -50,6 +51,7 @@ SLANTED: dict[str, Any] = {"rotation": 25, "ha": "right", "rotation_mode": "anch
 BOUND = "position_bound_95_mm"
 NINETY = 1.645
 FAR = 2.5  # binomial deviations of a coverage that are no chance
+RANGE = 0.95  # of the binomial distribution, where a coverage is as expected
 FEW = 40  # held-back readings, from which little can be said of coverage
 SHOWN = 10
 MOST_NAMED = 25  # poses with a name below the axis, legible on a telephone too
@@ -239,17 +241,51 @@ def state_held_back(study: StudyResults) -> list[Statement]:
     """Say how many held-back readings of the machine's own sensors lie in their 90 % intervals."""
     mine = study.table("predictions", study.chosen)
     mine = mine[~mine["external"].astype(bool)] if len(mine) else mine
+    others = [*_state_lost(study), *_state_tool(study)]
     if mine.empty:
-        return []
+        return others
     share, n, lead = float(mine["inside"].mean()), len(mine), "Prediction"
     words = (
         f"{int(mine['inside'].sum())} of {n} held-back readings of the machine's own sensors ({format_percent(share)}) "
         "lie in their 90 % intervals"
     )
     if abs(share - COVERAGE) <= FAR * math.sqrt(COVERAGE * (1.0 - COVERAGE) / n):
-        return [Statement(f"{words}, as expected{'' if n >= FEW else '; small sample'}.", "good", lead)]
+        return [Statement(f"{words}, as expected{'' if n >= FEW else '; small sample'}.", "good", lead), *others]
     tendency = "too small" if share < COVERAGE else "too large"
-    return [Statement(f"{words}: the stated uncertainty is {tendency}.", "warning", lead)]
+    return [Statement(f"{words}: the stated uncertainty is {tendency}.", "warning", lead), *others]
+
+
+def _state_lost(study: StudyResults) -> list[Statement]:
+    """Say which held-back readings no figure of held-back readings counts, since they have no prediction, and why."""
+    lost, known = study.table("not_predicted", study.chosen), study.table("predictions", study.chosen)
+    if lost.empty:
+        return []
+    parts = []
+    for why, some in lost.groupby("why", sort=False):
+        names = [f"{quote(channel)} of {pose}" for pose, channel in zip(some["pose"], some["channel"], strict=True)]
+        parts.append(f"{name_some(names)} ({why})")
+    total, one = len(lost) + len(known), len(lost) == 1
+    verb, them = ("has", "it is") if one else ("have", "they are")
+    text = f"{len(lost)} of {total} held-back readings {verb} no prediction, and {them} in no count of intervals: "
+    return [Statement(f"{text}{'; '.join(parts)}.", "warning", "Prediction")]
+
+
+def _state_tool(study: StudyResults) -> list[Statement]:
+    """Say how many readings of the tool by an instrument lie where the machine's own readings predict them."""
+    mine = study.table("tool_predictions", study.chosen)
+    if mine.empty:
+        return []
+    n, n_poses, share = len(mine), mine["pose"].nunique(), float(mine["inside"].mean())
+    low, high = stats.binom.interval(RANGE, n_poses, COVERAGE)
+    text = (
+        f"{int(mine['inside'].sum())} of {n} readings of the tool by the instrument at {n_poses} held-back poses "
+        f"({format_percent(share)}) lie in the 90 % intervals that the machine's own sensors predict; expected "
+        f"{format_percent(low / n_poses)} to {format_percent(high / n_poses)} (binomial, a pose counted as one trial)"
+    )
+    if low <= share * n_poses <= high:
+        return [Statement(f"{text}.", "good", "Coverage")]
+    tendency = "too narrow" if share < COVERAGE else "too wide"
+    return [Statement(f"{text}: intervals of the tool's position are {tendency}.", "warning", "Coverage")]
 
 
 def show_held_back(study: StudyResults) -> Section | None:
@@ -266,7 +302,8 @@ def show_held_back(study: StudyResults) -> Section | None:
         counts = [mine[mine["kind"] == kind]["inside"] for kind in kinds]
         cells = [f"{int(one.sum())} of {len(one)}" if len(one) else NOTHING for one in counts]
         rows.append([study.label(name), *cells])
-    blocks: list[Block] = [HELD_BACK, make_table("Coverage.", columns, rows)]
+    notes = [*_state_lost(study), *_state_tool(study)]
+    blocks: list[Block] = [HELD_BACK, make_table("Coverage.", columns, rows, notes)]
     mine = study.table("predictions", study.chosen)
     if len(mine):
         caption = f"Held-back readings, {study.label(study.chosen)}."

@@ -66,6 +66,8 @@ COLUMNS: dict[str, dict[str, tuple[str, ...]]] = {
         ),
     },
     "predictions": {"texts": ("variant", "pose", "channel", "unit"), "numbers": ("measured", "mean", "sd", "inside")},
+    "not_predicted": {"texts": ("variant", "pose", "channel", "why"), "numbers": ()},
+    "tool_predictions": {"texts": ("variant", "pose", "channel"), "numbers": ("inside",)},
     "sensitivity": {"texts": ("variant",), "numbers": ("factor", "log_evidence", "pareto_k")},
     "tau_scale": {"texts": ("variant",), "numbers": ("tau_scale_um", "log_evidence", "pareto_k")},
     "least_squares": {

@@ -1,0 +1,114 @@
+"""Held-back readings: none is dropped in silence, and the tool is judged where an instrument sees it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import calibrations
+import numpy as np
+import pandas as pd
+import pytest
+
+from bayescal.experiments.frame.load import load_experiment
+from bayescal.experiments.study.by_tables import ReadingStudy
+from bayescal.experiments.study.page.errors import state_held_back
+from bayescal.experiments.study.page.results import StudyResults
+from bayescal.experiments.study.readings import hold_back, list_lost, list_predictions
+
+HEADER = "pose,use,s_1_mm,s_2_mm,s_3_mm,cam_x_mm,cam_y_mm,height_mm"
+
+
+@pytest.fixture(scope="module")
+def inputs(tmp_path_factory):
+    """The linear delta; three readings are left at the held-back pose V01, for three unknowns."""
+    path = calibrations.write_delta(tmp_path_factory.mktemp("held"))
+    table = path.parent / "data" / "readings.csv"
+    lines = table.read_text().splitlines()
+    assert HEADER in lines
+    place = next(k for k, line in enumerate(lines) if line.startswith("V01,"))
+    cells = lines[place].split(",")
+    cells[3] = cells[4] = cells[5] = ""
+    lines[place] = ",".join(cells)
+    table.write_text("\n".join(lines) + "\n")
+    return ReadingStudy.load(load_experiment(path), path.parent)
+
+
+@pytest.fixture(scope="module")
+def held(inputs):
+    """Its first variant and what is said of its held-back poses."""
+    return predict(inputs)
+
+
+def predict(inputs):
+    """Return the first variant and its held-back poses by draws of machines near nominal."""
+    variant = inputs.variants["all"]
+    known = 0.2 * np.random.default_rng(1).standard_normal((40, variant.posterior().n_parameters))
+    return variant, hold_back(inputs, ("all", 0), known)
+
+
+def make_study(lost, predictions, tool):
+    """Return results as far as statements about held-back readings read them."""
+    tables = {"not_predicted": lost, "predictions": predictions, "tool_predictions": tool}
+    summary = {
+        "variants": {"all": {"title": "all", "log_evidence": 0.0, "log_evidence_se": 0.0, "converged": True}},
+        "rankings": [["all"]],
+    }
+    summary["variants"]["all"] |= {"n_parameters": 3}
+    return StudyResults(summary, {}, {name: table for name, table in tables.items() if len(table)})
+
+
+def tabulate(variant, held):
+    lost, predictions = pd.DataFrame(list_lost(variant, [held])), pd.DataFrame(list_predictions(variant, [held]))
+    return lost, predictions, pd.DataFrame(list_predictions(variant, [held], of_tool=True))
+
+
+def test_every_held_back_reading_has_a_prediction_or_a_reason(held):
+    variant, found = held
+    lost, predictions, _ = tabulate(variant, found)
+    taken = variant.data.pick(variant.verification).present
+    assert len(lost) + len(predictions) == taken.sum()
+    assert list(zip(lost["pose"], lost["channel"], lost["why"], strict=True)) == [
+        ("V01", channel, "2 other readings for 3 coordinates") for channel in ("s[1]", "cam_y", "height")
+    ]
+
+
+def test_the_page_says_which_have_none_and_over_how_many_its_figures_are(held):
+    said = [one.text for one in state_held_back(make_study(*tabulate(*held)))]
+    (lost,) = (text for text in said if "no prediction" in text)
+    assert lost.startswith("3 of 27 held-back readings have no prediction, and they are in no count of intervals: ")
+    for words in ("s[1] of V01", "cam_y of V01", "height of V01", "2 other readings for 3 coordinates"):
+        assert words in lost
+    assert any(" of 12 held-back readings of the machine's own sensors" in text for text in said)
+
+
+def test_the_tool_is_predicted_by_the_machines_own_readings_alone(inputs, held):
+    """What is read along other axes makes no difference to it; to predictions from all other readings it does."""
+    _, by_all, tool = tabulate(*held)
+    assert set(tool["channel"]) == {"cam_x", "cam_y", "height"}
+    assert set(tool["pose"]) == {"V02", "V03", "V04", "V05"}  # of V01 the machine itself has one reading
+    variant = inputs.variants["all"]
+    height = variant.data.values.copy()
+    height[:, variant.model.names.index("height")] += 1.0
+    moved = replace(variant, data=replace(variant.data, values=height))
+    _, other, other_tool = tabulate(*predict(replace(inputs, variants={"all": moved})))
+    for one, two, same in ((tool, other_tool, True), (by_all, other, False)):
+        first, second = (table[table["channel"] == "cam_x"]["mean"].to_numpy() for table in (one, two))
+        assert np.allclose(first, second, atol=1e-6) == same
+
+
+@pytest.mark.parametrize(
+    ("inside", "level", "words"),
+    [
+        (0.9, "good", "90 of 100 readings of the tool by the instrument at 50 held-back poses (90 %)"),
+        (0.7, "warning", "intervals of the tool's position are too narrow"),
+        (1.0, "warning", "intervals of the tool's position are too wide"),
+    ],
+)
+def test_coverage_at_the_tool_has_its_binomial_range(inside, level, words):
+    poses = [f"V{k // 2}" for k in range(100)]
+    right = np.arange(100) < 100 * inside
+    tool = pd.DataFrame({"variant": "all", "pose": poses, "channel": "x", "inside": right})
+    (said,) = state_held_back(make_study(pd.DataFrame(), pd.DataFrame(), tool))
+    assert said.level == level
+    assert words in said.text
+    assert "expected 82 % to 98 % (binomial" in said.text
