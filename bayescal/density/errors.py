@@ -16,10 +16,18 @@ from scipy.linalg import block_diag
 
 from bayescal.density.calibration.terms import Errors, ErrorTerm
 from bayescal.density.outliers import NORMAL, Outliers
-from bayescal.density.priors import LENGTH, SCALE, HalfNormalPrior, KernelScalePrior, LogNormalPrior, Prior
+from bayescal.density.priors import (
+    LENGTH,
+    SCALE,
+    HalfCauchyPrior,
+    HalfNormalPrior,
+    KernelScalePrior,
+    LogNormalPrior,
+    Prior,
+)
 from bayescal.numerics.geometry import Array
 
-TAU = "tau"
+TAU, FUNCTION_SCALES = "tau", "functions"
 
 
 @dataclass(frozen=True)
@@ -93,7 +101,22 @@ class KernelLength:
         return Amplitudes(LENGTH, (LENGTH,), ("1",), (self.lengths,), np.ones((1, 1)))
 
 
-type LegTerm = ModelError | KernelScale | KernelLength
+@dataclass(frozen=True)
+class FunctionScales:
+    """The scales of errors that are functions of the pose, of several sorts at once, each alike for all legs."""
+
+    sorts: tuple[str, ...]
+    scale: float  # of their half-Cauchy densities, mm
+
+    def at_legs(self, n_legs: int) -> Amplitudes:
+        """Return them as a term."""
+        del n_legs
+        n = len(self.sorts)
+        names = tuple(f"sigma_{name}" for name in self.sorts)
+        return Amplitudes(FUNCTION_SCALES, names, ("mm",) * n, (HalfCauchyPrior(self.scale),) * n, np.eye(n))
+
+
+type LegTerm = ModelError | KernelScale | KernelLength | FunctionScales
 
 
 @dataclass(frozen=True, eq=False)

@@ -90,6 +90,34 @@ class InstrumentLikelihood(Likelihood):
         return self.instrument.n_poses
 
     @property
+    def pose_names(self) -> tuple[str, ...]:
+        """Names of the poses."""
+        return self.instrument.names
+
+    @property
+    def actuators(self) -> Array:
+        """Actuator positions, shape (P, N), mm."""
+        return self.instrument.actuators
+
+    @property
+    def rows_of_legs(self) -> Array:
+        """W, what the legs' errors do to the rows, shape (P, K, N)."""
+        return self._rows_from_legs
+
+    @property
+    def gain(self) -> Array:
+        """The pose error as seen per error of the rows, shape (P, 6, K); zero where it is not measured."""
+        found = np.zeros((self.n_poses, DEGREES_OF_FREEDOM, self._noise.shape[-1]))
+        to_pose = self.instrument.rows.to_pose
+        found[..., : to_pose.shape[-1]] = to_pose
+        return found
+
+    @property
+    def log_constant(self) -> Array:
+        """What the density of each pose has beside that of its rows, shape (P,)."""
+        return np.asarray(self._constant)
+
+    @property
     def n_rows(self) -> np.ndarray:
         """How many rows each pose has, shape (P,): what was read, and the conditions of redundant legs."""
         return np.asarray(self.instrument.rows.count + self._no_pose.shape[-1])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -71,6 +71,11 @@ def root_of(matrix: Array) -> tuple[Array, Array]:
     values, vectors = np.linalg.eigh(matrix)
     root = np.sqrt(values)[..., None, :]
     return (vectors * root) @ np.swapaxes(vectors, -1, -2), (vectors / root) @ np.swapaxes(vectors, -1, -2)
+
+
+def whiten_by(whitening: Array) -> Callable[[Array], Array]:
+    """Return what takes rows (P, K, n) of independent poses to white ones (P K, n), for matrices (P, K, K)."""
+    return lambda rows: np.asarray((whitening @ rows).reshape(-1, rows.shape[-1]))
 
 
 APPROACH = (1.0, 0.1)  # model errors in mm with which the search for the mode begins
@@ -447,21 +452,21 @@ class Likelihood(Elimination[LegSampling, LegErrors]):
         covariance = view.error_covariance(amplitudes)
         whitening = np.linalg.inv(np.linalg.cholesky(covariance))
         if not errors.outliers.expected:
-            found[:m] = view.fit_geometry(sampling, start[:m], whitening)
+            found[:m] = view.fit_geometry(sampling, start[:m], whiten_by(whitening))
             return found
         tails = errors.tails(found[None, m:])
         for _ in range(REWEIGHTINGS):
             white = whitening @ view.errors(sampling.theta_from_y(found[None, :m]))[0][..., None]
             weight = tails.trust(np.sum(white**2, axis=(1, 2))[None], view.n_rows)[0]
-            found[:m] = view.fit_geometry(sampling, found[:m], whitening * np.sqrt(weight)[:, None, None])
+            found[:m] = view.fit_geometry(sampling, found[:m], whiten_by(whitening * np.sqrt(weight)[:, None, None]))
         return found
 
-    def fit_geometry(self, sampling: LegSampling, start: Array, whitening: Array) -> Array:
-        """Return the geometry's coordinates of least squares, shape (m,), for whitening matrices (P, K, K)."""
+    def fit_geometry(self, sampling: LegSampling, start: Array, whiten: Callable[[Array], Array]) -> Array:
+        """Return the geometry's coordinates of least squares, (m,); ``whiten`` takes rows (P, K, n) to white (R, n)."""
 
         def residual(y: Array) -> Array:
             theta = sampling.theta_from_y(y[None])
-            white = (whitening @ self.errors(theta)[0][..., None]).ravel()
+            white = whiten(self.errors(theta)[0][..., None]).ravel()
             value = np.concatenate([white, sampling.prior_residual(y, theta[0])])
             return np.where(np.isfinite(value) & self.layout.inside(theta)[0], value, FAR_AWAY)
 
@@ -469,7 +474,7 @@ class Likelihood(Elimination[LegSampling, LegErrors]):
             theta = sampling.theta_from_y(y[None])[0]
             change = sampling.jacobian(theta)
             slope = turn_to_coordinates(self.error_jacobian(theta)[1], change)
-            return np.concatenate([(whitening @ slope).reshape(-1, len(start)), sampling.prior_slope(change)])
+            return np.concatenate([whiten(slope), sampling.prior_slope(change)])
 
         return np.asarray(least_squares(residual, start, jacobian, method="lm", xtol=TOLERANCE, ftol=TOLERANCE).x)
 

@@ -91,6 +91,21 @@ class PoseLikelihood(Likelihood):
         """Number of poses P."""
         return self.poses.n_poses
 
+    @property
+    def pose_names(self) -> tuple[str, ...]:
+        """Names of the poses."""
+        return self.poses.names
+
+    @property
+    def actuators(self) -> Array:
+        """Actuator positions, shape (P, N), mm."""
+        return self.poses.actuators
+
+    @property
+    def rows_of_legs(self) -> Array:
+        """W, what the legs' errors do to the rows, shape (P, N, N): they are the rows."""
+        return np.broadcast_to(np.eye(self.n_legs), (self.n_poses, self.n_legs, self.n_legs))
+
     def _batches(self, size: int) -> list[slice]:
         return batches(size)  # it takes some poses at a time
 

@@ -183,6 +183,43 @@ class HalfNormalPrior(Prior):
         return self.scale * float(np.sqrt(1.0 - 2.0 / np.pi))
 
 
+LARGEST = 1e3  # scales, up to which a half-Cauchy density goes: its moments are finite then
+
+
+@dataclass(frozen=True)
+class HalfCauchyPrior(Prior):
+    """A scale of which hardly anything is known: half-Cauchy, cut at `LARGEST` times its scale.
+
+    Half of it lies below the scale, and its tail gives way to data that want more (Gelman 2006).
+    """
+
+    scale: float
+
+    def log_density(self, value: Array) -> Array:
+        """Return the log-density, -inf outside of the support."""
+        inside = (value >= 0.0) & (value <= LARGEST * self.scale)
+        density = -np.log(np.arctan(LARGEST) * self.scale) - np.log1p((value / self.scale) ** 2)
+        return np.where(inside, density, -np.inf)
+
+    def standardise(self, value: Array) -> Array:
+        """Return the normal quantile of the prior probability of a smaller value."""
+        return np.asarray(ndtri(np.arctan(value / self.scale) / np.arctan(LARGEST)))
+
+    def value(self, zeta: Array) -> Array:
+        """Return values of coordinates."""
+        return np.asarray(self.scale * np.tan(np.arctan(LARGEST) * ndtr(zeta)))
+
+    @property
+    def mean(self) -> float:
+        """Of the cut density."""
+        return 0.5 * self.scale * float(np.log1p(LARGEST**2) / np.arctan(LARGEST))
+
+    @property
+    def sd(self) -> float:
+        """Of the cut density."""
+        return float(np.sqrt(self.scale**2 * (LARGEST / np.arctan(LARGEST) - 1.0) - self.mean**2))
+
+
 @dataclass(frozen=True)
 class SharePrior(Prior):
     """The share of outliers, Beta(1, b) with b = 1 / m - 1: the fewer the likelier."""
@@ -266,6 +303,7 @@ class LogNormalPrior(Prior):
 INDEPENDENT: Final = "independent"
 SCALE = "sigma_g"  # name of s among the free parameters
 LENGTH = "L_g"  # of the kernel's length, in units of the actuators' range
+FUNCTIONS = ("sigma_linear", "sigma_own", "sigma_smooth", "sigma_drift")  # scales of errors of several sorts at once
 type KernelName = Literal["independent", "linear", "quadratic", "smooth"]
 LENGTHY = ("quadratic", "smooth")  # kernels with a length
 
@@ -275,7 +313,7 @@ BORDER = 0.5 * OFF
 
 def is_model_error(name: str) -> bool:
     """Whether a free parameter's name is that of a model error: τ, or the scale or length of a structured one."""
-    return name.split("[")[0] in ("tau", SCALE, LENGTH)
+    return name.split("[")[0] in ("tau", SCALE, LENGTH, *FUNCTIONS)
 
 
 class Kernel(ABC):

@@ -27,14 +27,14 @@ type Planted = tuple[Array, str, tuple[str, ...]]
 """Readings, fault, words."""
 
 
-def simulate(subject: Subject, rng: np.random.Generator, y: Array | None = None, noise: Array | float = 1.0) -> Array:
-    """Return readings of a machine of the priors, or of one (n,), whose noise is so many times the stated one."""
+def simulate(subject: Subject, rng: np.random.Generator, noise: Array | float = 1.0) -> Array:
+    """Return readings of a machine of the priors whose noise is so many times the stated one."""
     posterior = subject.measured.posterior
     likelihood = posterior.likelihood
     loud = replace(likelihood, data=replace(likelihood.data, sd=likelihood.data.sd * noise), expansion=None)
     noisy = Subject(replace(subject.measured, posterior=replace(posterior, likelihood=loud)))
     for _ in range(100):
-        found = noisy.simulate(subject.posterior.draw_prior(1, rng)[0] if y is None else y, rng)
+        found = noisy.simulate(subject.posterior.draw_prior(1, rng)[0], rng)
         if found is not None:
             return found
     raise RuntimeError("found no machine that takes the poses")
@@ -107,7 +107,7 @@ def noise(subject: Subject, rng: np.random.Generator) -> Planted:
     _, _, internal = _channels(subject)
     factor = NOISE if rng.random() < 0.5 else 1.0 / NOISE
     loud = np.where(~internal | (rng.random() < 0.5), factor, 1.0)
-    return simulate(subject, rng, None, loud), "noise", ("noise",)
+    return simulate(subject, rng, loud), "noise", ("noise",)
 
 
 def row(subject: Subject, rng: np.random.Generator) -> Planted:
@@ -140,16 +140,16 @@ def sensor(subject: Subject, rng: np.random.Generator) -> Planted:
 
 
 def tolerance(subject: Subject, rng: np.random.Generator) -> Planted:
-    """Plant a parameter eight of its tolerances off."""
+    """Plant a parameter eight of its tolerances off, of machines that take the poses all the same."""
     posterior = subject.posterior
-    y = posterior.draw_prior(1, rng)[0]
-    k = rng.integers(posterior.n_geometry)
-    own = posterior.natural(y[None])[0]
-    names = posterior.names
-    prior = posterior.priors[names[k]]
-    wanted = prior.mean + rng.choice([-1.0, 1.0]) * TOLERANCES * prior.sd
-    y = _solve(posterior, y, k, wanted - own[k])
-    return simulate(subject, rng, y), "tolerance", (names[k],)
+    for _ in range(100):
+        y, k = posterior.draw_prior(1, rng)[0], int(rng.integers(posterior.n_geometry))
+        own, prior = posterior.natural(y[None])[0], posterior.priors[posterior.names[k]]
+        wanted = prior.mean + rng.choice([-1.0, 1.0]) * TOLERANCES * prior.sd
+        values = subject.simulate(_solve(posterior, y, k, wanted - own[k]), rng)
+        if values is not None:
+            return values, "tolerance", (posterior.names[k],)
+    raise RuntimeError("found no machine that takes the poses")
 
 
 def _solve(posterior: object, y: Array, k: int, move: float) -> Array:

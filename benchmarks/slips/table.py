@@ -72,10 +72,10 @@ def main() -> None:
             right, longest = sum(bool(one["named"]) for one in some), max(float(str(one["seconds"])) for one in some)
             print(f"{machine:20} {slip:10} {right:3d} of {len(some)}  longest {longest:.1f} s", flush=True)
             rows += some
+            if given.out is not None:  # what is there after an interruption, too
+                given.out.parent.mkdir(parents=True, exist_ok=True)
+                pd.DataFrame(rows).to_csv(given.out, index=False)
     table = pd.DataFrame(rows)
-    if given.out is not None:
-        given.out.parent.mkdir(parents=True, exist_ok=True)
-        table.to_csv(given.out, index=False)
     print(table.pivot_table(index="machine", columns="slip", values="named", aggfunc="sum", sort=False).astype(int))
 
 

@@ -1,0 +1,530 @@
+"""The density of legs whose errors are functions of the pose, several at once, whatever instrument measured.
+
+Leg i errs at poses p and q, beside the stated noise and independently of the other legs, by
+
+    cov(g_ip, g_iq) = √(w_ip w_iq) { τ_i² δ_pq + Σ_t s_t² k_t,i(p, q) / c_t }
+
+with four sorts t of functions of the travel z = (ρ - ρ_home) / range and of the place in measuring order t in [0, 1):
+
+    linear   z_p · z_q                       every actuator moves every leg: a coupling
+    own      z_ip z_iq                       each leg by its own actuator: a lead error, a scale
+    smooth   k(z_p, z_q), length one range   anything smooth: joints, gravity, waves
+    drift    min(t_p, t_q) + 0.02            a session's drift: temperature
+
+c_t is the mean of k_t over legs and calibration poses, so that each scale s_t is a root mean square in mm. There are
+several sorts because a scale is learnt from what of an error is visible: a smooth kernel alone expects curvature, sees
+none, shrinks, and hides errors that are linear, which the geometry imitates (Brynjarsdottir and O'Hagan 2014).
+
+A pose's rows r ~ N(0, C⁰ + H (…) Hᵀ), H = W √w, are turned beforehand to rows e that are white but for model errors, of
+which the first N' see the legs: H becomes R there and zero below. Then all rows together have the covariance
+
+    S = 1 + Σ_i τ_i² (R_i R_iᵀ at each pose) + Σ_t s_t² E_t,    E_t = Σ_i R_ip R_iqᵀ k_t,i(p, q) / c_t,
+
+a sum of fixed matrices (variance components: Patterson and Thompson 1971), whose Cholesky factor is the density's cost.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from copy import copy
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final, NamedTuple
+
+import numpy as np
+from scipy.linalg import cho_solve, cholesky, solve_triangular
+
+from bayescal.data.measured_poses import MeasuredPoses
+from bayescal.density.elimination import whiten_covariance
+from bayescal.density.errors import LegErrors
+from bayescal.density.instruments import InstrumentLikelihood
+from bayescal.density.legs import Likelihood, turn_to_coordinates
+from bayescal.density.pose_likelihood import PoseLikelihood
+from bayescal.density.posterior import Funnel
+from bayescal.density.priors import SmoothKernel
+from bayescal.density.sampling import LegSampling
+from bayescal.errors import InputError
+from bayescal.numerics.geometry import Array
+
+START: Final = 0.02  # of a drift, that is there at the first pose
+AT_ONCE = 4_000_000  # numbers of the covariances that are factorised together
+FEWEST_POSES = 3
+
+
+type LegRows = PoseLikelihood | InstrumentLikelihood
+"""Densities of poses that are independent of each other."""
+
+
+class Place(NamedTuple):
+    """Where functions are evaluated: P poses."""
+
+    travel: Array  # (P, N): z, ranges
+    time: Array | None  # (P,): place in measuring order, 0 to 1; None where there is no order
+
+
+def _linear(first: Place, second: Place) -> Array:
+    return np.asarray(first.travel @ second.travel.T)[None]
+
+
+def _own(first: Place, second: Place) -> Array:
+    return np.asarray(first.travel.T[:, :, None] * second.travel.T[:, None, :])
+
+
+def _smooth(first: Place, second: Place) -> Array:
+    return SmoothKernel(1.0)(first.travel, second.travel)[None]
+
+
+def _drift(first: Place, second: Place) -> Array:
+    assert first.time is not None
+    assert second.time is not None
+    return (np.minimum.outer(first.time, second.time) + START)[None]
+
+
+SORTS: Final[Mapping[str, Callable[[Place, Place], Array]]] = {
+    "linear": _linear,
+    "own": _own,
+    "smooth": _smooth,
+    "drift": _drift,
+}
+"""By name: k_t at two lots of poses P and Q, (N, P, Q), or (1, P, Q) where it is that of all legs."""
+
+
+@dataclass(frozen=True, eq=False)
+class PoseFunctions:
+    """Sorts of functions, normalised over the calibration poses."""
+
+    sorts: tuple[str, ...]
+    place: Place  # of the calibration poses
+
+    @cached_property
+    def norms(self) -> Array:
+        """c_t of each sort, shape (C,)."""
+        kernels = [SORTS[name](self.place, self.place) for name in self.sorts]
+        found = np.array([np.diagonal(one, axis1=1, axis2=2).mean() for one in kernels])
+        if not (found > 0.0).all():
+            raise InputError("model_error: found all calibration poses at home, expected actuators that move")
+        return found
+
+    def between(self, first: Place, second: Place) -> list[Array]:
+        """Return k_t / c_t of each sort between poses, (N or 1, P, Q) each."""
+        return [SORTS[name](first, second) / norm for name, norm in zip(self.sorts, self.norms, strict=True)]
+
+
+class Conditional(NamedTuple):
+    """The functions at Q poses, given the errors at the calibration poses, for B draws."""
+
+    mean: Array  # (B, Q, N): mm along the closure of the legs
+    covariance: Array  # (B, Q, N, N): at each pose, mm²
+
+
+@dataclass(frozen=True, eq=False)
+class _White:
+    """S of one vector of amplitudes, factorised."""
+
+    factor: Array  # (M, M): lower Cholesky factor, M = P N'
+
+    def rows(self, seen: Array) -> Array:
+        """Return white rows of (M, ...)."""
+        return np.asarray(solve_triangular(self.factor, seen, lower=True, check_finite=False))
+
+    def solve(self, seen: Array) -> Array:
+        """Return S⁻¹ times (M, ...)."""
+        return np.asarray(cho_solve((self.factor, True), seen, check_finite=False))
+
+    @cached_property
+    def inverse(self) -> Array:
+        """S⁻¹, shape (M, M)."""
+        return self.solve(np.eye(len(self.factor)))
+
+
+class FunctionLikelihood(Likelihood):
+    """Log-density of poses with errors that are functions of the pose; see the module.
+
+    Amplitudes are vectors of N + C entries, mm: τ of each leg, then s of each sort.
+
+    Parameters
+    ----------
+    base : PoseLikelihood or InstrumentLikelihood
+        Density of the calibration poses without such errors.
+    sorts : sequence of str
+        Of `SORTS`.
+    travel : float
+        Range of the actuators, mm.
+    order : mapping of str to float
+        From names of poses to their places in measuring order, 0 to 1; empty where there is none.
+    """
+
+    def __init__(self, base: LegRows, sorts: Sequence[str], travel: float, order: Mapping[str, float]) -> None:
+        if base.n_poses < FEWEST_POSES:
+            raise InputError(f"model_error: found {base.n_poses} calibration poses, expected {FEWEST_POSES} or more")
+        # where the geometry is hardly known the mode's gradient needs more digits
+        self.base: LegRows = base.refined() if isinstance(base, PoseLikelihood) else base
+        self.machine, self.layout, self.actuator_weight = base.machine, base.layout, base.actuator_weight
+        self._travel, self._order = travel, order
+        self.functions = PoseFunctions(tuple(sorts), self.place_of(base))
+        self._turn, self._seen = _turn_rows(base)
+        self._components = self._find_components()
+        self._constant = base.log_constant + np.linalg.slogdet(self._turn)[1]
+
+    def place_of(self, poses: LegRows) -> Place:
+        """Return where poses are."""
+        home = self.machine.mechanism.initial_actuator_positions
+        time = np.array([self._order[name] for name in poses.pose_names]) if self._order else None
+        return Place((poses.actuators - home) / self._travel, time)
+
+    def _find_components(self) -> Array:
+        """Return E_t, shape (C, M, M)."""
+        m = self._seen.shape[0] * self._seen.shape[1]
+        found = np.empty((len(self.functions.sorts), m, m))
+        for k, kernel in enumerate(self.functions.between(self.functions.place, self.functions.place)):
+            whole = np.broadcast_to(kernel, (self.n_legs, *kernel.shape[1:]))
+            found[k] = np.einsum("pai,ipq,qbi->paqb", self._seen, whole, self._seen, optimize=True).reshape(m, m)
+        return found
+
+    # --- what it is ----------------------------------------------------------------------------------------------
+
+    @property
+    def of_poses(self) -> PoseLikelihood | None:
+        """The density without such errors, where whole poses were measured."""
+        return self.base.of_poses
+
+    @property
+    def closing_poses(self) -> MeasuredPoses | None:
+        """Those of the poses: joints are hardly known where errors may be functions of the pose."""
+        return None if self.base.of_poses is None else self.base.of_poses.poses
+
+    @property
+    def n_poses(self) -> int:
+        """Number of poses P."""
+        return self.base.n_poses
+
+    @property
+    def n_rows(self) -> np.ndarray:
+        """How many rows each pose has, shape (P,)."""
+        return self.base.n_rows
+
+    @property
+    def n_model_errors(self) -> int:
+        """N + C."""
+        return self.n_legs + len(self.functions.sorts)
+
+    def finer(self) -> FunctionLikelihood | None:
+        """Return the same density of a base that leaves nothing out; None where there is none."""
+        found = self.base.finer()
+        if not isinstance(found, PoseLikelihood):
+            return None
+        other = copy(self)
+        other.base = found
+        return other
+
+    @property
+    def is_solved(self) -> bool:
+        """Whether its base leaves nothing out."""
+        return self.base.is_solved
+
+    def errors(self, theta: Array) -> Array:
+        """Return the rows of the base, (B, D) to (B, P, K)."""
+        return self.base.errors(theta)
+
+    def error_jacobian(self, theta: Array) -> tuple[Array, Array]:
+        """Return those rows (P, K) and their derivative (P, K, D) for one parameter vector (D,)."""
+        return self.base.error_jacobian(theta)
+
+    def on_legs(self, rows: Array) -> Array:
+        """Return Wᵀ times something of the rows."""
+        return self.base.on_legs(rows)
+
+    def pose_errors(self, theta: Array) -> Array:
+        """Return measured minus predicted pose (mm, rad), shape (B, P, 6)."""
+        return self.base.pose_errors(theta)
+
+    def pose_covariance(self, model_error: Array) -> Array:
+        """Return the covariance of a pose but for the functions, (..., P, 6, 6), for amplitudes (..., N + C)."""
+        return self.base.pose_covariance(model_error[..., : self.n_legs])
+
+    def error_covariance(self, model_error: Array) -> Array:
+        """Return the covariance of each pose's rows by itself, shape (P, K, K), for amplitudes (N + C,)."""
+        own = [np.diagonal(one, axis1=1, axis2=2) for one in self.functions.between(*2 * [self.functions.place])]
+        square = sum(s**2 * one for s, one in zip(model_error[self.n_legs :], own, strict=True))  # (N or 1, P)
+        shown = self.base.rows_of_legs * np.sqrt(self.actuator_weight * np.asarray(square).T)[:, None, :]
+        return self.base.error_covariance(model_error[: self.n_legs]) + shown @ np.swapaxes(shown, -1, -2)
+
+    # --- covariance of all rows ----------------------------------------------------------------------------------
+
+    def _covariances(self, amplitudes: Array, more: int = 0) -> Array:
+        """Return S of amplitudes (B, N + C), shape (B, M + more, M + more), with room for more rows."""
+        n, (n_poses, n_seen) = self.n_legs, self._seen.shape[:2]
+        m = n_poses * n_seen
+        total = np.zeros((len(amplitudes), m + more, m + more))
+        inner = total[:, :m, :m]
+        inner[:] = (amplitudes[:, n:] ** 2 @ self._components.reshape(-1, m * m)).reshape(-1, m, m)
+        own = np.einsum("pai,bi,pci->bpac", self._seen, amplitudes[:, :n] ** 2, self._seen, optimize=True)
+        for p in range(n_poses):
+            inner[:, p * n_seen : (p + 1) * n_seen, p * n_seen : (p + 1) * n_seen] += own[:, p]
+        inner[:, *np.diag_indices(m)] += 1.0
+        return total
+
+    def _split(self, rows: Array) -> tuple[Array, Array]:
+        """Return white rows that see the legs (..., M) and others (..., P, K - N'), of rows (..., P, K)."""
+        n_seen = self._seen.shape[1]
+        white = (self._turn @ rows[..., None])[..., 0]
+        return white[..., :n_seen].reshape(*rows.shape[:-2], -1), white[..., n_seen:]
+
+    def _split_slopes(self, slope: Array) -> tuple[Array, Array]:
+        """Return the same of derivatives (P, K, m): (M, m) and (P (K - N'), m)."""
+        white, n_seen, m = self._turn @ slope, self._seen.shape[1], slope.shape[-1]
+        return white[:, :n_seen].reshape(-1, m), white[:, n_seen:].reshape(-1, m)
+
+    def _factorise(self, amplitudes: Array) -> _White:
+        return _White(cholesky(self._covariances(amplitudes[None])[0], lower=True, check_finite=False))
+
+    def _batches(self, size: int) -> list[slice]:
+        most = max(1, AT_ONCE // self._components.shape[-1] ** 2)
+        return [slice(k, k + most) for k in range(0, size, most)]
+
+    # --- density -------------------------------------------------------------------------------------------------
+
+    @np.errstate(all="ignore")  # far out numbers overflow: no density in the end
+    def __call__(self, theta: Array, model_error: Array) -> Array:
+        """Return the log-likelihood, shape (B,), for vectors (B, D) and amplitudes (B, N + C) or (N + C,)."""
+        model_error = np.broadcast_to(model_error, (len(theta), model_error.shape[-1]))
+        rows = self.base.errors(theta)
+        good = np.isfinite(rows).all(axis=(1, 2))
+        seen, unseen = self._split(np.where(good[:, None, None], rows, 0.0))
+        density = self._constant.sum() - 0.5 * np.einsum("bpk,bpk->b", unseen, unseen)
+        for part in self._batches(len(theta)):
+            density[part] += _weigh(self._covariances(model_error[part], 1), seen[part])
+        return np.where(good & np.isfinite(density), density, -np.inf)
+
+    @np.errstate(all="ignore")
+    def _evaluate(self, theta: Array, model_error: Array) -> tuple[Array, Array]:
+        """Return log p(r_n | all other poses, θ, amplitudes) of each pose and its squared deviation, shapes (B, P).
+
+        With A = S⁻¹ and α = A e the density of e_n given the others is normal with precision A_nn, and its deviation
+        from its mean is A_nn⁻¹ α_n.
+        """
+        model_error = np.broadcast_to(model_error, (len(theta), model_error.shape[-1]))
+        rows = self.base.errors(theta)
+        good = np.isfinite(rows).all(axis=(1, 2))
+        seen, unseen = self._split(np.where(good[:, None, None], rows, 0.0))
+        shape = self._seen.shape[:2]
+        inverse = np.linalg.inv(self._covariances(model_error))
+        alpha = (inverse @ seen[..., None]).reshape(-1, *shape)
+        own = np.einsum("bpipj->bpij", inverse.reshape(-1, *shape, *shape))
+        square = np.einsum("bpi,bpi->bp", alpha, np.linalg.solve(own, alpha[..., None])[..., 0])
+        square += np.einsum("bpk,bpk->bp", unseen, unseen)
+        density = self._constant + 0.5 * np.linalg.slogdet(own)[1] - 0.5 * square
+        return np.where(good[:, None], density, -np.inf), np.where(good[:, None], square, np.inf)
+
+    # --- derivatives ---------------------------------------------------------------------------------------------
+
+    def inform(self, theta: Array, change: Array, errors: LegErrors, zeta: Array) -> Array:
+        """Return the information of the data on the geometry, shape (m, m)."""
+        white = self._factorise(errors.amplitudes(zeta))
+        seen, unseen = self._split_slopes(turn_to_coordinates(self.error_jacobian(theta)[1], change))
+        rows = white.rows(seen)
+        return np.asarray(rows.T @ rows + unseen.T @ unseen)
+
+    def inform_row(self, theta: Array, change: Array, errors: LegErrors, zeta: Array, row: int) -> Array:
+        """Return what one pose tells of the geometry beyond all others, shape (m, m)."""
+        white, n_seen = self._factorise(errors.amplitudes(zeta)), self._seen.shape[1]
+        slope = turn_to_coordinates(self.error_jacobian(theta)[1], change)
+        seen, _ = self._split_slopes(slope)
+        mine, unseen = slice(row * n_seen, (row + 1) * n_seen), (self._turn[row] @ slope[row])[n_seen:]
+        solved = white.solve(seen)[mine]
+        return np.asarray(solved.T @ np.linalg.solve(white.inverse[mine, mine], solved) + unseen.T @ unseen)
+
+    def differentiate(
+        self, theta: Array, change: Array, errors: LegErrors, zeta: Array, newton: bool
+    ) -> tuple[Array, Array]:
+        """Return gradient and Hessian of the log-likelihood; see `Elimination.differentiate`.
+
+        With α = S⁻¹ e, J = ∂e/∂y and ∂S/∂a = 2 a E of an amplitude a:
+
+            ∂/∂y = -Jᵀ α,   ∂/∂a = a (αᵀ E α - tr S⁻¹ E),   ∂²/∂y ∂a = 2 a Jᵀ S⁻¹ E α,
+            ∂²/∂a ∂b = 2 a b tr (S⁻¹ E_a S⁻¹ E_b) - 4 a b αᵀ E_a S⁻¹ E_b α + δ_ab (αᵀ E α - tr S⁻¹ E),
+
+        of whose expectation Gauss and Newton's Hessian has -2 a b tr (S⁻¹ E_a S⁻¹ E_b).
+        """
+        amplitudes, m = errors.amplitudes(zeta), change.shape[1]
+        white, (rows, slope) = self._factorise(amplitudes), self.error_jacobian(theta)
+        seen, unseen = self._split(rows)
+        by_seen, by_unseen = self._split_slopes(turn_to_coordinates(slope, change))
+        alpha, solved = white.solve(seen), white.solve(by_seen)
+        n = m + errors.n_amplitudes
+        gradient, hessian = np.zeros(m + len(zeta)), np.zeros((m + len(zeta), m + len(zeta)))
+        gradient[:m] = -by_seen.T @ alpha - by_unseen.T @ unseen.ravel()
+        hessian[:m, :m] = -by_seen.T @ solved - by_unseen.T @ by_unseen
+        if n == m:
+            return gradient, hessian
+        slopes, inside = errors.slopes_of_amplitudes(zeta), slice(m, n)
+        pulled, seen_by = self._act(alpha), self._act_on_inverse(white.inverse)  # E α (K, M), S⁻¹ E (K, M, M)
+        traces = np.einsum("kii->k", seen_by)
+        surplus = pulled @ alpha - traces
+        both = np.einsum("kij,lji->kl", seen_by, seen_by, optimize=True)
+        scaled = np.outer(amplitudes, amplitudes)
+        gradient[inside] = slopes @ (amplitudes * surplus)
+        if not newton:
+            hessian[inside, inside] = -2.0 * slopes @ (scaled * both) @ slopes.T
+            return gradient, hessian
+        across = 2.0 * (solved.T @ pulled.T) * amplitudes
+        own = scaled * (2.0 * both - 4.0 * pulled @ white.solve(pulled.T)) + np.diag(surplus)
+        hessian[:m, inside] = across @ slopes.T
+        hessian[inside, :m] = hessian[:m, inside].T
+        hessian[inside, inside] = slopes @ own @ slopes.T
+        hessian[inside, inside] += np.diag(errors.curvatures_of_amplitudes(zeta) @ (amplitudes * surplus))
+        return gradient, hessian
+
+    def _act(self, alpha: Array) -> Array:
+        """Return E α of each amplitude, (M,) to (N + C, M)."""
+        by_pose = np.einsum("pai,pa->pi", self._seen, alpha.reshape(self._seen.shape[:2]))
+        own = np.einsum("pai,pi->ipa", self._seen, by_pose).reshape(self.n_legs, -1)
+        return np.concatenate([own, self._components @ alpha])
+
+    def _act_on_inverse(self, inverse: Array) -> Array:
+        """Return S⁻¹ E of each amplitude, (M, M) to (N + C, M, M)."""
+        shape = self._seen.shape[:2]
+        by_pose = np.einsum("mpa,pai->mpi", inverse.reshape(-1, *shape), self._seen)
+        own = np.einsum("mpi,pai->impa", by_pose, self._seen).reshape(self.n_legs, *inverse.shape)
+        return np.concatenate([own, inverse @ self._components])
+
+    # --- straightening, search for the mode ----------------------------------------------------------------------
+
+    def groups(self, sampling: LegSampling, errors: LegErrors) -> list[np.ndarray]:
+        """Return all coordinates as one group: functions tie the legs together."""
+        del errors
+        return [np.arange(sampling.size)]
+
+    @cached_property
+    def _axes(self) -> tuple[Array, Array]:
+        """Directions of all rows that are nearly independent whatever the amplitudes, (M, M), and E of each there.
+
+        The latter are the diagonals, shape (N + C, M). The directions are those of the functions alone, of one size.
+        """
+        size = np.trace(self._components, axis1=1, axis2=2)
+        _, axes = np.linalg.eigh(np.einsum("kij,k->ij", self._components, 1.0 / size))
+        own = np.einsum("pai,paj->ijp", self._seen, axes.reshape(*self._seen.shape[:2], -1), optimize=True)
+        by_functions = np.einsum("im,kij,jm->km", axes, self._components, axes, optimize=True)
+        return axes, np.concatenate([np.sum(own**2, axis=-1), by_functions])
+
+    def funnel_errors(self, errors: LegErrors, zeta: Array) -> Array:
+        """Return the errors in each of those directions, in units of the noise there, shape (B, M)."""
+        return np.sqrt(np.broadcast_to(errors.amplitudes(zeta) ** 2 @ self._axes[1], (len(zeta), len(self._axes[0]))))
+
+    def funnel(self, sampling: LegSampling, errors: LegErrors, y: Array) -> Funnel | None:
+        """Return how the geometry depends on the amplitudes at y, shape (n,), with S diagonal in fixed directions."""
+        if not errors.n_amplitudes:
+            return None
+        m, (theta, change) = sampling.size, self._around(sampling, y)
+        zeta = y[m:]
+        own = self.funnel_errors(errors, zeta[None])[0]
+        rows, slope = self.error_jacobian(theta)
+        seen, _ = self._split(rows)
+        by_seen, by_unseen = self._split_slopes(turn_to_coordinates(slope, change))
+        axes, sd = self._axes[0], np.sqrt(1.0 + own**2)
+        white, told = axes.T @ by_seen / sd[:, None], axes.T @ seen / sd
+        parts = np.einsum("ka,kb->kab", white, white)
+        prior = sampling.prior_slope(change)
+        known = prior.T @ prior + by_unseen.T @ by_unseen  # what does not hang on the amplitudes
+        return Funnel(white.T @ white, known, np.ones(len(own)), own, parts, -white * told[:, None])
+
+    def _around(self, sampling: LegSampling, y: Array) -> tuple[Array, Array]:
+        theta = sampling.theta_from_y(y[None, : sampling.size])[0]
+        return theta, sampling.jacobian(theta)
+
+    def _fit(self, sampling: LegSampling, errors: LegErrors, start: Array, amplitudes: Array) -> Array:
+        """Return y with the geometry of least squares, white rows and priors together, at amplitudes (N + C,)."""
+        found, m, factor = start.copy(), sampling.size, self._factorise(amplitudes)
+
+        def whiten(rows: Array) -> Array:
+            seen, unseen = self._split_slopes(rows)
+            return np.concatenate([factor.rows(seen), unseen])
+
+        found[:m] = self.fit_geometry(sampling, start[:m], whiten)
+        return found
+
+    # --- prediction ----------------------------------------------------------------------------------------------
+
+    def _across(self, poses: LegRows, amplitudes: Array) -> Array:
+        """Return the covariance of √w g at other poses with e, (B, Q, N, M), of amplitudes (B, N + C)."""
+        kernels, n = self.functions.between(self.place_of(poses), self.functions.place), self.n_legs
+        whole = np.stack([np.broadcast_to(one, (n, *one.shape[1:])) for one in kernels])
+        summed = np.einsum("bt,tiqp->biqp", amplitudes[:, n:] ** 2, whole, optimize=True)
+        found = np.einsum("biqp,pai->bqipa", summed, self._seen, optimize=True)
+        return (np.sqrt(poses.actuator_weight)[..., None, None] * found).reshape(*found.shape[:3], -1)
+
+    def _own(self, poses: LegRows, amplitudes: Array) -> Array:
+        """Return the covariance of √w g at and between other poses, (B, N, Q, Q)."""
+        place, n, root = self.place_of(poses), self.n_legs, np.sqrt(poses.actuator_weight).T
+        kernels = self.functions.between(place, place)
+        whole = np.stack([np.broadcast_to(one, (n, *one.shape[1:])) for one in kernels])
+        summed = np.einsum("bt,tiqr->biqr", amplitudes[:, n:] ** 2, whole, optimize=True)
+        return np.asarray(summed * root[:, :, None] * root[:, None, :])
+
+    def condition(self, poses: LegRows, theta: Array, model_error: Array) -> Conditional:
+        """Return √w g at poses given the errors at the calibration poses, for (B, D) and amplitudes (B, N + C)."""
+        seen, _ = self._split(self.base.errors(theta))
+        parts = []
+        for part in self._batches(len(theta)):
+            across = self._across(poses, model_error[part])
+            b, q, n, m = across.shape
+            flat = across.reshape(b, q * n, m)
+            solved = np.linalg.solve(self._covariances(model_error[part]), np.swapaxes(flat, -1, -2))
+            mean = np.einsum("bmr,bm->br", solved, seen[part]).reshape(b, q, n)
+            taken = np.einsum("bqim,bmqj->bqij", across, solved.reshape(b, m, q, n), optimize=True)
+            own = np.einsum("biqq->bqi", self._own(poses, model_error[part]))
+            parts.append((mean, own[..., None] * np.eye(n) - taken))
+        return Conditional(*(np.concatenate(one) for one in zip(*parts, strict=True)))
+
+    def joint(self, poses: LegRows, theta: Array, model_error: Array) -> Array:
+        """Return the log-density of all held-back poses together, given the calibration poses, shape (B,)."""
+        known, _ = self._split(self.base.errors(theta))
+        rows, shown, n = poses.errors(theta), poses.rows_of_legs, self.n_legs
+        found = []
+        for part in self._batches(len(theta)):
+            across = self._across(poses, model_error[part])
+            seen = np.einsum("qki,bqim->bqkm", shown, across).reshape(len(across), -1, across.shape[-1])
+            solved = np.linalg.solve(self._covariances(model_error[part]), np.swapaxes(seen, -1, -2))
+            total = np.einsum("qki,biqr,rli->bqkrl", shown, self._own(poses, model_error[part]), shown, optimize=True)
+            for k, amplitudes in enumerate(model_error[part]):
+                np.einsum("qkql->qkl", total[k])[:] += poses.error_covariance(amplitudes[:n])
+            total = total.reshape(len(across), seen.shape[1], -1) - seen @ solved
+            left = rows[part].reshape(len(across), -1) - np.einsum("bmr,bm->br", solved, known[part])
+            factor = np.linalg.cholesky(total)
+            white = np.linalg.solve(factor, left[..., None])[..., 0]
+            half_log_det = np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
+            found.append(-half_log_det - 0.5 * np.einsum("bm,bm->b", white, white))
+        return np.asarray(np.concatenate(found) + poses.log_constant.sum())
+
+    @property
+    def per_actuator(self) -> Array:
+        """Closure per displacement of each leg's actuator, without its sign, shape (N,)."""
+        return np.asarray(np.sqrt(self.actuator_weight.mean(axis=0)))
+
+    def inputs_of(self, poses: LegRows) -> Array:
+        """Return travel from home at poses in units of the range, shape (P, N)."""
+        return self.place_of(poses).travel
+
+
+def _turn_rows(base: LegRows) -> tuple[Array, Array]:
+    """Return Z (P, K, K), which makes rows white but for model errors, and R (P, N', N), what N' see of legs."""
+    white, _ = whiten_covariance(base.error_covariance(np.zeros(base.n_legs)))
+    shown = white @ (base.rows_of_legs * np.sqrt(base.actuator_weight)[:, None, :])
+    axes, _ = np.linalg.qr(shown, mode="complete")
+    turn = np.swapaxes(axes, -1, -2)
+    return turn @ white, (turn @ shown)[:, : min(shown.shape[1:])]
+
+
+def _weigh(covariance: Array, errors: Array) -> Array:
+    """Return normal log-densities of errors (B, M) but for 2 π; covariances (B, M + 1, M + 1) have a row to spare.
+
+    The errors are carried along as one more row of the matrix; in the factor it holds the white ones. S - 1 has no
+    negative eigenvalue, and so eᵀ e in the corner keeps the matrix definite.
+    """
+    m = errors.shape[1]
+    covariance[:, m, :m], covariance[:, :m, m] = errors, errors
+    covariance[:, m, m] = 1.0 + np.einsum("bm,bm->b", errors, errors)
+    factor = np.linalg.cholesky(covariance)
+    white = factor[:, m, :m]
+    half_log_det = np.log(np.diagonal(factor, axis1=1, axis2=2)[:, :m]).sum(axis=1)
+    return np.asarray(-half_log_det - 0.5 * np.einsum("bm,bm->b", white, white))

@@ -1,0 +1,189 @@
+"""Errors that are several functions of the pose at once: density, conditionals and slopes against plain formulas."""
+
+import numpy as np
+import pytest
+import telescope_machines as machines
+from scipy.stats import multivariate_normal
+
+from bayescal.data.instruments.readings import PoseReadings
+from bayescal.density.errors import FunctionScales, ModelError
+from bayescal.density.functions import SORTS, FunctionLikelihood
+from bayescal.density.instruments import InstrumentLikelihood
+from bayescal.density.legs import build_leg_posterior
+from bayescal.density.pose_likelihood import PoseLikelihood
+from bayescal.density.priors import HalfCauchyPrior, NormalPrior
+from bayescal.errors import InputError
+from bayescal.numerics.geometry import rotation_vector_from_matrix
+
+N_POSES, N_HELD = 9, 3
+AMPLITUDES = np.array([*[2e-3] * 6, 8e-3, 5e-3, 9e-3, 4e-3])
+
+
+@pytest.fixture(scope="module", params=["whole", "position"])
+def two(request):
+    """Return densities of calibration poses and of others, and a machine."""
+    machine = machines.build_machine("none")
+    actuators = machines.table_3_actuators()[: N_POSES + N_HELD]
+    theta, rng = machines.telescope_truth(machine), np.random.default_rng(1)
+    found = machines.simulate_poses(machine, theta, actuators, np.full(6, 2e-3), rng)
+    lots = (slice(0, N_POSES), slice(N_POSES, None))
+    if request.param != "position":
+        made = [PoseLikelihood(machine, found.select(one), machines.ACTUATOR_NOISE).refined().refined() for one in lots]
+        return *made, theta
+    made = []
+    for one in lots:
+        own = found.select(one)
+        values = np.concatenate([own.position, rotation_vector_from_matrix(own.rotation)], axis=1)
+        values[:, 3:] = np.nan
+        readings = PoseReadings(own.names, own.actuators, values, own.covariance)
+        made.append(InstrumentLikelihood(machine, readings, machines.ACTUATOR_NOISE))
+    return *made, np.concatenate([theta, np.zeros(12)])
+
+
+def build(base, *others, sorts=tuple(SORTS)):
+    names = [name for one in (base, *others) for name in one.pose_names]
+    return FunctionLikelihood(base, sorts, machines.ACTUATOR_RANGE, {name: k / 12 for k, name in enumerate(names)})
+
+
+def plain_kernel(z, t, k, leg):
+    """Return the sort k of functions of a leg, entry by entry."""
+    n = len(z)
+    result = np.empty((n, n))
+    for p in range(n):
+        for q in range(n):
+            far = [np.exp(-0.5 * np.sum(one**2)) for one in (z[p] - z[q], z[p], z[q])]
+            result[p, q] = [
+                z[p] @ z[q],
+                z[p, leg] * z[q, leg],
+                far[0] - far[1] - far[2] + 1.0,
+                min(t[p], t[q]) + 0.02,
+            ][k]
+    return result
+
+
+def plain_normal(calibration, held, theta, amplitudes):
+    """Return rows of all poses, one behind the other, and their covariance by the plain formula."""
+    both = (calibration, held)
+    z = np.concatenate([one.actuators for one in both]) - machines.INITIAL_POSITION
+    z, t = z / machines.ACTUATOR_RANGE, np.arange(N_POSES + N_HELD) / 12
+    rows = np.concatenate([one.errors(theta[None])[0] for one in both])
+    shown = np.concatenate([one.rows_of_legs * np.sqrt(one.actuator_weight)[:, None] for one in both])
+    noise = np.concatenate([one.error_covariance(amplitudes[:6]) for one in both])
+    n, k = rows.shape
+    total = np.zeros((n, k, n, k))
+    total[np.arange(n), :, np.arange(n)] = noise
+    for sort in range(4):
+        kernels = [plain_kernel(z, t, sort, leg) for leg in range(6)]
+        norm = np.mean([np.diag(one)[:N_POSES] for one in kernels])
+        for leg, kernel in enumerate(kernels):
+            total += amplitudes[6 + sort] ** 2 * np.einsum(
+                "pk,pq,ql->pkql", shown[:, :, leg], kernel / norm, shown[:, :, leg]
+            )
+    return rows.ravel(), total.reshape(n * k, -1), k
+
+
+def test_density_is_that_of_all_rows_together(two):
+    calibration, held, theta = two
+    likelihood = build(calibration, held)
+    rows, covariance, k = plain_normal(likelihood.base, held, theta, AMPLITUDES)
+    own = slice(0, N_POSES * k)
+    expected = multivariate_normal.logpdf(rows[own], cov=covariance[own, own])
+    # constants of the base are those of its own density without functions
+    alone = likelihood.base(theta[None], np.zeros(6))[0]
+    constant = alone - sum(
+        multivariate_normal.logpdf(one, cov=other)
+        for one, other in zip(
+            likelihood.base.errors(theta[None])[0], likelihood.base.error_covariance(np.zeros(6)), strict=True
+        )
+    )
+    assert likelihood(theta[None], AMPLITUDES)[0] == pytest.approx(expected + constant, abs=1e-6)
+    without = likelihood(theta[None], np.zeros(10))[0]
+    assert without == pytest.approx(alone, abs=1e-6)
+
+
+def test_each_pose_given_all_others(two):
+    calibration, held, theta = two
+    likelihood = build(calibration, held)
+    rows, covariance, k = plain_normal(likelihood.base, held, theta, AMPLITUDES)
+    whole = likelihood(theta[None], AMPLITUDES)[0]
+    for pose in (0, 4):
+        rest = np.setdiff1d(np.arange(N_POSES * k), np.arange(pose * k, (pose + 1) * k))
+        mine = np.arange(pose * k, (pose + 1) * k)
+        given = covariance[np.ix_(mine, rest)] @ np.linalg.inv(covariance[np.ix_(rest, rest)])
+        mean = given @ rows[rest]
+        left = covariance[np.ix_(mine, mine)] - given @ covariance[np.ix_(rest, mine)]
+        expected = -0.5 * (rows[mine] - mean) @ np.linalg.solve(left, rows[mine] - mean)
+        square = likelihood.evaluate(theta[None], AMPLITUDES)[1][0, pose]
+        assert -0.5 * square == pytest.approx(expected, rel=1e-7)
+    assert np.isfinite(whole)
+
+
+def test_held_back_poses_given_calibration(two):
+    calibration, held, theta = two
+    likelihood = build(calibration, held)
+    rows, covariance, k = plain_normal(likelihood.base, held, theta, AMPLITUDES)
+    known, other = np.split(np.arange(len(rows)), [N_POSES * k])
+    given = covariance[np.ix_(other, known)] @ np.linalg.inv(covariance[np.ix_(known, known)])
+    mean = given @ rows[known]
+    left = covariance[np.ix_(other, other)] - given @ covariance[np.ix_(known, other)]
+    found = likelihood.condition(held, theta[None], AMPLITUDES[None])
+    shown = held.rows_of_legs
+    assert (shown @ found.mean[0][..., None]).ravel() == pytest.approx(mean, abs=1e-9)
+    predicted = shown @ found.covariance[0] @ shown.swapaxes(-1, -2) + held.error_covariance(AMPLITUDES[:6])
+    expected = np.einsum("qkql->qkl", left.reshape(N_HELD, k, N_HELD, k))
+    assert predicted == pytest.approx(expected, rel=1e-6, abs=1e-12)
+    joint = multivariate_normal.logpdf(rows[other], mean, left)
+    alone = held.pointwise(theta[None], np.zeros(6))[0].sum()
+    plain = sum(
+        multivariate_normal.logpdf(one, cov=noise)
+        for one, noise in zip(held.errors(theta[None])[0], held.error_covariance(np.zeros(6)), strict=True)
+    )
+    assert likelihood.joint(held, theta[None], AMPLITUDES[None])[0] == pytest.approx(joint + alone - plain, abs=1e-6)
+
+
+def build_posterior(likelihood, shared=True):
+    names = [name for name in likelihood.layout.names if name.startswith(("a_", "b_", "l["))]
+    nominal = likelihood.machine.layout.nominal
+    places = {name: nominal[likelihood.layout.names.index(name)] for name in names}
+    priors = {name: NormalPrior(value, 0.3) for name, value in places.items()}
+    terms = [FunctionScales(likelihood.functions.sorts, 0.02)]
+    return build_leg_posterior(likelihood, priors, ModelError(0.01, shared=shared), terms=terms)
+
+
+@pytest.mark.parametrize("shared", [True, False])
+def test_slopes_are_those_of_the_density(two, shared):
+    calibration, held, truth = two
+    posterior = build_posterior(build(calibration, held), shared)
+    m = posterior.n_geometry
+    off = np.random.default_rng(3).standard_normal(posterior.n_parameters)
+    # at the truth: farther off the derivatives of the rows, which the base supplies, leave second orders out
+    y = posterior.adopt(truth[None], 0.3 * off[None, m:] - 0.5)[0]
+    step = 1e-4 * np.eye(len(y))
+    gradient, hessian = posterior.newton(y)
+    by_differences = (posterior.log_density(y + step) - posterior.log_density(y - step)) / 2e-4
+    assert gradient == pytest.approx(by_differences, rel=1e-4, abs=1e-3 * np.abs(by_differences).max())
+    ahead, behind = (np.array([posterior.gradient(y + sign * one)[0] for one in step]) for sign in (1.0, -1.0))
+    curvature = (ahead - behind) / 2e-4
+    assert hessian[m:, m:] == pytest.approx(curvature[m:, m:], rel=1e-3, abs=1e-2)
+
+
+def test_a_scale_of_which_little_is_known():
+    prior, zeta = HalfCauchyPrior(0.02), np.linspace(-3.0, 3.0, 7)
+    assert prior.value(np.zeros(1))[0] == pytest.approx(0.02, rel=2e-3)
+    assert prior.standardise(prior.value(zeta)) == pytest.approx(zeta, abs=1e-9)
+    value = prior.value(np.random.default_rng(1).standard_normal(400_000))
+    grid = np.linspace(0.0, 20.0, 2_000_001)
+    assert np.exp(prior.log_density(grid)).sum() * (grid[1] - grid[0]) == pytest.approx(1.0, rel=1e-3)
+    assert value.mean() == pytest.approx(prior.mean, rel=0.03)
+    assert prior.sd == pytest.approx(value.std(), rel=0.1)
+
+
+def test_poses_at_home_have_no_functions(two):
+    calibration, _, _ = two
+    home = np.broadcast_to(machines.INITIAL_POSITION, calibration.actuators.shape)
+    likelihood = build(calibration)
+    functions = type(likelihood.functions)(
+        likelihood.functions.sorts, likelihood.functions.place._replace(travel=0.0 * home)
+    )
+    with pytest.raises(InputError, match="at home"):
+        functions.between(functions.place, functions.place)
