@@ -87,7 +87,11 @@ def _state_misfit(study: StudyResults) -> list[Statement]:
     without, why = "", "the noise is stated too small, or every variant lacks something real."
     if "zero" in study.settings:
         without = " without model error"
-        why += " With model error τ the intervals are widened accordingly, without it they are too narrow."
+        why += (
+            " Model error τ covers errors that differ from pose to pose at random. What repeats with the pose (a lead, "
+            "coupled actuators, joints) goes into the parameters, whose intervals are then too narrow with τ, too: "
+            "compare a variant with model_error = 'linear' or 'smooth'."
+        )
     if found.factor < 1:
         why = "the noise is stated too large, and all intervals are wider than they need be."
     text = (
