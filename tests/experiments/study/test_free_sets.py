@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ import studies
 
 from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load_experiment
-from bayescal.experiments.frame.run import Finished, run_experiment
+from bayescal.experiments.frame.run import Finished, run_experiment, write_report
 from bayescal.experiments.shared.study_inputs import Task
 from bayescal.experiments.study.fit import run_task
 
@@ -55,8 +56,20 @@ def result(path) -> Finished:
 
 
 @pytest.fixture(scope="module")
-def page(result) -> str:
-    return (result.out / "report.html").read_text()
+def converged(result, tmp_path_factory) -> Path:
+    """Return the results as if so little sampling had converged: what did not is compared nowhere."""
+    folder = tmp_path_factory.mktemp("converged") / "results"
+    shutil.copytree(result.out, folder)
+    summary = json.loads((folder / "summary.json").read_text())
+    for variant in summary["variants"].values():
+        variant["converged"] = variant["without_model_error"]["converged"] = True
+    (folder / "summary.json").write_text(json.dumps(summary))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def page(converged) -> str:
+    return write_report(converged).read_text()
 
 
 def test_every_variant_has_its_rows_and_files(result):
@@ -113,13 +126,13 @@ def test_claims_take_the_variants_without_names(result, tmp_path, no_pictures):
     pd.testing.assert_frame_equal(*claims)
 
 
-def test_figures_tell_free_sets_apart(result):
+def test_figures_tell_free_sets_apart(converged):
     from bayescal.experiments.frame.results import read_results
     from bayescal.experiments.study.page.errors import draw_error_bars
     from bayescal.experiments.study.page.results import StudyResults
     from bayescal.experiments.study.page.styles import assign_styles
 
-    study = StudyResults.of(read_results(result.out))
+    study = StudyResults.of(read_results(converged))
     styles = assign_styles(study)
     assert len({style.marker for style in styles.values()}) == 3
     assert len({(style.marker, style.colour) for style in styles.values()}) == 4
