@@ -15,7 +15,7 @@ c_t is the mean of k_t over legs and calibration poses, so that each scale s_t i
 several sorts because a scale is learnt from what of an error is visible: a smooth kernel alone expects curvature, sees
 none, shrinks, and hides errors that are linear, which the geometry imitates (Brynjarsdottir and O'Hagan 2014).
 
-A pose's rows r ~ N(0, C⁰ + H (…) Hᵀ), H = W √w, are turned beforehand to rows e that are white but for model errors, of
+A pose's rows r ~ N(0, C⁰ + H (…) Hᵀ), H = W √w, are turned once to rows e that are white but for model errors, of
 which the first N' see the legs: H becomes R there and zero below. Then all rows together have the covariance
 
     S = 1 + Σ_i τ_i² (R_i R_iᵀ at each pose) + Σ_t s_t² E_t,    E_t = Σ_i R_ip R_iqᵀ k_t,i(p, q) / c_t,
@@ -43,6 +43,7 @@ from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.posterior import Funnel
 from bayescal.density.priors import SmoothKernel
 from bayescal.density.sampling import LegSampling
+from bayescal.density.structured import Conditional
 from bayescal.errors import InputError
 from bayescal.numerics.geometry import Array
 
@@ -108,13 +109,6 @@ class PoseFunctions:
     def between(self, first: Place, second: Place) -> list[Array]:
         """Return k_t / c_t of each sort between poses, (N or 1, P, Q) each."""
         return [SORTS[name](first, second) / norm for name, norm in zip(self.sorts, self.norms, strict=True)]
-
-
-class Conditional(NamedTuple):
-    """The functions at Q poses, given the errors at the calibration poses, for B draws."""
-
-    mean: Array  # (B, Q, N): mm along the closure of the legs
-    covariance: Array  # (B, Q, N, N): at each pose, mm²
 
 
 @dataclass(frozen=True, eq=False)
@@ -422,11 +416,11 @@ class FunctionLikelihood(Likelihood):
         seen, _ = self._split(rows)
         by_seen, by_unseen = self._split_slopes(turn_to_coordinates(slope, change))
         axes, sd = self._axes[0], np.sqrt(1.0 + own**2)
-        white, told = axes.T @ by_seen / sd[:, None], axes.T @ seen / sd
+        white, residual = axes.T @ by_seen / sd[:, None], axes.T @ seen / sd
         parts = np.einsum("ka,kb->kab", white, white)
         prior = sampling.prior_slope(change)
         known = prior.T @ prior + by_unseen.T @ by_unseen  # what does not hang on the amplitudes
-        return Funnel(white.T @ white, known, np.ones(len(own)), own, parts, -white * told[:, None])
+        return Funnel(white.T @ white, known, np.ones(len(own)), own, parts, -white * residual[:, None])
 
     def _around(self, sampling: LegSampling, y: Array) -> tuple[Array, Array]:
         theta = sampling.theta_from_y(y[None, : sampling.size])[0]
@@ -462,7 +456,7 @@ class FunctionLikelihood(Likelihood):
         return np.asarray(summed * root[:, :, None] * root[:, None, :])
 
     def condition(self, poses: LegRows, theta: Array, model_error: Array) -> Conditional:
-        """Return √w g at poses given the errors at the calibration poses, for (B, D) and amplitudes (B, N + C)."""
+        """Return √w g at Q poses given the errors at the calibration poses, for (B, D) and amplitudes (B, N + C)."""
         seen, _ = self._split(self.base.errors(theta))
         parts = []
         for part in self._batches(len(theta)):
@@ -495,15 +489,6 @@ class FunctionLikelihood(Likelihood):
             half_log_det = np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
             found.append(-half_log_det - 0.5 * np.einsum("bm,bm->b", white, white))
         return np.asarray(np.concatenate(found) + poses.log_constant.sum())
-
-    @property
-    def per_actuator(self) -> Array:
-        """Closure per displacement of each leg's actuator, without its sign, shape (N,)."""
-        return np.asarray(np.sqrt(self.actuator_weight.mean(axis=0)))
-
-    def inputs_of(self, poses: LegRows) -> Array:
-        """Return travel from home at poses in units of the range, shape (P, N)."""
-        return self.place_of(poses).travel
 
 
 def _turn_rows(base: LegRows) -> tuple[Array, Array]:

@@ -220,7 +220,7 @@ class Readings:
         errors = linear.errors - slope @ y
         return Sight(table.rows, linear, slope, errors, stands, pose, table.log_volume)
 
-    def _with(self, table: Table):  # type: ignore[no-untyped-def]
+    def _with(self, table: Table) -> CalibrationLikelihood:
         """Return the density of a table's readings."""
         likelihood = self.posterior.likelihood
         model = likelihood.model

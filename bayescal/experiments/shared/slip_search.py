@@ -2,7 +2,7 @@
 
 All causes are weighed about the machine as expected first, with a factor on all noise for what the first order leaves;
 the best of each kind are fitted, machine and cause together, and weighed again about their own fit. Each kind of cause
-is as probable as every other one beforehand, and so is each cause within its kind.
+is as probable as every other one a priori, and so is each cause within its kind.
 """
 
 from __future__ import annotations
@@ -227,7 +227,7 @@ class _Search:
     def _try_noise(self, here: Sight, cause: Cause, zeta: Array) -> tuple[float, float]:
         """Return the log-density by the best factor on some channels' noise, and that.
 
-        A factor is log-normal beforehand.
+        The prior of a factor is log-normal.
         """
         found = []
         for size in FACTORS:
@@ -335,7 +335,9 @@ class _Search:
         text = cause.text if cause.say is None else cause.say(unknown if len(unknown) else np.array([size]))
         return value, misfit, text
 
-    def _weigher(self, cause: Cause, seen: Sight, columns: Array | None):  # type: ignore[no-untyped-def]
+    def _weigher(
+        self, cause: Cause, seen: Sight, columns: Array | None
+    ) -> Callable[[Array], tuple[float, Array, Array, float, float]]:
         """Return what takes ζ to log-density, white rows, machine, unknowns and size of a cause."""
 
         def weigh(zeta: Array) -> tuple[float, Array, Array, float, float]:
