@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal, Self, get_args
 
-from pydantic import Field
+from pydantic import AfterValidator, Field, model_validator
 
-from bayescal.config.sections import PerLeg, Positive, PositivePerLeg, Section
+from bayescal.config.sections import NotNegative, PerLeg, Positive, PositivePerLeg, Section, check_once
 from bayescal.density.priors import INDEPENDENT, LENGTHY, KernelName, LogNormalPrior
 
 
@@ -40,11 +40,22 @@ class FixedConfig(Section):
 type PriorConfig = Annotated[NormalConfig | UniformConfig | FixedConfig, Field(discriminator="prior")]
 
 
-class KernelChoiceConfig(Section):
-    """Which kernel a variant has in place of what its experiment says."""
+type TermName = Literal["independent", "linear", "own", "smooth", "drift"]
+TERMS: Final[tuple[TermName, ...]] = get_args(TermName.__value__)
+"""What a model error may be made of, in the order in which pages tell it."""
+ALONE: Final[list[TermName]] = ["independent"]
+FUNCTIONS_UM: Final = 20.0
 
-    model_error: KernelName | None = Field(default=None, exclude_if=lambda value: value is None)
-    """What is a function of the pose in this variant: `independent`, `linear`, `quadratic` or `smooth`."""
+type TermNames = Annotated[list[TermName], AfterValidator(check_once)]
+
+
+class KernelChoiceConfig(Section):
+    """Which model error a variant has in place of what its experiment says."""
+
+    model_error: KernelName | TermNames | None = Field(default=None, exclude_if=lambda value: value is None)
+    """The terms of this variant's model error, a list as in [model_error]; or what is a function of the pose with a
+    stated scale: `independent`, `linear`, `quadratic` or `smooth`.
+    """
     kernel_length: Positive | None = Field(default=None, exclude_if=lambda value: value is None)
     """Over how far quadratic and smooth errors change in this variant, in place of what holds for all: a known length
     unless a spread is stated, too [ranges of the actuators].
@@ -80,7 +91,7 @@ class KernelConfig(Section):
 
     def name_for(self, choice: KernelChoiceConfig) -> KernelName:
         """Return the kernel of a variant: its own, or that of all."""
-        return choice.model_error or self.kernel
+        return choice.model_error if isinstance(choice.model_error, str) else self.kernel
 
     def length_for(self, choice: KernelChoiceConfig) -> float:
         """Return the length of a variant's kernel, or the median of its prior, in ranges of the actuators."""
@@ -97,12 +108,49 @@ class KernelConfig(Section):
 
 
 class ModelErrorConfig(KernelConfig):
-    """Prior of the model error: half-normal of τ, one per leg or one for all; and of what is a function of the pose."""
+    """What the models leave out, beside the stated noise: of every leg, or of every channel of the machine itself.
 
+    The terms add up. Nobody has to know how large they are: τ has a half-normal prior, the others half-Cauchy ones.
+    """
+
+    terms: TermNames = Field(default=list(TERMS), exclude_if=lambda value: value == ALONE)
+    """What it is made of, all where nothing is said: `independent` (τ, drawn anew at every pose), `linear` (in the
+    positions of all actuators: a coupling), `own` (linear in the own position: a lead error), `smooth` (any smooth
+    function of the positions), `drift` (a random walk in measuring order); `[]` for no model error.
+    """
     scale_um: Positive = 10.0
     """Scale of the half-normal prior of the model error τ."""
-    per_leg: bool = True
-    """Whether every leg has a model error of its own, or all share one."""
+    functions_um: Positive = Field(default=FUNCTIONS_UM, exclude_if=lambda value: value == FUNCTIONS_UM)
+    """Scale of the half-Cauchy prior of the root mean square of each other term."""
+    at_least_um: NotNegative | dict[TermName, NotNegative] = Field(default=0.0, exclude_if=lambda value: value == 0.0)
+    """Root mean square that a term has at least, where it leaves no trace in the data, too: of `linear`, `own` and
+    `smooth` together, or by term.
+    """
+    per_leg: bool = False
+    """Whether every leg has a τ of its own, or all share one."""
+
+    def terms_for(self, choice: KernelChoiceConfig) -> list[TermName]:
+        """Return the terms of a variant: its own, or those of all."""
+        if isinstance(choice.model_error, str):
+            return ALONE
+        return self.terms if choice.model_error is None else choice.model_error
+
+    def floors(self) -> dict[TermName, float]:
+        """Return the least root mean square of each term that has one, µm."""
+        if isinstance(self.at_least_um, dict):
+            return {name: one for name, one in self.at_least_um.items() if one > 0.0}
+        together: list[TermName] = [one for one in ("linear", "own", "smooth") if one in self.terms]
+        return {one: self.at_least_um / len(together) ** 0.5 for one in together if self.at_least_um > 0.0}
+
+    @model_validator(mode="after")
+    def _check_terms(self) -> Self:
+        if self.kernel != INDEPENDENT and self.terms != ALONE:
+            raise ValueError(
+                f"found kernel {self.kernel!r} beside terms {self.terms}, expected terms = {ALONE} with it"
+            )
+        if isinstance(self.at_least_um, dict) and (strange := set(self.at_least_um) - set(self.terms)):
+            raise ValueError(f"at_least_um: found {sorted(strange)}, expected some of the terms {self.terms}")
+        return self
 
 
 class BlundersConfig(Section):

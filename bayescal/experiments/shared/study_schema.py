@@ -26,7 +26,14 @@ from bayescal.config.sections import (
 )
 from bayescal.density.outliers import NORMAL, Contaminated, Outliers, StudentT
 from bayescal.density.priors import SharePrior
-from bayescal.density.schema import BlundersConfig, FixedConfig, KernelChoiceConfig, ModelErrorConfig, PriorConfig
+from bayescal.density.schema import (
+    BlundersConfig,
+    FixedConfig,
+    KernelChoiceConfig,
+    KernelConfig,
+    ModelErrorConfig,
+    PriorConfig,
+)
 from bayescal.experiments.shared.readings.schema import (
     BesideConfig,
     ChannelConfig,
@@ -279,7 +286,8 @@ AS_STATED = SensitivityConfig(factor=[1.0])
 BY_INSTRUMENT = {"claims", "deformation", "frames", "blunders"}
 """Sections that mean something of an instrument's poses alone; a mechanism's deformation does of tables, too."""
 BY_TABLES = {"instruments", "sensors", "units", "unknown_noise", "errors", "workspace", "validation", "beside", "next"}
-VARIANTS_BY_INSTRUMENT = {"model_error", "kernel_length", "kernel_length_spread", "published"}
+VARIANTS_BY_INSTRUMENT = {"kernel_length", "kernel_length_spread", "published"}
+KERNEL_KEYS = set(KernelConfig.model_fields)
 VARIANTS_BY_TABLES = {"common", "sensors", "machine", "noise", "errors", "robust", "outlier_share", "poses_with"}
 
 
@@ -312,10 +320,9 @@ class StudyConfig(ExperimentConfig):
     """Frames that are found with the machine, mm and degrees."""
     unknown_noise: dict[str, Positive] = Field(default={}, exclude_if=lambda value: not value)
     """By group of channels: standard deviation of the logarithm of a factor on its noise [1]."""
-    model_error: StudyErrorConfig = Field(
-        default_factory=lambda known: dict[str, ModelErrorScaleConfig]() if _is_tables(known) else ModelErrorConfig()
-    )
-    """Prior of what the models leave out: of the legs, or by channel or kind of tables of readings."""
+    model_error: StudyErrorConfig = ModelErrorConfig()
+    """What the models leave out, in terms whose sizes are found; or of tables of readings τ alone, by channel or kind.
+    """
     errors: dict[Name, ErrorTermConfig] = Field(default={}, exclude_if=lambda value: not value)
     """By name: errors common to all rows, such as functions of what is read, or those of a class of one's own."""
     blunders: BlundersConfig | None = Field(default=None, exclude_if=lambda value: value is None)
@@ -366,15 +373,21 @@ class StudyConfig(ExperimentConfig):
 
     @property
     def leg_error(self) -> ModelErrorConfig:
-        """Prior of the legs' model error."""
-        assert isinstance(self.model_error, ModelErrorConfig)
-        return self.model_error
+        """The model error in terms; without any where it is stated by channel."""
+        return ModelErrorConfig(terms=[]) if isinstance(self.model_error, dict) else self.model_error
 
     @property
     def channel_errors(self) -> dict[str, ModelErrorScaleConfig]:
-        """Priors of model errors by groups of channels."""
-        assert isinstance(self.model_error, dict)
-        return self.model_error
+        """Priors of model errors by groups of channels; none where it is stated in terms."""
+        return self.model_error if isinstance(self.model_error, dict) else {}
+
+    @model_validator(mode="before")
+    @classmethod
+    def _name_no_error(cls, content: Any) -> Any:
+        """Tables without a model error have none by channel, as results of earlier versions say."""
+        if isinstance(content, dict) and _is_tables(content) and content.get("model_error") == {"terms": []}:
+            return content | {"model_error": {}}
+        return content
 
     @model_validator(mode="after")
     def _check_variants(self) -> Self:
@@ -416,9 +429,17 @@ class StudyConfig(ExperimentConfig):
             raise ValueError("sensors: missing, expected the noise of the channels")
         if self.by_tables and self.sensitivity.tau_scale_um != TAU_SCALES:
             raise ValueError("sensitivity.tau_scale_um: found with tables of readings, where it means nothing")
-        if isinstance(self.model_error, dict) is not self.by_tables:
-            expected = "[model_error.CHANNEL] with scale" if self.by_tables else "scale_um, per_leg"
-            raise ValueError(f"model_error: found that of other data, expected {expected} with {data}")
+        if isinstance(self.model_error, dict):
+            if not self.by_tables:
+                raise ValueError(f"model_error: found that of channels with {data}, expected terms, scale_um")
+        elif self.by_tables:
+            for name in sorted(_list_stated(self.model_error) & KERNEL_KEYS):
+                raise ValueError(f"model_error.{name}: found with {data}, expected it with [data] alone")
+        for variant in self.variants:
+            if self.by_tables and isinstance(variant.model_error, str):
+                raise ValueError(
+                    f"variant {variant.name!r}: model_error: found {variant.model_error!r}, expected a list of terms"
+                )
 
 
 def _is_tables(known: Mapping[str, Any]) -> bool:

@@ -66,8 +66,8 @@ def build_noise(
 ) -> tuple[ErrorTerm, ...]:
     """Return what of the noise of the chosen channels is unknown; InputError for a group that no channel belongs to."""
     groups = group_channels(config, model)
-    for table in ("unknown_noise", "model_error"):
-        for name in getattr(config, table):
+    for table, stated in (("unknown_noise", config.unknown_noise), ("model_error", config.channel_errors)):
+        for name in stated:
             if name not in groups:
                 known = ", ".join(dict.fromkeys(filter(None, groups)))
                 raise InputError(f"{table}: found {name!r}, expected a group of channels: {known}")
