@@ -134,7 +134,7 @@ class CalibrationLikelihood(PoseElimination, Elimination[AffineSampling, Errors]
 
     def white_columns(self, errors: Errors, zeta: Array, white: Whitening) -> Array:
         """Return what coefficients do to white readings at poses that stay, (B, P, K, N)."""
-        return white.rows(np.where(self.data.present[..., None], errors.columns(zeta, self.data), 0.0))
+        return white.rows(np.where(self.data.present[..., None], errors.columns(zeta, self.data, self.error_gain), 0.0))
 
     def draw_common(self, theta: Array, errors: Errors, zeta: Array, rng: np.random.Generator) -> CommonDraws:
         """Return draws of the errors common to all rows, one for each machine."""
@@ -251,7 +251,7 @@ class CalibrationLikelihood(PoseElimination, Elimination[AffineSampling, Errors]
         curvature = 0.5 * np.einsum("npkl,oplk->no", seen, seen, optimize=True)
         if found is None:
             return gradient - 0.5 * np.trace(seen, axis1=-2, axis2=-1).sum(axis=-1), curvature
-        acted = errors.column_slopes(zeta, self.data)
+        acted = errors.column_slopes(zeta, self.data, self.error_gain)
         moved = left @ white.rows(np.where(there[..., None], acted, 0.0))
         gradient += np.einsum("p,pk,npku,u->n", trust, error, moved, found.mean[0], optimize=True)
         return gradient, curvature + found.inform(both, trust[:, None, None] * left @ both, moved)
