@@ -148,9 +148,9 @@ def build_terms_of_model(
         {name: MICROMETRE * floor for name, floor in floors.items()},
         error.per_leg,
     )
-    reasons = dict.fromkeys(missing.values())
-    said = [f"{', '.join(name for name, why in missing.items() if why == one)}, as {one}" for one in reasons]
-    return left, f"No such model error: {'; '.join(said)}" if said else ""
+    without = [([name for name, why in missing.items() if why == one], one) for one in dict.fromkeys(missing.values())]
+    said = [f"no term{'s' * (len(names) > 1)} {', '.join(names)}, as {why}" for names, why in without]
+    return left, f"the model error has {' and '.join(said)}" if said else ""
 
 
 def _is_length(model: ReadingModel, name: str) -> bool:
