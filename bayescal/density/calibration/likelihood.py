@@ -286,7 +286,7 @@ class CalibrationLikelihood(PoseElimination, Elimination[AffineSampling, Errors]
         return np.asarray((values[:n] - values[n:]) / (2.0 * STEP))
 
     def _log_volume(self, theta: Array, errors: Errors, zeta: Array, reference: Whitening, turn: Array | None) -> Array:
-        """Return log-volumes of machines where they explain readings best, (B,); with those of coefficients, and -r H δ.
+        """Return log-volumes of machines where they explain readings best, (B,), with those of coefficients and -r H δ.
 
         The last is by H of a whitening that stays: as the noise changes H is scaled, which is no turn.
         """

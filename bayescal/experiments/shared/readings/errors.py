@@ -14,7 +14,7 @@ from bayescal.density.calibration.measurements import Measurements
 from bayescal.density.calibration.model_error import OwnChannels, build_model_error
 from bayescal.density.calibration.terms import ErrorTerm, TermRows, check_term
 from bayescal.density.priors import Prior
-from bayescal.density.schema import TERMS
+from bayescal.density.schema import TERMS, TermName
 from bayescal.errors import InputError, name_faults
 from bayescal.experiments.shared.function_errors import check_functions
 from bayescal.experiments.shared.readings.noise import group_channels
@@ -159,7 +159,7 @@ def _is_length(model: ReadingModel, name: str) -> bool:
     return name in layout.names and layout.units[layout.names.index(name)] == "mm"
 
 
-def check_floors(floors: Mapping[str, float], tolerances: Sequence[float]) -> None:
+def check_floors(floors: Mapping[TermName, float], tolerances: Sequence[float]) -> None:
     """Raise InputError where a floor of the model error, µm, is beyond all tolerances of lengths, mm."""
     largest = max(tolerances, default=np.inf) / MICROMETRE
     for name, floor in floors.items():
