@@ -75,52 +75,24 @@ class Components:
 
     def covariances(self, variances: Array, more: int = 0) -> Array:
         """Return S of variances (B, G + C), shape (B, M + more, M + more), with room for more rows."""
-        (n_poses, n), m, g = self.known.shape[:2], self.size, len(self.blocks)
-        total = np.zeros((len(variances), m + more, m + more))
-        inner = total[:, :m, :m]
-        inner[:] = (variances[:, g:] @ self.parts.reshape(-1, m * m)).reshape(-1, m, m)
+        g = len(self.blocks)
         own = self.known + (variances[:, :g] @ self.blocks.reshape(g, -1)).reshape(-1, *self.known.shape)
-        for p in range(n_poses):
-            inner[:, p * n : (p + 1) * n, p * n : (p + 1) * n] += own[:, p]
-        return total
+        return assemble(own, self.parts, variances[:, g:], more)
 
     def factorise(self, variances: Array) -> White:
         """Return S of variances (G + C,)."""
         return White(cholesky(self.covariances(variances[None])[0], lower=True, check_finite=False))
 
-    def batches(self, size: int) -> list[slice]:
-        """Return which of so many vectors of variances are taken together."""
-        most = max(1, AT_ONCE // self.size**2)
-        return [slice(k, k + most) for k in range(0, size, most)]
-
     def weigh(self, variances: Array, rows: Array) -> Array:
-        """Return normal log-densities of rows (B, M) but for 2 π, shape (B,), for variances (B, G + C).
-
-        The rows are carried along as one more row of the matrix; in the factor it holds the white ones. S less the
-        smallest of its eigenvalues has no negative one, and so the corner keeps the matrix definite.
-        """
+        """Return normal log-densities of rows (B, M) but for 2 π, shape (B,), for variances (B, G + C)."""
         found = np.empty(len(rows))
-        for part in self.batches(len(rows)):
-            found[part] = _weigh(self.covariances(variances[part], 1), rows[part], self._least)
+        for part in batches(len(rows), self.size):
+            found[part] = weigh(self.covariances(variances[part], 1), rows[part])
         return found
 
-    @cached_property
-    def _least(self) -> float:
-        """Lower bound of the eigenvalues of S."""
-        return float(np.linalg.eigvalsh(self.known).min())
-
     def weigh_each(self, variances: Array, rows: Array) -> tuple[Array, Array]:
-        """Return log p(e_n | all other rows) but for 2 π of each pose and its squared deviation, shapes (B, P).
-
-        With A = S⁻¹ and α = A e the density of e_n given the others is normal with precision A_nn, and its deviation
-        from its mean is A_nn⁻¹ α_n.
-        """
-        shape = self.known.shape[:2]
-        inverse = np.linalg.inv(self.covariances(variances))
-        alpha = (inverse @ rows[..., None]).reshape(-1, *shape)
-        own = np.einsum("bpipj->bpij", inverse.reshape(-1, *shape, *shape))
-        square = np.einsum("bpi,bpi->bp", alpha, np.linalg.solve(own, alpha[..., None])[..., 0])
-        return 0.5 * np.linalg.slogdet(own)[1] - 0.5 * square, square
+        """Return log p(e_n | all other rows) but for 2 π of each pose and its squared deviation, shapes (B, P)."""
+        return weigh_each(self.covariances(variances), rows, len(self.known))
 
     def act(self, alpha: Array) -> Array:
         """Return B_g α and E_t α, (M,) to (G + C, M)."""
@@ -134,15 +106,64 @@ class Components:
         return np.concatenate([own.reshape(len(own), *inverse.shape), inverse @ self.parts])
 
 
-def _weigh(covariance: Array, rows: Array, least: float) -> Array:
-    """Return log-densities of rows (B, M); covariances (B, M + 1, M + 1) have a row to spare."""
+def batches(size: int, n_rows: int) -> list[slice]:
+    """Return which of so many covariances of M rows are taken together."""
+    most = max(1, AT_ONCE // n_rows**2)
+    return [slice(k, k + most) for k in range(0, size, most)]
+
+
+def assemble(own: Array, parts: Array, weights: Array, more: int = 0) -> Array:
+    """Return block diagonal matrices plus weighted parts, with room for more rows.
+
+    Parameters
+    ----------
+    own : ndarray, shape (B, P, n, n)
+    parts : ndarray, shape (C, M, M)
+        M = P n.
+    weights : ndarray, shape (B, C)
+    more : int
+
+    Returns
+    -------
+    ndarray, shape (B, M + more, M + more)
+    """
+    n_poses, n, m = own.shape[1], own.shape[2], parts.shape[-1]
+    total = np.zeros((len(weights), m + more, m + more))
+    inner = total[:, :m, :m]
+    inner[:] = (weights @ parts.reshape(-1, m * m)).reshape(-1, m, m)
+    for p in range(n_poses):
+        inner[:, p * n : (p + 1) * n, p * n : (p + 1) * n] += own[:, p]
+    return total
+
+
+CORNER: Final = 1e200  # larger than any square of white rows; what comes before it in a factor does not depend on it
+
+
+def weigh(covariance: Array, rows: Array) -> Array:
+    """Return normal log-densities of rows (B, M) but for 2 π, shape (B,); covariances (B, M + 1, M + 1) are used up.
+
+    The rows are carried along as one more row of the matrix; in the factor it holds the white ones.
+    """
     m = rows.shape[1]
-    covariance[:, m, :m], covariance[:, :m, m] = rows, rows
-    covariance[:, m, m] = 1.0 + np.einsum("bm,bm->b", rows, rows) / least
+    covariance[:, m, :m], covariance[:, :m, m], covariance[:, m, m] = rows, rows, CORNER
     factor = np.linalg.cholesky(covariance)
     white = factor[:, m, :m]
     half_log_det = np.log(np.diagonal(factor, axis1=1, axis2=2)[:, :m]).sum(axis=1)
     return np.asarray(-half_log_det - 0.5 * np.einsum("bm,bm->b", white, white))
+
+
+def weigh_each(covariance: Array, rows: Array, n_poses: int) -> tuple[Array, Array]:
+    """Return log p(e_n | all other rows) but for 2 π of each pose and its squared deviation, shapes (B, P).
+
+    With A = S⁻¹ and α = A e the density of e_n given the others is normal with precision A_nn, and its deviation from
+    its mean is A_nn⁻¹ α_n.
+    """
+    shape = n_poses, rows.shape[1] // n_poses
+    inverse = np.linalg.inv(covariance)
+    alpha = (inverse @ rows[..., None]).reshape(-1, *shape)
+    own = np.einsum("bpipj->bpij", inverse.reshape(-1, *shape, *shape))
+    square = np.einsum("bpi,bpi->bp", alpha, np.linalg.solve(own, alpha[..., None])[..., 0])
+    return 0.5 * np.linalg.slogdet(own)[1] - 0.5 * square, square
 
 
 class LinearRows(NamedTuple):

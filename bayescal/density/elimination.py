@@ -159,6 +159,12 @@ class Whitening:
         matrix = self.matrix if self.matrix is None or len(self.matrix) == 1 else self.matrix[some]
         return Whitening(self.diagonal[some], matrix, self.places, self.log_det[some])
 
+    def repeat(self, n: int) -> Whitening:
+        """Return that of one machine for n of them."""
+        matrix = self.matrix if self.matrix is None else np.broadcast_to(self.matrix, (n, *self.matrix.shape[1:]))
+        diagonal, log_det = (np.broadcast_to(one, (n, *one.shape[1:])) for one in (self.diagonal, self.log_det))
+        return Whitening(diagonal, matrix, self.places, log_det)
+
     def vector(self, error: Array) -> Array:
         """Return white errors (C, P, K)."""
         result = self.diagonal * error

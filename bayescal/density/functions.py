@@ -34,7 +34,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from bayescal.data.measured_poses import MeasuredPoses
-from bayescal.density.components import Components, LinearRows
+from bayescal.density.components import Components, LinearRows, batches
 from bayescal.density.elimination import whiten_covariance
 from bayescal.density.errors import LegErrors
 from bayescal.density.instruments import InstrumentLikelihood
@@ -387,7 +387,7 @@ class FunctionLikelihood(Likelihood):
         """Return √w g at Q poses given the errors at the calibration poses, for (B, D) and amplitudes (B, N + C)."""
         seen, _ = self._split(self.base.errors(theta))
         parts = []
-        for part in self.components.batches(len(theta)):
+        for part in batches(len(theta), self.components.size):
             across = self._across(poses, model_error[part])
             b, q, n, m = across.shape
             flat = across.reshape(b, q * n, m)
@@ -403,7 +403,7 @@ class FunctionLikelihood(Likelihood):
         known, _ = self._split(self.base.errors(theta))
         rows, shown, n = poses.errors(theta), poses.rows_of_legs, self.n_legs
         found = []
-        for part in self.components.batches(len(theta)):
+        for part in batches(len(theta), self.components.size):
             across = self._across(poses, model_error[part])
             seen = np.einsum("qki,bqim->bqkm", shown, across).reshape(len(across), -1, across.shape[-1])
             solved = np.linalg.solve(self.components.covariances(model_error[part] ** 2), np.swapaxes(seen, -1, -2))

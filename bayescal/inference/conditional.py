@@ -17,7 +17,7 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
 from bayescal.density.components import LinearGeometry
-from bayescal.inference.scales import find_scales_mode, sample_scales
+from bayescal.inference.scales import sample_scales
 from bayescal.inference.target import Target
 from bayescal.numerics.geometry import Array
 
@@ -92,12 +92,8 @@ def fit_conditional(posterior: Target, y: Array) -> ConditionalMap | None:
     linear = posterior.linear_geometry(y)
     if linear is None or len(y) == posterior.n_geometry:
         return None
-    m, rng = posterior.n_geometry, np.random.default_rng(1803)
-    mode = find_scales_mode(_density_of(linear), y[m:])
-    found = posterior.polish(np.append(y[:m], mode))
-    if np.isfinite(posterior.log_density(found[None])[0]):
-        linear = posterior.linear_geometry(found) or linear
-    draws = sample_scales(_density_of(linear), mode, N_DRAWS, N_DRAWS, rng).draws
+    rng = np.random.default_rng(1803)
+    draws = sample_scales(_density_of(linear), y[posterior.n_geometry :], N_DRAWS, N_DRAWS, rng).draws
     return _fit(linear, draws, rng)
 
 

@@ -12,6 +12,7 @@ from scipy.optimize import OptimizeResult, minimize
 
 from bayescal.errors import NumericalError
 from bayescal.inference.importance import difference_twice
+from bayescal.inference.scales import find_scales_mode
 from bayescal.inference.target import Target
 from bayescal.limits import FAR_AWAY
 from bayescal.numerics.geometry import Array
@@ -27,6 +28,8 @@ WORTH_KEEPING = 12.0  # a mode this many nats below the best holds no mass that 
 WORTH_COMBINING = 7.0  # a combination of jumps expected to hold less than e^-7 of the best is not climbed
 MOST_COMBINATIONS = 63  # all of six jumps
 N_SCATTERED = 3  # draws of the prior from which the search begins anew
+MOST_STEPS, HALVINGS = 30, 6  # of geometry at the errors that are most probable
+SETTLED = 1e-2  # squared posterior sds that geometry there may still be off
 KNOWN = 1.0  # square of the distance in posterior sds within which least squares have led back to a known mode
 LOST = 1e3  # nats below the best where least squares found no machine that fits
 
@@ -220,6 +223,8 @@ def _climb(posterior: Target, start: Array, floor: float = -np.inf) -> Climb:
     """
     if not np.isfinite(posterior.log_density(start[None])[0]):
         raise NumericalError("mode search: the density is not finite at the start, expected a machine near nominal")
+    if posterior.linear_geometry(start) is not None:
+        return _climb_given_errors(posterior, start)
     y = posterior.polish(start)
     surface = _Surface(posterior)
     steps, last = 0, np.inf
@@ -244,6 +249,32 @@ def _climb(posterior: Target, start: Array, floor: float = -np.inf) -> Climb:
     if not result.fun < FAR_AWAY**2:
         raise NumericalError("mode search: the climb left the region of finite density")
     return result.x, float(-result.fun)
+
+
+def _climb_given_errors(posterior: Target, start: Array) -> Climb:
+    """Return the geometry that is best at the errors that are most probable whatever the geometry, and the log-density.
+
+    The joint mode of both is none of the errors' density. Geometry by Gauss and Newton's steps, halved where one leads
+    down; errors by their density in closed form.
+    """
+    m, y = posterior.n_geometry, start.copy()
+    for _ in range(MOST_STEPS):
+        linear = posterior.linear_geometry(y)
+        assert linear is not None
+        y[m:] = find_scales_mode(lambda zeta, at=linear: at.given(zeta).log_mass, y[m:])
+        given = linear.given(y[m:])
+        step, here = given.mean - y[:m], float(posterior.log_density(y[None])[0])
+        for share in 0.5 ** np.arange(HALVINGS):
+            there = np.append(y[:m] + share * step, y[m:])
+            found = float(posterior.log_density(there[None])[0])
+            if found > here - NO_GAIN:
+                break
+        else:
+            break
+        y = there
+        if step @ np.linalg.solve(given.covariance, step) < DECREMENT_TOLERANCE:
+            break
+    return y, float(posterior.log_density(y[None])[0])
 
 
 class _Surface:
@@ -277,6 +308,12 @@ class _Surface:
 
 def _characterise(posterior: Target, y: Array, log_density: float) -> Mode:
     """Return the mode at y with its covariance; converged where a Newton step would gain next to nothing."""
+    linear = posterior.linear_geometry(y)
+    if linear is not None:
+        m, covariance = posterior.n_geometry, np.eye(len(y))  # of errors their prior's: draws tell it better
+        given = linear.given(y[m:])
+        covariance[:m, :m], step = given.covariance, given.mean - y[:m]
+        return Mode(y, log_density, covariance, bool(step @ np.linalg.solve(given.covariance, step) < SETTLED))
     gradient, curvature = posterior.gradient(y)
     covariance = _invert_negative(posterior, y, curvature)
     converged = bool(gradient @ covariance @ gradient < DECREMENT_TOLERANCE)
@@ -290,8 +327,6 @@ def _invert_negative(posterior: Target, y: Array, curvature: Array) -> Array:
     except np.linalg.LinAlgError as error:
         raise NumericalError("mode search: the Hessian at the mode is not negative definite") from error
     factor = np.linalg.inv(whitening).T
-    if posterior.linear_geometry(y) is not None:  # the covariance is found in closed form, for all errors
-        return factor @ factor.T
     _, hessian = difference_twice(posterior.log_density, y, factor, HESSIAN_STEP)
     try:
         inner = np.linalg.inv(np.linalg.cholesky(-hessian))

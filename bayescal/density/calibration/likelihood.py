@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Self
 
 import numpy as np
 
+from bayescal.density.calibration.frozen import FrozenRows
 from bayescal.density.calibration.poses import PoseElimination, Stand
 from bayescal.density.calibration.terms import CommonDraws, Errors
+from bayescal.density.components import LinearRows
 from bayescal.density.elimination import Whitening, invert, left_of, orthonormalise, project_out
 from bayescal.density.low_rank import Coefficients, find_coefficients, split
 from bayescal.density.outliers import Outliers
@@ -29,7 +31,12 @@ LEAST_SHARE = 1e-3  # of a variance, that an unknown noise is taken to have
 
 @dataclass(frozen=True, eq=False)
 class CalibrationLikelihood(PoseElimination, Elimination[AffineSampling, Errors]):
-    """Log-density of the readings of P poses under machines θ (B, D) and errors with coordinates ζ (B, k)."""
+    """Log-density of the readings of P poses under machines θ (B, D) and errors with coordinates ζ (B, k).
+
+    ``frozen``: a fast form of it about a machine that explains the readings, where errors are functions of the pose.
+    """
+
+    frozen: FrozenRows | None = None
 
     @property
     def layout(self) -> ParameterLayout:  # type: ignore[override]
@@ -57,6 +64,8 @@ class CalibrationLikelihood(PoseElimination, Elimination[AffineSampling, Errors]
         """Return the log-likelihood, shape (B,); see `Elimination.density`."""
         if not errors.has_columns:
             return np.asarray(self.density_by_row(theta, errors, zeta).sum(axis=1))
+        if self.frozen is not None:
+            return self.frozen.density(self, theta, errors, zeta)
         total = np.empty(len(theta))
         for part, white, at in self._explain_in_parts(theta, errors, zeta):
             rest = self.offset(white, at)
@@ -67,6 +76,8 @@ class CalibrationLikelihood(PoseElimination, Elimination[AffineSampling, Errors]
 
     def density_by_row(self, theta: Array, errors: Errors, zeta: Array) -> Array:
         """Return the log-likelihood of each pose's readings given all others, shape (B, P)."""
+        if self.frozen is not None:
+            return self.frozen.density_by_row(self, theta, errors, zeta)
         result = np.empty((len(theta), self.data.n_poses))
 
         def weigh(part: slice) -> None:
@@ -115,8 +126,9 @@ class CalibrationLikelihood(PoseElimination, Elimination[AffineSampling, Errors]
             return at.error
         return np.concatenate([found.residual for _, found in self._absorb(errors, zeta, white, at)])
 
-    def finer(self) -> None:
-        """Return None: the density leaves nothing out."""
+    def finer(self) -> Self | None:
+        """Return the density that is not frozen; None where it is none, which leaves nothing out."""
+        return None if self.frozen is None else replace(self, frozen=None)
 
     def _explain_in_parts(self, theta: Array, errors: Errors, zeta: Array) -> Iterator[tuple[slice, Whitening, Stand]]:
         """Yield machines that are looked at together, with whitening and where they explain readings best."""
@@ -322,15 +334,20 @@ class CalibrationLikelihood(PoseElimination, Elimination[AffineSampling, Errors]
         return np.append(y, zeta), pose
 
     def anchored(self, sampling: AffineSampling, errors: Errors) -> Self:
-        """Return the same density that looks for poses from those of the least-squares solution."""
-        (y, pose), m = self._fit(sampling, errors), sampling.size
-        theta, zeta = sampling.theta_from_y(y[None, :m])[0], np.zeros((NEARBY, errors.n_parameters))
-        white = self.whiten(*self.noise(errors, zeta[:1]))
+        """Return the same density that looks for poses from those of the least-squares solution.
+
+        Functions of an unknown size hardly move machine and poses as far as that matters here: it is found without.
+        """
+        alone = errors.without_columns() if errors.list_acts(self.data) else errors
+        (y, pose), m = self._fit(sampling, alone), sampling.size
+        theta, zeta = sampling.theta_from_y(y[None, :m])[0], np.zeros((NEARBY, alone.n_parameters))
+        white = self.whiten(*self.noise(alone, zeta[:1]))
         every = sampling.theta_from_y(self._draw_near(sampling, y[:m], pose, white))
         near, exact = (self.anchored_at(pose, theta, spread, white) for spread in (every, None))
         with np.errstate(all="ignore"):  # one of them may be no machine
-            error = near.density(every, errors, zeta) - exact.density(every, errors, zeta)
-        return near.limited(every, np.where(self.layout.inside(every), error, np.nan))
+            error = near.density(every, alone, zeta) - exact.density(every, alone, zeta)
+        found = near.limited(every, np.where(self.layout.inside(every), error, np.nan))
+        return replace(found, frozen=FrozenRows.build(found, errors, theta))
 
     def _draw_near(self, sampling: AffineSampling, y: Array, pose: Array, white: Whitening) -> Array:
         """Return coordinates (N, m) thrice as far off the best ones (m,) as the posterior's, always the same."""
@@ -353,6 +370,13 @@ class CalibrationLikelihood(PoseElimination, Elimination[AffineSampling, Errors]
         there, square = self.data.present, (own**2 + tau**2) / self.sd**2
         mine = there * errors.groups(there.shape[1])[:, None]
         return np.sqrt(np.einsum("bpk,gpk->bg", square, mine) / np.maximum(mine.sum(axis=(1, 2)), 1))
+
+    def linear_rows(self, sampling: AffineSampling, errors: Errors, y: Array) -> LinearRows | None:
+        """Return the frozen rows as linear in the geometry about y, shape (n,); None where there are none."""
+        if self.frozen is None:
+            return None
+        theta = sampling.theta_from_y(y[None, : sampling.size])[0]
+        return self.frozen.linear_rows(self, theta, sampling.jacobian(theta), errors)
 
     def funnel(self, sampling: AffineSampling, errors: Errors, y: Array) -> Funnel | None:
         """Return how the geometry depends on the noise at y, shape (n,); None where that is known."""

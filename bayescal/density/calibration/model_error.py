@@ -239,7 +239,7 @@ class FunctionsOfPose(ErrorTerm):
         """Return the root mean square of the error, floor included, mm at the tool, (..., 1) to (...,)."""
         return np.asarray(np.hypot(self.priors[0].value(zeta[..., 0]), self.floor))
 
-    def _act(self, data: Measurements) -> Array:
+    def act(self, data: Measurements) -> Array:
         """Return the columns (P, K, N R) of an amplitude of one."""
         rows, place = self.own.find_rows(data), self.own.place_of(data)
         root, over = self._roots
@@ -255,13 +255,13 @@ class FunctionsOfPose(ErrorTerm):
 
     def columns(self, zeta: Array, data: Measurements) -> Array:
         """Return what coefficients do to each channel's readings, (B, P, K, N R)."""
-        return self.amplitude(zeta)[:, None, None, None] * self._act(data)
+        return self.amplitude(zeta)[:, None, None, None] * self.act(data)
 
     def slopes(self, zeta: Array, data: Measurements) -> Slopes:
         """Return Φ's, with d√(s² + floor²) = s ds / √(s² + floor²)."""
         prior, amplitude = self.priors[0], self.amplitude(zeta)
         share = float(prior.value(zeta[0])) / float(amplitude) if amplitude > 0.0 else 1.0
-        return Slopes(columns=share * float(prior.slope(zeta[0])) * self._act(data)[None])
+        return Slopes(columns=share * float(prior.slope(zeta[0])) * self.act(data)[None])
 
 
 def build_model_error(

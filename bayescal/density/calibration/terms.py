@@ -153,6 +153,15 @@ class ErrorTerm(ABC):
         del zeta, data
         return None
 
+    def act(self, data: Measurements) -> Array | None:
+        """Return Φ of an amplitude of one, (P, K, N), where Φ is that times an amplitude; by default it is not."""
+        del data
+        return None
+
+    def amplitude(self, zeta: Array) -> Array:
+        """Return that amplitude, (..., n) to (...,)."""
+        return np.zeros(zeta.shape[:-1])
+
     def slopes(self, zeta: Array, data: Measurements) -> Slopes:
         """Return the derivatives at ζ, shape (n,); by central differences where a term states none."""
         moved = zeta + STEP * np.concatenate([np.eye(len(zeta)), -np.eye(len(zeta))])
@@ -346,7 +355,25 @@ class Errors:
     @cached_property
     def has_columns(self) -> bool:
         """Whether some errors are common to all rows."""
-        return any(type(term).columns is not ErrorTerm.columns for term in self.terms)
+        return bool(self._common)
+
+    @cached_property
+    def _common(self) -> list[ErrorTerm]:
+        return [term for term in self.terms if type(term).columns is not ErrorTerm.columns]
+
+    def without_columns(self) -> Errors:
+        """Return the terms that concern single rows alone."""
+        return Errors(tuple(term for term in self.terms if term not in self._common), self.outliers)
+
+    def list_acts(self, data: Measurements, gain: Array | None = None) -> list[Array]:
+        """Return `ErrorTerm.act` of the terms with columns, (P, K, N) each; none where one has no single amplitude."""
+        acts = [_show(term, term.act(data), gain) for term in self._common]
+        found = [one for one in acts if one is not None]
+        return found if len(found) == len(acts) else []
+
+    def amplitudes(self, zeta: Array) -> Array:
+        """Return the amplitudes of the same terms, (B, k) to (B, C)."""
+        return np.stack([term.amplitude(own) for term, own in self.of(zeta) if term in self._common], axis=-1)
 
     @cached_property
     def _noisy(self) -> list[ErrorTerm]:
