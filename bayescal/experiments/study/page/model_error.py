@@ -85,8 +85,8 @@ OUTSTANDING = 1.5  # times the median of the others, from which on one member is
 WHY = (
     "What a model leaves out is systematic: it repeats with the pose, and the geometry imitates a part of it. Without "
     "a model error the parameters take that up, and their intervals are too narrow. So each {member} has the terms "
-    "above beside its noise, each a random function whose size is found with the geometry. Of terms that imitate each other "
-    "only the sum is well known. Errors are {where}."
+    "above beside its noise, each a random function whose size is found with the geometry. Of terms that imitate each "
+    "other only the sum is well known. Errors are {where}."
 )
 WHERE = {"leg": "along the leg", "channel": "what the channel moves the tool by"}
 SIZES = (
