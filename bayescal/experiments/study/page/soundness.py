@@ -143,12 +143,12 @@ def _state_tolerances(study: StudyResults) -> list[Statement]:
 def _count_beyond(study: StudyResults) -> tuple[str, int, int]:
     """Return of the best variant a setting, how many errors of unseen poses lie beyond their 95 % bounds, of how many.
 
-    The setting of the model error is what the evidence prefers: one that is not needed widens all bounds. Calibration
-    poses are left out for it: a posterior that has seen a pose fits it too well.
+    The setting of the model error is what the evidence prefers, where all converged: one that is not needed widens all
+    bounds. Calibration poses are left out for it: a posterior that has seen a pose fits it too well.
     """
     best = study.best_name
-    compared = [one for one in study.settings if study.is_compared(best, one)] or study.settings
-    setting = max(compared, key=lambda setting: study.evidence(best, setting))
+    compared = all(study.is_compared(best, one) for one in study.settings)
+    setting = max(study.settings if compared else ["free"], key=lambda setting: study.evidence(best, setting))
     table = study.table("poses", study.best_name)
     chosen = table[table["model_error"] == setting]
     pits = chosen[["position_pit", "orientation_pit"]].to_numpy(dtype=float).ravel()
