@@ -79,7 +79,7 @@ def test_directions_are_those_of_dense_elimination(truth, rng):
     covariance = np.eye(30) + 1e8 * by_pose @ by_pose.T  # tolerances of 10 m
     information = by_theta.T @ np.linalg.solve(covariance, by_theta)
     assert np.allclose(machine.information(theta, v), information, rtol=1e-4, atol=1e-4 * np.abs(information).max())
-    directions = machine.well_determined(theta, v)
+    directions = truth.machines.find_determined(machine.right_posterior(theta, v))
     spread = directions @ np.linalg.inv(information + np.eye(14)) @ directions.T
     assert np.all(np.diag(spread) < 0.1001)
     assert 0 < len(directions) < 14
@@ -108,7 +108,7 @@ def test_shares_are_of_what_lies_within_the_intervals(truth, rng):
 @pytest.mark.parametrize("name", ["telescope", "delta"])
 def test_a_table_is_written_line_by_line(truth, tmp_path, monkeypatch, name):
     path = tmp_path / "table.csv"
-    for default in ("tau", "init"):
+    for default in ("tau", "both"):
         words = ["truth", "lead", "--machine", name, "--twins", "1", "--default", default, "--out", str(path)]
         monkeypatch.setattr("sys.argv", words)
         truth.command.main()
@@ -117,6 +117,8 @@ def test_a_table_is_written_line_by_line(truth, tmp_path, monkeypatch, name):
     for when in ("before", "after"):
         assert 0.0 <= table[f"{when}_directions"].item() <= 100.0
         assert table[f"{when}_twins"].item() == 1
+        assert table[f"{when}_sd_ratio"].item() > 0.9
+    assert table["after_cpu_ratio"].item() > 0.1
 
 
 def judge(truth, name, row, default):

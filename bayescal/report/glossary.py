@@ -70,7 +70,8 @@ TERMS = (
     ),
     Term(
         ("model error", "model errors"),
-        "τ: standard deviation of what a model leaves unexplained along a leg, beyond the noise of the measurement.",
+        "What a model leaves unexplained along a leg or in a channel, beyond the noise: τ is the standard deviation of "
+        "what differs from pose to pose; functions of the pose and of time repeat.",
     ),
     Term(
         ("nat", "nats"),

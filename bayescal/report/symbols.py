@@ -11,7 +11,7 @@ from bayescal.report.numbers import MICROMETRES, PER_MILLE, format_fixed, format
 MODEL_ERROR = "tau"
 KERNEL_SCALE = "sigma_g"
 KERNEL_LENGTH = "L_g"
-OF_KERNELS = (KERNEL_SCALE, KERNEL_LENGTH)
+OF_FUNCTIONS = (KERNEL_SCALE, KERNEL_LENGTH, "sigma_linear", "sigma_own", "sigma_smooth", "sigma_drift")
 GREEK = {
     **{"alpha": "α", "beta": "β", "eta": "η", "kappa": "κ", "xi": "ξ"},
     **{"rho": "ρ", "tau": "τ", "phi": "φ", "psi": "ψ", "sigma": "σ"},
@@ -44,8 +44,8 @@ def split_name(name: str) -> tuple[str, int]:
 
 
 def is_model_error(symbol: str) -> bool:
-    """Whether a symbol is a model error τ, or scale or length of a structured one: no parameters of the machine."""
-    return symbol in (MODEL_ERROR, *OF_KERNELS)
+    """Whether a symbol is a model error τ, or scale or length of one that repeats: no parameters of the machine."""
+    return symbol in (MODEL_ERROR, *OF_FUNCTIONS)
 
 
 def split_symbol(symbol: str) -> tuple[str, str, str]:

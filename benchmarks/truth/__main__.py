@@ -1,10 +1,11 @@
 """Tables of how often intervals hold the truth, on machines that err by what no model states.
 
-    python -m benchmarks.truth ROW... --machine hexapod [--sizes 1] [--twins 40] [--seed 1] [--default init|tau]
+    python -m benchmarks.truth ROW... --machine hexapod [--sizes 1] [--twins 40] [--seed 1] [--default init|tau|both]
                                       [--out benchmarks/truth/hexapod.csv]
 
 Rows are named in `errors.py`; none are all that the machine can have. With --out lines are written into the table, in
-the columns `before` of τ alone or `after` of what `bayescal init` writes; other lines and columns stay.
+the columns `before` of τ alone or `after` of what `bayescal init` writes; other lines and columns stay. Both take the
+same twins, and tell by the median over these how many times the processor time of τ alone the default takes.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ def main() -> None:
     parser.add_argument("--sizes", type=float, nargs="+", default=[1.0])
     parser.add_argument("--twins", type=int, default=40)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--default", choices=DEFAULTS, default="init")
+    parser.add_argument("--default", choices=(*DEFAULTS, "both"), default="init")
     parser.add_argument("--out", type=Path)
     arguments = parser.parse_args()
     if unknown := set(arguments.rows) - set(ROWS):
@@ -40,12 +41,23 @@ def main() -> None:
     rows = arguments.rows or [one for one in ROWS if one != MATRIX or arguments.machine.startswith("telescope")]
     for row in rows:
         for size in [0.0] if row == NONE else arguments.sizes:
-            scores = list(judge_twins(arguments.machine, row, size, arguments.default, arguments.twins, arguments.seed))
-            found = summarise(scores)
-            said = ", ".join(f"{key} {value:g}" for key, value in found.items())
-            print(f"{arguments.machine} {row} ×{size:g}, {arguments.default}: {said}", flush=True)
-            if arguments.out is not None:
-                write(arguments.out, row, size, arguments.seed, PREFIX[arguments.default], found)
+            for default, found in compare(arguments, row, size).items():
+                said = ", ".join(f"{key} {value:g}" for key, value in found.items())
+                print(f"{arguments.machine} {row} ×{size:g}, {default}: {said}", flush=True)
+                if arguments.out is not None:
+                    write(arguments.out, row, size, arguments.seed, PREFIX[default], found)
+
+
+def compare(arguments: argparse.Namespace, row: str, size: float) -> dict[str, dict[str, float]]:
+    """Return what was found of a row by each default that is asked for; of both on the same twins, one by one."""
+    asked = ("tau", "init") if arguments.default == "both" else (arguments.default,)
+    twins = (judge_twins(arguments.machine, row, size, one, arguments.twins, arguments.seed) for one in asked)
+    scores = dict(zip(asked, zip(*zip(*twins, strict=True), strict=True), strict=True))
+    found = {default: summarise(list(own)) for default, own in scores.items()}
+    if len(asked) > 1:
+        ratios = [new.seconds / old.seconds for old, new in zip(scores["tau"], scores["init"], strict=True)]
+        found["init"]["cpu_ratio"] = round(float(np.nanmedian(ratios)), 2)
+    return found
 
 
 def write(path: Path, row: str, size: float, seed: int, prefix: str, found: dict[str, float]) -> None:

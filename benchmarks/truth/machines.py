@@ -118,10 +118,15 @@ class Simulated(ABC):
             found += left.T @ left
         return found
 
-    def well_determined(self, theta: Array, v: Array) -> Array:
-        """Return directions (K, D) of parameters over their tolerances that the right model leaves few doubts of."""
-        value, vector = np.linalg.eigh(np.linalg.inv(self.information(theta, v) + np.eye(theta.size)))
-        return vector.T[value < TOLD]
+    def right_posterior(self, theta: Array, v: Array) -> Array:
+        """Return the covariance (D, D) of parameters over their tolerances, by the model without errors."""
+        return np.linalg.inv(self.information(theta, v) + np.eye(theta.size))
+
+
+def find_determined(covariance: Array) -> Array:
+    """Return the directions (K, D) of which a covariance (D, D), in units of the tolerances, leaves little doubt."""
+    value, vector = np.linalg.eigh(covariance)
+    return vector.T[value < TOLD]
 
 
 # --- platforms on six legs -------------------------------------------------------------------------------------------

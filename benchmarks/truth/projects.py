@@ -1,7 +1,7 @@
 """The files that a user would write of a twin, and what bayescal makes of them.
 
 Projects of `bayescal init` are taken as they are, but for the tables and the sampler's effort; others are written
-likewise. With ``tau`` the model error is stated to be what it was before there was anything beside it.
+likewise. With ``tau`` the model error is stated to be random errors from pose to pose alone, of all machines.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ max_draws = 1000
 target_error = 1.0
 """
 STATED = """[model_error]
+terms = ["independent"]
 scale_um = 10.0
-per_leg = false
 """
 TELESCOPE = """name = "telescope"
 
@@ -140,7 +140,7 @@ def write_project(name: str, machine: Simulated, default: str, folder: Path) -> 
     if name.startswith("telescope"):
         text = _free(text, machine)
     text = "\n".join(part for part in re.split(r"\n(?=\[)", text) if not _says(part, "sampler", "evidence"))
-    if default == "tau" and isinstance(machine, Platform):
+    if default == "tau":
         text = "\n".join(part for part in re.split(r"\n(?=\[)", text) if not _says(part, "model_error")) + "\n" + STATED
     path.write_text(f"{text}\n{EFFORT}")
 

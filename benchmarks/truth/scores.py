@@ -12,7 +12,7 @@ import numpy as np
 
 from bayescal.errors import NumericalError
 from benchmarks.truth.errors import COUPLING, MATRIX, distort
-from benchmarks.truth.machines import MACHINES, Array, Carriages, Simulated
+from benchmarks.truth.machines import MACHINES, Array, Carriages, Simulated, find_determined
 from benchmarks.truth.projects import calibrate, write_project, write_tables
 
 CALIBRATION, HELD = 40, 15
@@ -21,20 +21,22 @@ INTERVAL = 0.05, 0.95
 
 @dataclass(frozen=True)
 class Score:
-    """What became of one twin: shares of true values inside their 90 % intervals.
+    """What became of one twin: shares of true values inside their 90 % intervals, and how wide these are.
 
+    ``sd_ratio`` is the posterior standard deviation over that by the right model, rms over the parameters.
     ``directions`` is NaN where no direction is well determined; everything is where the calibration failed.
     """
 
     parameters: float
     directions: float
     held: float
+    sd_ratio: float
     n_directions: int
     problems: int
     seconds: float
 
 
-FAILED = Score(np.nan, np.nan, np.nan, 0, 1, np.nan)
+FAILED = Score(np.nan, np.nan, np.nan, np.nan, 0, 1, np.nan)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,11 +76,13 @@ def judge(name: str, row: str, size: float, folder: Path, seed: int) -> Score:
         return FAILED
     truth = (twin.theta - machine.nominal) / machine.sd
     draws = (found.draws - machine.nominal) / machine.sd
-    directions = machine.well_determined(twin.theta, twin.v[~twin.held])
+    right = machine.right_posterior(twin.theta, twin.v[~twin.held])
+    directions = find_determined(right)
     return Score(
         hold(draws, truth),
         hold(draws @ directions.T, directions @ truth) if len(directions) else np.nan,
         float(found.held.mean()),
+        float(np.sqrt(np.mean(draws.var(axis=0) / np.diagonal(right)))),
         len(directions),
         int(bool(found.problems)),
         found.seconds,
@@ -108,6 +112,8 @@ def summarise(scores: list[Score]) -> dict[str, float]:
         values = 100.0 * values[np.isfinite(values)]
         error = values.std(ddof=1) / np.sqrt(len(values)) if len(values) > 1 else np.nan
         found |= {what: round(float(values.mean()), 1) if len(values) else np.nan, f"{what}_se": round(float(error), 1)}
+    ratios = [one.sd_ratio for one in scores if np.isfinite(one.sd_ratio)]
+    found["sd_ratio"] = round(float(np.mean(ratios)), 2) if ratios else np.nan
     found["n_directions"] = round(float(np.mean([one.n_directions for one in scores])), 1)
     found["unconverged"] = sum(one.problems for one in scores)
     found["cpu_s"] = round(float(np.mean([one.seconds for one in scores if one is not FAILED] or [np.nan])), 2)

@@ -58,7 +58,7 @@ N_CHECKED = 64  # poses that draws go through
 SOURCES = {
     GEOMETRY: "geometry (the posterior of the calibration)",
     NOISE: "noise of the actuators, as stated",
-    MODEL: "model error τ, what the model leaves unexplained",
+    MODEL: "model error, what the model leaves unexplained",
     MATRIX: "deformation matrix, as measured",
 }
 COLOURS = dict(zip(SOURCES, (LEG_COLOURS[4], LEG_COLOURS[1], LEG_COLOURS[0], LEG_COLOURS[3]), strict=True))

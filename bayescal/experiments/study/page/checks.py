@@ -41,7 +41,7 @@ RANKS = (
 )
 PITS = (
     "Share of the measured components (x, y, z and three angles of every calibration pose, each pose left out) "
-    "below a quantile of their predictions, less the expected share, with model error and without. Band: 95 % of "
+    "below a quantile of their predictions, less the expected share. Band: 95 % of "
     "independent uniform numbers. An S that falls first and rises then means predictions too wide, the other way "
     "round too narrow, a hump to one side a bias."
 )
@@ -115,8 +115,8 @@ def _draw_ranks(draws: Mapping[str, Array], n_chains: int, effective: float) -> 
 
 def _illustrate_pits(poses: pd.DataFrame) -> Figure:
     pits = {}
-    for setting, words in SETTINGS.items():
-        chosen = poses[poses["model_error"] == setting]
+    for setting in (one for one in SETTINGS if (poses["model_error"] == one).any()):
+        words, chosen = SETTINGS[setting], poses[poses["model_error"] == setting]
         values = chosen[list(COMPONENT_PITS)].to_numpy(dtype=float).ravel()
         pits[words[0].upper() + words[1:]] = values[pd.notna(values)]
     if not all(len(values) > 2 for values in pits.values()):

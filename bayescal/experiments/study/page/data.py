@@ -34,7 +34,7 @@ KAPPA: Symbol = (
     "deflection of a platform joint per displacement: of its own actuator (linear), the diagonal of K (matrix)",
 )
 MATRIX: Symbol = ("K", "deflection of all platform joints per displacement of all actuators")
-ERROR = "model error: standard deviation of what the model leaves unexplained along a {}"
+ERROR = "model error: standard deviation of what differs from pose to pose along a {}, beyond the noise"
 SYMBOLS: tuple[Symbol, ...] = (
     ("a", "joint of a leg's actuator on the base, base frame"),
     ("b", "joint of a leg on the platform, platform frame"),

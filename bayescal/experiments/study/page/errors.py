@@ -190,15 +190,17 @@ def _draw_bar(
 def _draw_bounds(predictions: pd.DataFrame, variants: Sequence[str], styles: Styles) -> Drawing:
     """Return every pose's position error in units of its 95 % bound: a row per variant, a column per setting."""
     figure = Drawing(figsize=(9.4, 0.8 + 0.265 * len(variants)))
-    grid = figure.subplots(1, 2, sharex=True, sharey=True)
+    settings = [one for one in SETTINGS if (predictions["model_error"] == one).any()]
+    grid = figure.subplots(1, len(settings), sharex=True, sharey=True, squeeze=False)[0]
     ratio = predictions["position_error_mm"] / predictions[BOUND]
     frame = predictions.assign(ratio=ratio.clip(lower=1e-6))
-    for axes, (setting, words) in zip(grid, SETTINGS.items(), strict=True):
+    for axes, setting in zip(grid, settings, strict=True):
         for k, name in enumerate(variants):
             rows = frame[(frame["variant"] == name) & (frame["model_error"] == setting)]
             _draw_strip(axes, rows, k, styles[name].colour)
         axes.axvline(1.0, color=INK, linewidth=0.9)
-        axes.set_title(f"{words[0].upper()}{words[1:]}")
+        if len(settings) > 1:
+            axes.set_title(f"{SETTINGS[setting][0].upper()}{SETTINGS[setting][1:]}")
         axes.set_xlabel("Position error / its 95 % bound")
         axes.grid(axis="x")
         axes.tick_params(axis="y", length=0)

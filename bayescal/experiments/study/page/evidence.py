@@ -34,7 +34,7 @@ WIDTHS = (
 )
 SPREAD = 0.08  # of the axis between the first and the last model at one factor
 TIED = 1.0  # nats
-LEAD = "scale of the model error's prior"
+LEAD = "scale of τ's prior"
 
 type Row = list[tuple[Column, str | Cell]]
 
@@ -229,8 +229,8 @@ def show_tau_scale(study: StudyResults) -> list[Block]:
     if own not in wide.index:
         wide.loc[own] = [study.evidence(name) for name in study.ranking]
     wide = wide.sort_index()
-    columns = [Column(f"{scale:g} µm", "nat (rank)", "Scale of the model error's prior") for scale in wide.index]
-    caption = "Log-evidence for other scales of the model error's prior, by weighted draws of each posterior."
+    columns = [Column(f"{scale:g} µm", "nat (rank)", "Scale of τ's prior") for scale in wide.index]
+    caption = "Log-evidence for other scales of τ's prior, by weighted draws of each posterior."
     return [_state_order(study, wide, own), _tabulate_grid(study, wide, columns, caption)]
 
 

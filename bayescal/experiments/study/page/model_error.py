@@ -1,11 +1,16 @@
-"""Errors beyond the noise: the model error τ of each leg, and errors that are functions, of legs and of sensors."""
+"""What a model leaves out beside the noise: what to do, how large it is, in which leg or channel, along what.
+
+One code for legs and for tables of readings, from three tables of the results: `model_error` has the size of each term,
+`model_error_members` how much of it is in which leg or channel, `model_error_poses` the errors pose by pose. Studies of
+legs that state τ alone show τ leg by leg.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -13,75 +18,340 @@ from matplotlib.figure import Figure as Drawing
 from matplotlib.lines import Line2D
 
 from bayescal.experiments.frame.results import Row
-from bayescal.experiments.shared.study_schema import stem_of
 from bayescal.experiments.study.page.parameters import draw_intervals, label_legs
-from bayescal.experiments.study.page.results import VARIANT, StudyResults
+from bayescal.experiments.study.page.results import INDEPENDENT, TERMS, TOGETHER, VARIANT, StudyResults
 from bayescal.experiments.study.page.styles import Styles, add_legend, assign_styles
-from bayescal.report.blocks import Block, Column, Figure, Fold, Level, Section, Statement, Table, make_table
+from bayescal.report.blocks import Block, Column, Figure, Fold, Section, Statement, Table, make_table
 from bayescal.report.numbers import (
     MICROMETRES,
     NOTHING,
     count_decimals,
     format_fixed,
+    format_plain,
     format_significant,
     format_span,
     join_words,
 )
-from bayescal.report.style import GREY, INK, LEG_COLOURS
-from bayescal.report.symbols import MODEL_ERROR, quote, set_parameter, split_name
+from bayescal.report.style import GREY, INK
+from bayescal.report.symbols import MODEL_ERROR, quote
 
 TEXT = (
     "τ is the standard deviation of the model error along a leg, beyond the noise of {} and actuators. Where it is "
     "near zero the model suffices; where it is large the posterior widens all intervals instead of attributing "
-    "the residuals to the geometry."
+    "the residuals to the geometry. What repeats with the pose goes into the geometry all the same."
 )
 GAIN = "Benefit of τ: log-evidence with model error less that without; negative where the model suffices."
 CAPTION = "Model error τ: posterior mean and 90 % interval of each leg and variant, a panel per deformation."
-EXPLAINED = 0.9  # share from which a deformation is said to explain the error
-STATED = 0.7  # share of its prior sd that is left of a scale which was stated rather than measured
-LINEAR = 0.95  # share of the error from which its slopes are the whole picture
-STRUCTURED = (
-    "What a model leaves out is the same function of the pose every time. Each leg has such a function of the "
-    "actuators' travel, zero at home, with the kernel of its variant; whether there is one is for the data to say, the "
-    "prior probability being one half. Its values are in terms of the actuator: a leg that errs by 5 µm ends where it "
-    "would if its actuator stood 5 µm off. A geometry that is off imitates much of it: what the measurements do not "
-    "tell of an error is as wide as its scale."
-)
-SLOPES = (
-    "Scale: what one actuator at the end of its range makes a leg err by, one standard deviation, where there is an "
-    "error; left of prior: sd of its logarithm over that of its prior, near 100 % where the scale is what was stated. "
-    "Surest slope: error of the leg with the actuator at the end of its range. Explained: of what is known of the "
-    "linear part, by each deformation that the study knows."
-)
-PALE = 0.55  # share of the colours' range up to which dark numbers are read
-SHARE, CERTAIN = 0.5, 0.9995
-UNITS = {"um": "µm"}
-INPUTS = {"reading": "what they read", "commands": "where the machine is", "order": "the order of the rows"}
-FUNCTIONS = (
-    "A scale that is off, an encoder that sits askew or a drift is the same function every time: of the sensor's own "
-    "reading, of where the machine is, or of the order of the rows. Whether there is such an error is for the "
-    "readings to say, its prior probability being one half. A geometry that is off imitates much of it, and the part "
-    "of an error that the readings do not determine is as wide as its scale: the intervals hold it."
-)
-SCALES = (
-    "Scale: what a sensor errs by at the end of its range, one standard deviation, where there is an error; left of "
-    "prior: sd of its logarithm over that of its prior, near 100 % where the scale is what was stated."
-)
 
 
-def _bracket(words: Iterable[str]) -> str:
+class Kind(NamedTuple):
+    """What a term of the model error stands for: along what it changes, what usually causes it, what to do."""
+
+    along: str
+    causes: str
+    advice: str
+
+
+KINDS: dict[str, Kind] = {
+    "independent": Kind(
+        "different at every pose",
+        "play, repeatability, a noise that is stated too small",
+        "Measure one pose several times: what scatters there is noise or play",
+    ),
+    "linear": Kind(
+        "linear in the positions of all actuators",
+        "a coupling: one actuator moves what another one positions",
+        "Look for a coupling between actuators, or free parameters of one (of legs: a deformation with a free matrix)",
+    ),
+    "own": Kind(
+        "linear in the own position",
+        "a lead error, the scale of an encoder",
+        "Check lead and encoder scale of {member}, or free them as parameters",
+    ),
+    "smooth": Kind(
+        "a smooth function of the positions",
+        "joints, bending, gravity",
+        "Compare a model with joints that err or parts that bend, and measure more poses",
+    ),
+    "drift": Kind(
+        "with time, in measuring order",
+        "temperature, settling",
+        "Let the machine warm up and return to one pose now and then: what changes there is drift",
+    ),
+}
+TRACE = 1.0 / 3.0
+"""Lower end of a size's 90 % interval over its median, from which on the data show an error; about a tenth without."""
+OUTSTANDING = 1.5  # times the median of the others, from which on one member is named
+WHY = (
+    "What a model leaves out is systematic: it repeats with the pose, and the geometry imitates a part of it. Without "
+    "a model error the parameters take that up, and their intervals are too narrow. So each {member} has the terms "
+    "above beside its noise, each a random function whose size is found with the geometry. Of terms that imitate each "
+    "other only the sum is well known. Errors are {where}."
+)
+WHERE = {"leg": "along the leg", "channel": "what the channel moves the tool by"}
+SIZES = (
+    "Size: rms over the calibration poses, median and 90 % interval. An error is said to be seen where the lower end "
+    "of the interval is at least a third of the median."
+)
+NO_FLOOR = (
+    "An error that the parameters can imitate leaves no trace in any data. None is allowed for beyond what the terms "
+    "above suggest: if one of some size cannot be excluded, state it (at_least_um in [model_error])."
+)
+FLOOR = (
+    "An error that the parameters can imitate leaves no trace in any data: as stated (at_least_um), {} are allowed for "
+    "even where none is seen."
+)
+BENEFIT = "Benefit: log-evidence with model error less that without; negative where the data show none."
+MEMBERS = "Rms over the calibration poses of the posterior mean, in µm: what is known of the error's course."
+POSES = (
+    "{label}: systematic error of each {member} at the poses in the order of the data, with 90 % intervals; full: "
+    "calibration, open: verification."
+)
+MOST_PANELS, ABREAST = 12, 3
+
+
+def bracket(words: Iterable[str]) -> str:
     """Return ``middle [low, high]``."""
     middle, low, high = words
     return f"{middle} [{low}, {high}]"
 
 
-# --- the model error of each leg -------------------------------------------------------------------------------------
-
-
 def show_model_error(study: StudyResults) -> Section | None:
-    """Return the model error of each leg; None where no variant was computed without any."""
-    if "zero" not in study.settings:
-        return None
+    """Return what was found of the model error; None where no variant was computed without any and none has terms."""
+    described = _list_described(study)
+    if described:
+        return Section("Model error", tuple(_show_terms(study, described)), anchor="model-error")
+    return _show_tau(study) if "zero" in study.settings else None
+
+
+# --- terms of the model error ----------------------------------------------------------------------------------------
+
+
+def _list_described(study: StudyResults) -> list[str]:
+    """Return the variants with a model error, that to use first; none where all have τ alone, which is told by leg."""
+    names = [name for name in dict.fromkeys([study.chosen, *study.names]) if study.list_terms(name)]
+    alone = all(study.list_terms(name) == [INDEPENDENT] for name in names)
+    return [] if alone and "zero" in study.settings else names
+
+
+class _Found(NamedTuple):
+    """What was found of one variant's model error: rows of its table by term, and rms of each member's mean, µm."""
+
+    label: str
+    sizes: dict[str, Row]
+    members: dict[str, float]
+
+    @property
+    def functions(self) -> dict[str, Row]:
+        """The terms of systematic errors, the largest first."""
+        own = {name: row for name, row in self.sizes.items() if name not in (INDEPENDENT, TOGETHER)}
+        return dict(sorted(own.items(), key=lambda item: -item[1]["median_um"]))
+
+    @property
+    def whole(self) -> Row | None:
+        """The size of all systematic errors together."""
+        return self.sizes.get(TOGETHER) or next(iter(self.functions.values()), None)
+
+    @property
+    def member(self) -> str:
+        """What its members are called."""
+        return "leg" if all(name.startswith("leg ") for name in self.members) else "channel"
+
+    @property
+    def seen(self) -> list[str]:
+        """The terms of which the data show an error."""
+        return [name for name in (*self.functions, INDEPENDENT) if is_seen(self.sizes.get(name))]
+
+
+def is_seen(size: Mapping[str, Any] | None) -> bool:
+    """Whether the data show an error of that size: its lower end is not as near to zero as the prior has it."""
+    return size is not None and bool(size["q05_um"] >= TRACE * size["median_um"] > 0.0)
+
+
+def _find(study: StudyResults, name: str) -> _Found:
+    poses = study.table("model_error_poses", name)
+    calibration = poses[poses["use"] == "calibration"]
+    square = (calibration["mean_um"] ** 2).groupby(calibration["member"], sort=False).mean()
+    members = {str(member): math.sqrt(value) for member, value in square.items()}
+    return _Found(study.label(name), {row["term"]: row for row in study.rows("model_error", name)}, members)
+
+
+def state_terms(study: StudyResults) -> list[Statement]:
+    """Return in a sentence what the model of the variant to use leaves out, and what to do about it."""
+    described = _list_described(study)
+    return [_advise(_find(study, described[0]))] if described else []
+
+
+def _advise(found: _Found) -> Statement:
+    """Say what to do, how large the systematic error is, in which leg or channel and along what."""
+    seen = [name for name in found.seen if name in found.functions]
+    if not seen and is_seen(found.whole):  # terms that imitate each other: only their sum is known
+        seen = list(found.functions)
+    if not seen or found.whole is None:
+        scatters = INDEPENDENT in found.seen
+        first = f"{KINDS[INDEPENDENT].advice}. " if scatters else ""
+        return Statement(f"{first}{_describe_absent(found)}", "plain" if scatters else "good", "Model error")
+    main, outstanding = KINDS[seen[0]], _name_outstanding(found)
+    text = (
+        f"{main.advice.format(member=outstanding or f'every {found.member}')}. {found.label} leaves out a "
+        f"systematic error of {_format_size(found.whole)} µm rms (90 % interval), {_describe_members(found)}; the "
+        f"largest part is {main.along} ({main.causes}). The intervals allow for it. {_describe_independent(found)}"
+    )
+    return Statement(text.rstrip(), lead="Model error")
+
+
+def _describe_absent(found: _Found) -> str:
+    """Say that no systematic error is seen, and up to which size there may be one."""
+    if found.whole is None:
+        text = f"{found.label} has no term for systematic errors: its intervals do not allow for them."
+    else:
+        most = format_significant(found.whole["q95_um"], 2)
+        text = f"{found.label}: no systematic error is seen (95 % upper limit {most} µm rms)."
+    return f"{text} {_describe_independent(found)}".rstrip()
+
+
+def _describe_independent(found: _Found) -> str:
+    """Say how large random errors from pose to pose are; nothing where there is no term for them."""
+    size = found.sizes.get(INDEPENDENT)
+    if size is None:
+        return ""
+    if is_seen(size):
+        return f"Random errors from pose to pose have τ = {_format_size(size)} µm beyond the noise."
+    most = format_significant(size["q95_um"], 2)
+    return f"No random error from pose to pose is seen beyond the noise (τ: 95 % upper limit {most} µm)."
+
+
+def _name_outstanding(found: _Found) -> str:
+    """Return the leg or channel that errs much more than the others; nothing where none does."""
+    ranked = sorted(found.members, key=lambda name: -found.members[name])
+    others = [found.members[name] for name in ranked[1:]]
+    return ranked[0] if others and found.members[ranked[0]] > OUTSTANDING * float(np.median(others)) else ""
+
+
+def _describe_members(found: _Found) -> str:
+    """Return in which legs or channels an error is."""
+    outstanding = _name_outstanding(found)
+    others = [size for name, size in found.members.items() if name != outstanding]
+    span = " to ".join(dict.fromkeys(format_significant(one, 2) for one in (min(others), max(others))))
+    if outstanding:
+        most = format_significant(found.members[outstanding], 2)
+        return f"most of it in {outstanding} ({most} µm rms, the others {span} µm)"
+    return f"in all {found.member}s ({span} µm rms each)" if len(others) > 1 else f"in {next(iter(found.members))}"
+
+
+def _format_size(size: Mapping[str, Any]) -> str:
+    """Return the median of a size with its 90 % interval, to the second digit of the median."""
+    places = count_decimals(float(size["median_um"]))
+    return bracket(format_fixed(size[key], places) for key in ("median_um", "q05_um", "q95_um"))
+
+
+def _show_terms(study: StudyResults, described: list[str]) -> list[Block]:
+    """Return what to do, how sure that is and why, of the variant to use; of the others the sizes, folded."""
+    name, *others = described
+    found = _find(study, name)
+    blocks: list[Block] = [_advise(found), _tabulate_terms(found), _state_floor(study)]
+    rows = study.table("model_error_poses", name)
+    if found.members:
+        most = sorted(found.members, key=lambda member: -found.members[member])[:MOST_PANELS]
+        chosen = [member for member in found.members if member in most]
+        caption = POSES.format(label=found.label, member=found.member)
+        if len(chosen) < len(found.members):
+            caption += f" Shown are the {len(chosen)} that err most."
+        place = rows.assign(place=rows.groupby("member").cumcount() + 1)
+        panels = {member: place[place["member"] == member] for member in chosen}
+        draw = partial(draw_errors, panels, "place", dict.fromkeys(chosen, "pose"))
+        blocks.append(Figure("model_error", caption, draw))
+    blocks.append(WHY.format(member=found.member, where=WHERE[found.member]))
+    by_member = study.table("model_error_members", name)
+    if len(by_member):
+        blocks.append(_tabulate_members(found, by_member))
+    if others:
+        blocks.append(Fold("The model error of the other variants", (_tabulate_variants(study, described),)))
+    return blocks
+
+
+def _tabulate_terms(found: _Found) -> Table:
+    """Return the size of each term, along what it changes and what usually causes it."""
+    columns = [Column("Along what", kind="text"), Column("Size", "µm rms", "median [5 %, 95 %]")]
+    columns += [Column("In the data", kind="text"), Column("Usual causes", kind="text")]
+    rows = []
+    for name, size in found.sizes.items():
+        along, causes = (KINDS[name].along, KINDS[name].causes) if name in KINDS else ("systematic errors together", "")
+        rows.append([along, _format_size(size), "seen" if is_seen(size) else "no trace", causes])
+    return make_table(f"Model error of {found.label}.", columns, rows, [Statement(SIZES)])
+
+
+def _state_floor(study: StudyResults) -> Statement:
+    """Say what is allowed for of errors that leave no trace."""
+    stated = study.config.get("model_error", {}).get("at_least_um", 0.0)
+    if isinstance(stated, dict):
+        sizes = [f"{format_plain(size)} µm rms {KINDS[name].along}" for name, size in stated.items() if size > 0.0]
+    else:
+        sizes = [f"{format_plain(stated)} µm rms"] if stated > 0.0 else []
+    return Statement(FLOOR.format(join_words(sizes)) if sizes else NO_FLOOR)
+
+
+def _tabulate_members(found: _Found, rows: pd.DataFrame) -> Table:
+    """Return how much of each term is in which leg or channel."""
+    wide = rows.pivot(index="member", columns="term", values="rms_um")
+    terms = [name for name in TERMS if name in wide.columns]
+    columns = [Column("", kind="text"), *(Column(KINDS[name].along, "µm") for name in terms), Column("all", "µm")]
+    cells = [
+        [member, *(format_significant(wide[name].get(member), 2) for name in terms), format_significant(size, 2)]
+        for member, size in found.members.items()
+    ]
+    return make_table(f"In which {found.member}. {MEMBERS}", columns, cells, style="wide")
+
+
+def _tabulate_variants(study: StudyResults, names: list[str]) -> Table:
+    """Return the sizes of the terms of every variant and, where it was computed without any, what they add."""
+    there = {row["term"] for name in names for row in study.rows("model_error", name)}
+    terms = [term for term in (*TERMS, TOGETHER) if term in there]
+    columns = [VARIANT, *(Column(term, "µm rms", "median [5 %, 95 %]") for term in terms)]
+    without = "zero" in study.settings
+    columns += [Column("Benefit", "nat")] if without else []
+    rows = []
+    for name in names:
+        sizes = {row["term"]: _format_size(row) for row in study.rows("model_error", name)}
+        benefit = [format_fixed(study.gain(name), 1, sign=True)] if without else []
+        rows.append([study.label(name), *(sizes.get(term, NOTHING) for term in terms), *benefit])
+    return make_table("Model error by variant.", columns, rows, [Statement(BENEFIT)] if without else [], style="wide")
+
+
+def draw_errors(panels: Mapping[str, pd.DataFrame], place: str, labels: Mapping[str, str]) -> Drawing:
+    """Return a panel for each leg or channel: errors in µm with their 90 % intervals over a column of its rows."""
+    n_rows = math.ceil(len(panels) / ABREAST)
+    figure = Drawing(figsize=(9.4, 0.4 + 1.9 * n_rows))
+    grid = figure.subplots(n_rows, ABREAST, squeeze=False, sharey=True)
+    for axes, (title, own) in zip(grid.ravel(), panels.items(), strict=False):
+        for use, fill in (("calibration", INK), ("verification", "white")):
+            part = own[own["use"] == use]
+            around = [part["mean_um"] - part["low_um"], part["high_um"] - part["mean_um"]]
+            axes.errorbar(
+                part[place],
+                part["mean_um"],
+                [one.clip(lower=0.0) for one in around],
+                fmt="o",
+                color=INK,
+                ecolor=GREY,
+                markersize=3.5,
+                markerfacecolor=fill,
+                linewidth=0.8,
+            )
+        axes.axhline(0.0, color=GREY, linewidth=0.8)
+        axes.set_title(quote(title))
+        axes.set_xlabel(labels[title])
+    for axes in grid[:, 0]:
+        axes.set_ylabel("error (µm)")
+    for axes in grid.ravel()[len(panels) :]:
+        axes.set_axis_off()
+    return figure
+
+
+# --- τ alone, of each leg --------------------------------------------------------------------------------------------
+
+
+def _show_tau(study: StudyResults) -> Section:
     blocks: list[Block] = [TEXT.format("targets" if study.instrument is None else "the instrument")]
     rows = study.free[study.free["symbol"] == MODEL_ERROR]
     if rows.empty:
@@ -103,7 +373,7 @@ def _tabulate_legs(study: StudyResults, free: pd.DataFrame) -> Table:
     for name in study.ranking:
         values = MICROMETRES * free[free["variant"] == name].set_index("leg")[["mean", "q05", "q95"]]
         places = min(3, count_decimals(float((values["q95"] - values["q05"]).min()))) if len(values) else 0
-        found = {leg: _bracket(format_fixed(x, places) for x in row) for leg, *row in values.itertuples()}
+        found = {leg: bracket(format_fixed(x, places) for x in row) for leg, *row in values.itertuples()}
         cells = [found.get(leg, NOTHING) for leg in legs]
         rows.append([study.label(name), *cells, format_fixed(study.gain(name), 1, sign=True)])
     return make_table("Model error of each leg.", columns, rows, [Statement(GAIN)])
@@ -120,7 +390,7 @@ def _state_group(study: StudyResults, rows: pd.DataFrame, names: list[str]) -> S
     elif max(gains) <= 0:
         call, level = "not needed", "lower"
     structured = any("structured_error" in study.fit(name) for name in names)
-    nothing = "neither τ nor a structured error" if structured else "τ = 0"
+    nothing = "neither τ nor a structured error" if structured else "no model error"
     change = f"log-evidence {format_span([abs(x) for x in gains])} nat {level} than with {nothing}"
     return Statement(f"{study.name_variants(names)}: τ is {span} µm; it is {call} ({change}).")
 
@@ -141,290 +411,4 @@ def _draw_model_error(rows: pd.DataFrame, styles: Styles, prior_scale_um: float 
     grid[0].set_ylim(bottom=0)
     grid[0].set_ylabel("Model error τ (µm)")
     add_legend(figure, styles, 1.6, *others, columnspacing=1.4)
-    return figure
-
-
-# --- errors of legs that are functions of the pose -------------------------------------------------------------------
-
-
-def show_structured(study: StudyResults) -> Section | None:
-    """Return what was found of the variants whose model error has a kernel; None where none has."""
-    found = {name: study.fit(name).get("structured_error") for name in study.ranking}
-    with_kernel = {name: one for name, one in found.items() if one is not None}
-    if not with_kernel or not study.has("structured"):
-        return None
-    there = {name: one for name, one in with_kernel.items() if max(one["present"]) > SHARE}
-    blocks: list[Block] = [STRUCTURED]
-    absent = [name for name in with_kernel if name not in there]
-    if absent:
-        most = max(max(with_kernel[name]["present"]) for name in absent)
-        words = f"at most {format_significant(100.0 * most, 2)} %" if most >= 5e-4 else "below 0.05 %"
-        text = f"{study.name_variants(absent)}: no structured error (probability of one {words})."
-        blocks.append(Statement(text))
-    figures = {name: _illustrate_structured(study, name, one) for name, one in there.items()}
-    for name, one in list(there.items())[:1]:
-        blocks += [_state_structured(study, name, one), *figures.pop(name)]
-    blocks += [_tabulate_structured(study, with_kernel, there), _tabulate_sizes(study, with_kernel)]
-    rest = [figure for several in figures.values() for figure in several]
-    if rest:
-        blocks.append(Fold("The structured errors of the other variants", tuple(rest)))
-    return Section("Structured model error", tuple(blocks), anchor="structured", short="Structured")
-
-
-def _tabulate_structured(study: StudyResults, found: dict[str, Any], there: dict[str, Any]) -> Table:
-    """Return the errors' scales, surest slopes and what explains them."""
-    known = list(dict.fromkeys(name for one in found.values() for name in one["explained"]))
-    columns = [VARIANT, Column("Kernel", kind="text"), Column("Present", "%")]
-    columns += [Column("Scale", "µm", "median [5 %, 95 %]"), Column("left of prior", "%")]
-    columns += [Column("Surest slope", "µm", "mean [5 %, 95 %]"), Column("Linear in travel", "%")]
-    columns += [Column(name, "%", "Explained by") for name in known]
-    rows = []
-    for name, one in found.items():
-        length = f": {_format_length(one)}" if "length" in one else ""
-        row = [study.label(name), f"{one['kernel']}{length}", format_fixed(100.0 * max(one["present"]), 1)]
-        described = _describe_structured(one, known) if name in there else [NOTHING] * (4 + len(known))
-        rows.append([*row, *described])
-    return make_table("Structured errors.", columns, rows, [Statement(SLOPES)], style="wide")
-
-
-def _describe_structured(one: dict[str, Any], known: list[str]) -> list[str]:
-    surest, shares = one["surest"], one["explained"]
-    ends = ("median_um", "q05_um", "q95_um")
-    scales = [_bracket(format_fixed(scale[key], 1) for key in ends) for scale in one["scale"]]
-    return [
-        "; ".join(scales) or NOTHING,
-        "; ".join(format_fixed(100.0 * scale["prior_sd_left"], 0) for scale in one["scale"]) or NOTHING,
-        f"leg {surest['leg']}, actuator {surest['actuator']}: {_format_slope(surest)}",
-        format_fixed(100.0 * one["linear_share"], 0),
-        *(format_fixed(100.0 * shares[name], 0) if name in shares else NOTHING for name in known),
-    ]
-
-
-def _format_length(one: dict[str, Any]) -> str:
-    """Return a free length with its interval in ranges of the actuators."""
-    return _bracket(format_significant(one["length"][key], 2) for key in ("median", "q05", "q95"))
-
-
-def _format_slope(surest: dict[str, float]) -> str:
-    return _bracket(format_fixed(surest[key], 1, sign=True) for key in ("um", "q05_um", "q95_um"))
-
-
-def _tabulate_sizes(study: StudyResults, found: dict[str, Any]) -> Table:
-    """Return the size of every leg's error."""
-    rows = [[study.label(name), *_format_sizes(one)] for name, one in found.items()]
-    legs = [Column(f"leg {k}", "µm", "rms over the poses, mean [5 %, 95 %]") for k in range(1, len(rows[0]))]
-    return make_table("Structured error of each leg over the calibration poses.", [VARIANT, *legs], rows, style="wide")
-
-
-def _format_sizes(one: dict[str, Any]) -> list[str]:
-    sizes = zip(*(one["rms_um"][key] for key in ("mean", "q05", "q95")), strict=True)
-    return [_bracket(format_fixed(x, 1) for x in row) for row in sizes]
-
-
-def _state_structured(study: StudyResults, name: str, one: dict[str, Any]) -> Statement:
-    """Say how large a variant's structured error is, along which motion, and whether a deformation explains it."""
-    sizes, surest = one["rms_um"]["mean"], one["surest"]
-    leg = max(range(len(sizes)), key=lambda k: sizes[k])
-    text = (
-        f"{study.label(name)}, the first in the ranking with such an error: present with probability "
-        f"{format_significant(100.0 * max(one['present']), 3)} %, largest in leg {leg + 1}, {_format_sizes(one)[leg]} "
-        f"µm rms. Its surest motion: actuator {surest['actuator']} at the end of its range moves leg {surest['leg']} "
-        f"by {_format_slope(surest)} µm; {format_fixed(100.0 * one['linear_share'], 0)} % of the error is linear in "
-        "the travel. "
-    )
-    shares: dict[str, float] = one["explained"]
-    if shares:
-        words = [f"a {key} deformation explains {format_fixed(100.0 * x, 0)} % of it" for key, x in shares.items()]
-        best = max(shares, key=lambda key: shares[key])
-        end = f"try {best}" if shares[best] >= EXPLAINED else "no known deformation explains it"
-        text += f"Of what is known of its linear part, {' and '.join(words)}: {end}. "
-    if "length" in one:
-        left = format_fixed(100.0 * one["length"]["prior_sd_left"], 0)
-        text += (
-            f"It changes over {_format_length(one)} ranges of the actuators; {left} % of the standard deviation that "
-            "the length's logarithm has under its prior is left. "
-        )
-    if one["scale"]:
-        most = max(scale["prior_sd_left"] for scale in one["scale"])
-        share = f"{format_fixed(100.0 * most, 0)} % of its prior's standard deviation is left"
-        text += (
-            f"Its scale rests on the prior, not on the measurements: {share}; so do intervals that hang on it."
-            if most > STATED
-            else f"The measurements tell its scale: {share}."
-        )
-    return Statement(text)
-
-
-def _illustrate_structured(study: StudyResults, name: str, one: dict[str, Any]) -> list[Figure]:
-    """Return the slopes and sizes of a variant's error, and its course where slopes are not the whole of it."""
-    label, stem = study.label(name), stem_of(name)
-    caption = (
-        f"{label}: error of each leg (row) with one actuator (column) at the end of its range, mean ± sd in µm, and "
-        "the size of each leg's error over the calibration poses with its 90 % interval."
-    )
-    figures = [Figure(f"structured-{stem}", caption, partial(_draw_slopes, one))]
-    if one["linear_share"] < LINEAR:
-        caption = (
-            f"{label}: structured error of every leg at the poses against the travel of the actuator that tells most "
-            "of it, with 90 % intervals; full: calibration, open: verification. What scatters about a line is the "
-            "other actuators' part."
-        )
-        draw = partial(_draw_course, study.table("structured", name))
-        figures.append(Figure(f"structured-course-{stem}", caption, draw))
-    return figures
-
-
-def _draw_slopes(one: dict[str, Any]) -> Drawing:
-    """Return the matrix of slopes, leg by actuator, and the size of each leg's error."""
-    slopes, sd = np.array(one["slope_um"]), np.array(one["slope_sd_um"])
-    n_legs = len(slopes)
-    figure = Drawing(figsize=(9.4, 0.9 + 0.36 * n_legs))
-    left, right = figure.subplots(1, 2, gridspec_kw={"width_ratios": (2.2, 1.0)})
-    top = float(np.abs(slopes).max()) or 1.0
-    left.imshow(slopes, cmap="RdBu_r", vmin=-top, vmax=top, aspect="auto")
-    for i, j in np.ndindex(*slopes.shape):
-        text = f"{format_fixed(float(slopes[i, j]), 0, sign=True)} ± {format_fixed(float(sd[i, j]), 0)}"
-        colour = INK if abs(slopes[i, j]) < PALE * top else "white"
-        left.text(j, i, text, ha="center", va="center", fontsize=8, color=colour)
-    left.set_xticks(range(n_legs), [f"actuator {k + 1}" for k in range(n_legs)])
-    left.set_yticks(range(n_legs), [f"leg {k + 1}" for k in range(n_legs)])
-    left.tick_params(length=0)
-    left.spines[:].set_visible(False)
-    left.set_title("Error with the actuator at the end of its range (µm)")
-    mean, low, high = (np.array(one["rms_um"][key]) for key in ("mean", "q05", "q95"))
-    right.errorbar(mean, range(n_legs), xerr=[mean - low, high - mean], fmt="o", color=INK, markersize=4)
-    right.set_ylim(n_legs - 0.5, -0.5)
-    right.set_yticks(range(n_legs), [f"leg {k + 1}" for k in range(n_legs)])
-    right.set_xlim(left=0.0)
-    right.grid(axis="x")
-    right.set_title("Size over the poses (µm, rms)")
-    return figure
-
-
-def _draw_course(rows: pd.DataFrame) -> Drawing:
-    """Return a panel per leg: error in µm with its 90 % interval against the travel of one actuator."""
-    legs = sorted(set(rows["leg"]))
-    n_rows = math.ceil(len(legs) / 3)
-    figure = Drawing(figsize=(9.4, 0.4 + 1.9 * n_rows))
-    grid = figure.subplots(n_rows, 3, squeeze=False, sharey=True)
-    for axes, leg in zip(grid.ravel(), legs, strict=False):
-        own = rows[rows["leg"] == leg]
-        for use, fill in (("calibration", INK), ("verification", "white")):
-            part = own[own["use"] == use]
-            around = [part["mean_um"] - part["low_um"], part["high_um"] - part["mean_um"]]
-            axes.errorbar(
-                part["travel_mm"],
-                part["mean_um"],
-                [one.clip(lower=0.0) for one in around],
-                fmt="o",
-                color=INK,
-                ecolor=GREY,
-                markersize=3.5,
-                markerfacecolor=fill,
-                linewidth=0.8,
-            )
-        axes.axhline(0.0, color=GREY, linewidth=0.8)
-        axes.set_title(f"leg {leg}")
-        axes.set_xlabel(f"travel of actuator {int(own['actuator'].iloc[0])} (mm)")
-    for axes in grid[:, 0]:
-        axes.set_ylabel("error (µm)")
-    for axes in grid.ravel()[len(legs) :]:
-        axes.set_axis_off()
-    return figure
-
-
-# --- errors of sensors that are functions ----------------------------------------------------------------------------
-
-
-def _title_functions(study: StudyResults) -> dict[str, str]:
-    """Return titles of the variants whose sensors may have such errors, by name."""
-    rows = study.table("variants")
-    own = rows[rows["variant"].isin(study.table("functions")["variant"])]
-    return dict(zip(own["variant"].astype(str), own["title"].astype(str), strict=True))
-
-
-def state_functions(study: StudyResults) -> list[Statement]:
-    """Return in a sentence for each variant which sensors err by how much."""
-    found = _title_functions(study) if study.has("functions") else {}
-    return [_judge_functions(title, study.rows("functions", name)) for name, title in found.items()]
-
-
-def _judge_functions(title: str, rows: list[Row]) -> Statement:
-    kinds: dict[tuple[str, str], list[Row]] = {}
-    for row in rows:
-        kinds.setdefault((split_name(str(row["sensor"]))[0], INPUTS[row["of"]]), []).append(row)
-    parts = []
-    level: Level = "good"
-    for (kind, of), own in kinds.items():
-        largest = max(own, key=lambda row: row["rms"])
-        present = max(row["present"] for row in own)
-        percent = "above 99.9 %" if present > CERTAIN else f"{format_fixed(100.0 * present, 1)} %"
-        if present > SHARE:
-            level = "warning"
-            size = f"{format_significant(largest['rms'], 2)} {_name_unit(largest)} rms"
-            text = f"err by functions of {of} (probability {percent}), {largest['sensor']} most, {size}"
-        else:
-            text = f"need none of {of} (probability {percent})"
-        parts.append(f"sensors {kind} {text}")
-    return Statement(f"“{title}”: {join_words(parts)}.", level, "Sensors' errors")
-
-
-def _name_unit(row: Row) -> str:
-    return UNITS.get(str(row["unit"]), str(row["unit"]))
-
-
-def show_functions(study: StudyResults) -> Section | None:
-    """Return whether sensors err by functions, how large these are and of what; None where no variant has any."""
-    if not study.has("functions"):
-        return None
-    titles = _title_functions(study)
-    columns = [Column("Variant", kind="text"), Column("Kernel", kind="text"), Column("Sensor", kind="text")]
-    columns += [Column("Function of", kind="text")]
-    columns += [Column("Unit", kind="text"), Column("Present", "%"), Column("Scale stated"), Column("Scale found")]
-    columns += [Column("left of prior", "%"), Column("Size", "rms over the poses, mean [5 %, 95 %]")]
-    rows = [
-        [
-            titles[str(row["variant"])],
-            str(row["kernel"]),
-            str(row["sensor"]),
-            INPUTS[row["of"]].replace("they read", "it reads"),
-            _name_unit(row),
-            format_fixed(100.0 * row["present"], 1),
-            format_significant(row["scale_stated"]),
-            format_significant(row["scale"], 2),
-            format_significant(100.0 * row["left"], 2),
-            _bracket(format_significant(row[key], 2) for key in ("rms", "rms_low", "rms_high")),
-        ]
-        for row in study.rows("functions")
-    ]
-    table = make_table("Sensors' errors that are functions.", columns, rows, [Statement(SCALES)], style="wide")
-    blocks: list[Block] = [FUNCTIONS, table]
-    for name, title in titles.items():
-        own = study.table("function_curves", name)
-        caption = f"{title}: errors over what they depend on, mean and 90 % interval."
-        blocks += [] if own.empty else [Figure(f"functions_{stem_of(name)}", caption, partial(_draw_functions, own))]
-    return Section("Errors that are functions", tuple(blocks))
-
-
-def _draw_functions(curves: pd.DataFrame) -> Drawing:
-    """Return a panel for each kind of sensor and input: errors with their 90 % intervals over what they depend on."""
-    kinds: dict[tuple[str, str], list[str]] = {}
-    for sensor, of in dict.fromkeys(zip(curves["sensor"].astype(str), curves["of"].astype(str), strict=True)):
-        kinds.setdefault((split_name(sensor)[0], of), []).append(sensor)
-    n_rows = math.ceil(len(kinds) / 2)
-    figure = Drawing(figsize=(9.4, 0.4 + 2.8 * n_rows))
-    grid = figure.subplots(n_rows, 2, squeeze=False).ravel()
-    for axes, ((kind, of), sensors) in zip(grid, kinds.items(), strict=False):
-        for k, sensor in enumerate(sensors):
-            own, colour = curves[(curves["sensor"] == sensor) & (curves["of"] == of)], LEG_COLOURS[k % len(LEG_COLOURS)]
-            axes.fill_between(own["reading"], own["low"], own["high"], color=colour, alpha=0.2, linewidth=0.0)
-            axes.plot(own["reading"], own["mean"], color=colour, label=set_parameter(sensor))
-        unit = str(curves[curves["sensor"] == sensors[0]]["unit"].iloc[0])
-        axes.axhline(0.0, color=GREY, linewidth=0.8)
-        inner = {"um": "mm", "arcsec": "rad"}.get(unit, unit)
-        axes.set_xlabel(f"reading of {quote(kind)} ({inner})" if of == "reading" else "row")
-        axes.set_ylabel(f"error of {quote(kind)} ({UNITS.get(unit, unit)})")
-        axes.legend(ncols=2)
-    for axes in grid[len(kinds) :]:
-        axes.set_axis_off()
     return figure

@@ -31,13 +31,14 @@ from bayescal.report.numbers import (
 )
 from bayescal.report.style import GREY, INK, LEG_COLOURS, PALE
 from bayescal.report.symbols import (
-    MODEL_ERROR,
     Asked,
     describe_deformation,
+    is_model_error,
     name_parameter,
     quote,
     scale_of,
     set_mathematics,
+    split_name,
     write_symbol,
 )
 
@@ -93,6 +94,8 @@ def _show_each(study: StudyResults) -> Section:
     columns += [Column("Posterior, mean ± sd"), Column("90 % interval"), Column("Contraction"), Column("Verdict")]
     rows: list[list[str | Cell]] = []
     for row in study.rows("parameters", study.chosen):
+        if study.list_terms(study.chosen) and is_model_error(split_name(str(row["parameter"]))[0]):
+            continue  # it has a section of its own
         factor, unit = study.shown_in(row["unit"])
         low, high = (format_significant(factor * row[end], 5) for end in ("q05", "q95"))
         verdict = str(row["verdict"])
@@ -176,7 +179,7 @@ def fold_parameters(study: StudyResults) -> list[tuple[str, list[Fold]]]:
 
 
 def _read_geometry(study: StudyResults) -> pd.DataFrame:
-    return study.free[study.free["symbol"] != MODEL_ERROR]
+    return study.free[~study.free["symbol"].map(is_model_error)]
 
 
 def state_agreement(study: StudyResults) -> list[Statement]:

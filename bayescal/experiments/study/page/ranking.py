@@ -15,7 +15,7 @@ from matplotlib.ticker import FuncFormatter, SymmetricalLogLocator
 
 from bayescal.experiments.shared.headline import describe_candidate, order_candidates, say_named_first
 from bayescal.experiments.study.page.evidence import format_evidence
-from bayescal.experiments.study.page.results import USES, VARIANT, ErrorScale, StudyResults, get_number
+from bayescal.experiments.study.page.results import SETTINGS, USES, VARIANT, ErrorScale, StudyResults, get_number
 from bayescal.experiments.study.page.styles import Styles, assign_styles
 from bayescal.limits import PARETO_K_LIMIT
 from bayescal.report.blocks import Block, Cell, Column, Figure, Fold, Section, Statement, Table, make_table
@@ -59,7 +59,7 @@ def show_ranking(study: StudyResults) -> Section:
     blocks.append(tabulate_ranking(study, "free"))
     blocks += [table for table in (tabulate_effects(study), tabulate_stacking(study)) if table is not None]
     if "zero" in study.settings:
-        blocks.append(Fold("The same ranking without model error (τ = 0)", (tabulate_ranking(study, "zero"),)))
+        blocks.append(Fold("The same ranking without model error", (tabulate_ranking(study, "zero"),)))
     title = "Ranking" if len(study.names) > 1 else "The variant"
     return Section(title, tuple(blocks), anchor="ranking", short="Ranking")
 
@@ -80,8 +80,9 @@ def tabulate_ranking(study: StudyResults, setting: str) -> Table:
             found += _describe(study, name, fits[name], behind)
             columns = [column for column, _ in found]
             rows.append([cell for _, cell in found])
-    title = {"free": "with model error τ", "zero": "without model error (τ = 0)"}[setting]
-    caption = f"Variants {title}." if "zero" in study.settings else "Variants, best first." if several else "Variant."
+    caption = "Variants, best first." if several else "Variant."
+    if "zero" in study.settings:
+        caption = f"Variants {SETTINGS[setting]}."
     notes = []
     if any(study.fit(name, setting)["loo_unreliable"] for name in study.names):
         text = f"(n) n poses with Pareto k above {PARETO_K_LIMIT} that no run left out: elpd LOO is unreliable."
@@ -237,13 +238,15 @@ def _illustrate(study: StudyResults) -> Figure:
         best = max((study.evidence(name, setting) for name in sound), default=math.nan)
         behind |= {(name, setting): math.nan for name in study.ranking}
         behind |= {(name, setting): best - study.evidence(name, setting) for name in sound}
+    zero = "zero" in study.settings
+    with_error = " with model error" if zero else ""
+    without = " Right: log-evidence without model error, below the best of those." if zero else ""
     bands = " A shared band joins variants that fit equally well." if len(groups) > 1 else ""
     caption = (
-        "Left: how far each variant's log-evidence with model error lies below the best one, logarithmic beyond 1 nat. "
-        f"Middle: errors of the posterior mean prediction on the {use} poses; full bar: mean, pale bar: "
-        "largest, both as numbers. Right: log-evidence with the model error set to zero, below the best of those."
-        f"{bands} Position error is the distance between measured and predicted origin of the platform, "
-        "orientation error the angle between measured and predicted platform."
+        f"Left: how far each variant's log-evidence{with_error} lies below the best one, logarithmic beyond 1 nat. "
+        f"{'Middle' if zero else 'Right'}: errors of the posterior mean prediction on the {use} poses; full bar: mean, "
+        f"pale bar: largest, both as numbers.{without}{bands} Position error is the distance between measured and "
+        "predicted origin of the platform, orientation error the angle between measured and predicted platform."
     )
     errors = study.table("pose_errors")
     chosen = errors[errors["use"] == use]
@@ -267,7 +270,9 @@ def _draw(
     names = [name for group in groups for name in group]
     rows, colours = range(len(names)), [styles[name].colour for name in names]
     figure = Drawing(figsize=(9.4, 0.75 + 0.265 * len(names)))
-    axes = figure.subplots(1, 2 + len(scales), sharey=True, width_ratios=[1.0] * (1 + len(scales)) + [0.8])
+    has_zero = (names[0], "zero") in behind
+    widths = [1.0] * (1 + len(scales)) + [0.8] * has_zero
+    axes = figure.subplots(1, len(widths), sharey=True, width_ratios=widths, squeeze=False)[0]
     for panel in axes:
         top = -0.5
         for k, group in enumerate(groups):
@@ -276,10 +281,10 @@ def _draw(
             top += len(group)
         panel.grid(axis="x")
         panel.tick_params(axis="y", length=0)
-    free, zero = ([behind[name, setting] for name in names] for setting in ("free", "zero"))
+    free = [behind[name, "free"] for name in names]
     axes[0].barh(rows, np.nan_to_num(free), height=THICKNESS, color=colours, linewidth=0)
     _label_evidence(axes[0], free, "Log-evidence below\nthe best (nat)")
-    for panel, scale in zip(axes[1:-1], scales, strict=True):
+    for panel, scale in zip(axes[1 : 1 + len(scales)], scales, strict=True):
         errors = scale.factor * predictions.groupby(["variant", "model_error"])[scale.column].agg(["mean", "max"])
         mean, largest = ([float(errors[which][name, "free"]) for name in names] for which in ("mean", "max"))
         panel.barh(rows, largest, height=THICKNESS, color=colours, alpha=0.35, linewidth=0)
@@ -287,8 +292,10 @@ def _draw(
         _write_at(panel, largest, [format_pair(*both, 2) for both in zip(mean, largest, strict=True)])
         panel.set_xlim(0, 1.45 * max(largest) or 1.0)
         panel.set_xlabel(f"{scale.label},\n{use}")
-    axes[-1].plot(zero, rows, "D", markersize=4, color="white", markeredgecolor=INK, markeredgewidth=0.8)
-    _label_evidence(axes[-1], zero, "The same with τ = 0,\nbelow the best of those")
+    if has_zero:
+        zero = [behind[name, "zero"] for name in names]
+        axes[-1].plot(zero, rows, "D", markersize=4, color="white", markeredgecolor=INK, markeredgewidth=0.8)
+        _label_evidence(axes[-1], zero, "The same without model error,\nbelow the best of those")
     axes[0].set_yticks(rows, [styles[name].label for name in names])
     axes[0].set_ylim(len(names) - 0.5, -0.5)
     return figure

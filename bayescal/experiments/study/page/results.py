@@ -22,14 +22,17 @@ from bayescal.experiments.shared.trees import name_file
 from bayescal.numerics.geometry import matrix_from_rotation_vector, rotation_vector_of_turn
 from bayescal.report.blocks import Column
 from bayescal.report.numbers import MICROMETRES, format_pair, join_words
-from bayescal.report.symbols import OF_KERNELS, Asked, describe_deformation, scale_of, shown_in, split_name
+from bayescal.report.symbols import OF_FUNCTIONS, Asked, describe_deformation, scale_of, shown_in, split_name
 
 if TYPE_CHECKING:
     from bayescal.numerics.geometry import Array
 
 VARIANT = Column("Variant", kind="name")
-SETTINGS = {"free": "with model error", "zero": "without model error (τ = 0)"}
-SHORT_SETTINGS = {"free": "free", "zero": "τ = 0"}
+SETTINGS = {"free": "with model error", "zero": "without model error"}
+SHORT_SETTINGS = {"free": "free", "zero": "none"}
+INDEPENDENT, TOGETHER = "independent", "together"
+TERMS = (INDEPENDENT, "linear", "own", "smooth", "drift")
+"""Of a model error; all but the first are systematic, and together they have a size, too."""
 USES = ("calibration", "verification")
 NOISE = "noise"
 """Verdict on parameters that are none of the machine's."""
@@ -84,6 +87,12 @@ COLUMNS: dict[str, dict[str, tuple[str, ...]]] = {
     "structured": {
         "texts": ("variant", "pose", "use"),
         "numbers": ("leg", "actuator", "travel_mm", "mean_um", "low_um", "high_um"),
+    },
+    "model_error": {"texts": ("variant", "term"), "numbers": ("median_um", "q05_um", "q95_um")},
+    "model_error_members": {"texts": ("variant", "member", "term"), "numbers": ("rms_um",)},
+    "model_error_poses": {
+        "texts": ("variant", "pose", "use", "member"),
+        "numbers": ("mean_um", "low_um", "high_um"),
     },
     "claims": {
         "texts": ("claim", "section", "statement", "expected", "found", "unit", "verdict", "why"),
@@ -321,6 +330,16 @@ class StudyResults:
         """Return what the model error adds to a variant's log-evidence, nats."""
         return self.evidence(name) - self.evidence(name, "zero")
 
+    def list_terms(self, name: str) -> list[str]:
+        """Return the terms of a variant's model error whose sizes were found; none where τ alone is a parameter."""
+        there = {str(row["term"]) for row in self.rows("model_error", name)}
+        return [term for term in TERMS if term in there]
+
+    def has_functions(self, name: str) -> bool:
+        """Whether a variant's model error has systematic parts, functions of the pose or of time."""
+        terms = [term for term in self.list_terms(name) if term != INDEPENDENT]
+        return bool(terms) or "structured_error" in self.fit(name)
+
     def spread(self, names: Sequence[str], setting: str = "free") -> float:
         """Return the largest difference of log-evidence among variants, nats."""
         values = [self.evidence(name, setting) for name in names]
@@ -417,7 +436,7 @@ class StudyResults:
     @property
     def parameters(self) -> pd.DataFrame:
         """One row per posterior and parameter of the machine; ``leg`` is zero where a parameter belongs to none."""
-        return self.all_parameters[~self._of_frames & ~self.all_parameters["symbol"].isin(OF_KERNELS)]
+        return self.all_parameters[~self._of_frames & ~self.all_parameters["symbol"].isin(OF_FUNCTIONS)]
 
     @property
     def free(self) -> pd.DataFrame:
@@ -458,7 +477,7 @@ def _read_draws(file: h5py.File) -> dict[str, Array]:
     """Return the draws (E, S) of each parameter by chains, from the posterior group of an ArviZ file."""
     draws: dict[str, Array] = {}
     for symbol, values in file["posterior"].items():
-        if values.ndim < 2 or symbol in OF_KERNELS:
+        if values.ndim < 2 or symbol in OF_FUNCTIONS:
             continue  # coordinates; scale and length of an error, not of the machine
         every = np.asarray(values, dtype=np.float64).reshape(*values.shape[:2], -1)
         names = [symbol]
@@ -498,6 +517,10 @@ def _check_tables(tables: Mapping[str, pd.DataFrame], results: Path) -> None:
         for column in columns["numbers"]:
             if not pd.api.types.is_numeric_dtype(tables[name][column]):  # flags are numeric too
                 raise InputError(f"{folder / name}.csv: column {column!r}: found text, expected numbers")
+    for row in list_rows(tables["model_error"]) if "model_error" in tables else ():
+        if row["term"] not in (*TERMS, TOGETHER):
+            wanted = f"found {row['term']!r}, expected one of {', '.join((*TERMS, TOGETHER))}"
+            raise InputError(f"{folder / 'model_error.csv'}: variant {row['variant']}: term: {wanted}")
     for row in list_rows(tables["claims"]) if "claims" in tables else ():
         if row["verdict"] not in VERDICTS:
             wanted = f"found {row['verdict']!r}, expected one of {', '.join(VERDICTS)}"

@@ -84,14 +84,18 @@ def _state_misfit(study: StudyResults) -> list[Statement]:
     found = ChiSquare(float(one["misfit_chi2"]), float(one["misfit_dof"]))
     if not found.is_off:
         return []
-    without, why = "", "the noise is stated too small, or every variant lacks something real."
+    level, without = _rate(found.factor), ""
+    why = "the noise is stated too small, or every variant lacks something real."
     if "zero" in study.settings:
         without = " without model error"
-        why += (
-            " Model error τ covers errors that differ from pose to pose at random. What repeats with the pose (a lead, "
-            "coupled actuators, joints) goes into the parameters, whose intervals are then too narrow with τ, too: "
-            "compare a variant with model_error = 'linear' or 'smooth'."
-        )
+        if study.has_functions(study.best_name):
+            level, why = "warning", f"{why} The model error takes this up, and the intervals with it allow for it."
+        else:
+            why += (
+                " Model error τ covers errors that differ from pose to pose at random. What repeats with the pose (a "
+                "lead, coupled actuators, joints) goes into the parameters, whose intervals are then too narrow with "
+                "τ, too: leave out `terms` of [model_error], and all five terms are taken."
+            )
     if found.factor < 1:
         why = "the noise is stated too large, and all intervals are wider than they need be."
     text = (
@@ -99,7 +103,7 @@ def _state_misfit(study: StudyResults) -> list[Statement]:
         f"stated noise (χ² per degree of freedom {format_significant(found.value / found.dof, 3)}{without}, "
         f"{format_fixed(found.dof, 0)} degrees, {format_chance(found.chance)}): {why}"
     )
-    return [Statement(text, _rate(found.factor), "Noise")]
+    return [Statement(text, level, "Noise")]
 
 
 # --- tolerances ------------------------------------------------------------------------------------------------------
@@ -139,12 +143,12 @@ def _state_tolerances(study: StudyResults) -> list[Statement]:
 def _count_beyond(study: StudyResults) -> tuple[str, int, int]:
     """Return of the best variant a setting, how many errors of unseen poses lie beyond their 95 % bounds, of how many.
 
-    The setting of the model error is what the evidence prefers: one that is not needed widens all bounds. Calibration
-    poses are left out for it: a posterior that has seen a pose fits it too well.
+    The setting of the model error is what the evidence prefers, where all converged: one that is not needed widens all
+    bounds. Calibration poses are left out for it: a posterior that has seen a pose fits it too well.
     """
     best = study.best_name
-    compared = [one for one in study.settings if study.is_compared(best, one)] or study.settings
-    setting = max(compared, key=lambda setting: study.evidence(best, setting))
+    compared = all(study.is_compared(best, one) for one in study.settings)
+    setting = max(study.settings if compared else ["free"], key=lambda setting: study.evidence(best, setting))
     table = study.table("poses", study.best_name)
     chosen = table[table["model_error"] == setting]
     pits = chosen[["position_pit", "orientation_pit"]].to_numpy(dtype=float).ravel()
@@ -163,8 +167,9 @@ def judge_bounds(beyond: int, total: int) -> float:
 def _describe_bounds(study: StudyResults) -> str:
     """Return how many errors lie beyond their bounds, how many are expected, and with what probability."""
     setting, beyond, total = _count_beyond(study)
+    of_setting = f" {SETTINGS[setting]}" if len(study.settings) > 1 else ""
     return (
-        f"{study.label(study.best_name)}: {SETTINGS[setting]}, {beyond} of {total} position and orientation errors of "
+        f"{study.label(study.best_name)}{of_setting}: {beyond} of {total} position and orientation errors of "
         f"poses left out or held back lie beyond their 95 % bounds, where {format_fixed((1 - BOUND) * total, 1)} are "
         f"expected ({format_chance(judge_bounds(beyond, total))})"
     )
@@ -194,14 +199,13 @@ def state_coverage(study: StudyResults) -> list[Statement]:
         return []
     statements = []
     n_poses = study.summary["n_poses"]["calibration"]
-    for setting, words in SETTINGS.items():
+    for setting in study.settings:
         fits = {name: study.fit(name, setting) for name in study.ranking}
         coverage = {name: fit["calibration"]["interval_90_coverage"] for name, fit in fits.items()}
         narrow = [name for name, share in coverage.items() if is_too_narrow(share, n_poses)]
         span = " to ".join(dict.fromkeys(format_percent(x) for x in (min(coverage.values()), max(coverage.values()))))
-        text = (
-            f"{words[0].upper()}{words[1:]}, the 90 % predictive intervals hold {span} of the calibration measurements"
-        )
+        words = f"{SETTINGS[setting][0].upper()}{SETTINGS[setting][1:]}, the" if len(study.settings) > 1 else "The"
+        text = f"{words} 90 % predictive intervals hold {span} of the calibration measurements"
         if narrow:
             shares = [f"{study.label(name)} ({_cover_both(fits[name])})" for name in narrow]
             text += f": intervals too narrow for {name_or_count(shares, len(coverage))}"

@@ -24,7 +24,8 @@ from bayescal.experiments.shared.headline import (
 )
 from bayescal.experiments.study.page.data import state_claims, state_comparison, state_data
 from bayescal.experiments.study.page.errors import state_held_back, state_outliers
-from bayescal.experiments.study.page.model_error import state_functions
+from bayescal.experiments.study.page.functions import state_functions
+from bayescal.experiments.study.page.model_error import state_terms
 from bayescal.experiments.study.page.parameters import state_undetermined
 from bayescal.experiments.study.page.results import StudyResults, get_number
 from bayescal.experiments.study.page.soundness import (
@@ -108,6 +109,7 @@ def state_verdict(study: StudyResults) -> list[Statement]:
         *state_soundness(study),
         *state_data(study),
         *state_outliers(study),
+        *state_terms(study),
         *_state_accuracy(study),
         *state_ruled_out(study.candidates(), "largest position error"),
         *state_convergence(study),
@@ -452,20 +454,27 @@ def _state_model_error(study: StudyResults) -> list[Statement]:
         return []
     gain = {name: study.gain(name) for name in study.compared if study.is_compared(name, "zero")}
     names, gains = study.name_variants(leaders), [gain[name] for name in leaders]
+    functions = all(study.has_functions(name) for name in leaders)
+    error = "model error" if functions else "model error τ"
     change = format_span([abs(one) for one in gains])
     need, their = ("needs", "its") if len(leaders) == 1 else ("need", "their")
     if all(abs(one) < NOTHING_GAINED for one in gains):
         text = (
-            f"To {names} the model error τ makes no difference: without it "
+            f"To {names} the {error} makes no difference: without it "
             f"log-evidence changes by less than {format_fixed(NOTHING_GAINED, 1)} nat"
+        )
+    elif all(one < 0 for one in gains) and functions:
+        text = (
+            f"The data show no model error of {names}: without one {their} log-evidence is {change} nat higher; "
+            "the intervals allow for errors that leave no trace all the same"
         )
     elif all(one < 0 for one in gains):
         text = f"{names} {need} no model error τ: setting it to zero raises {their} log-evidence by {change} nat"
     elif all(one >= 0 for one in gains):
-        text = f"{names} {need} the model error τ: without it {their} log-evidence falls by {change} nat"
+        text = f"{names} {need} the {error}: without it {their} log-evidence falls by {change} nat"
     else:
         wanting = study.name_variants([name for name in leaders if gain[name] >= 0])
-        text = f"Of {names} only {wanting} would do worse without the model error τ"
+        text = f"Of {names} only {wanting} would do worse without the {error}"
     others = [name for name in gain if name not in leaders]
     needing = [name for name in others if gain[name] >= NOTHING_GAINED]
     if needing:
@@ -493,10 +502,10 @@ def _compare_without(study: StudyResults, leaders: list[str], text: str) -> Stat
         lead = f" by {format_fixed(least - max(others), 1)} nat"
     if set(without) == set(leaders) and len(leaders) > 1:
         spread = format_fixed(study.spread(without, "zero"), 1)
-        text = f"{text}. With τ = 0 everywhere the same {len(leaders)} lead{lead}, within {spread} nat."
+        text = f"{text}. Without model error the same {len(leaders)} lead{lead}, within {spread} nat."
         return Statement(text, lead="Model error")
     verb = "leads" if len(without) == 1 else "lead"
-    text = f"{text}. With τ = 0 everywhere, {study.name_variants(without)} {verb}{lead}"
+    text = f"{text}. Without model error {study.name_variants(without)} {verb}{lead}"
     if not set(without) & set(leaders):
         return Statement(f"{text}: not the variant that leads with model error.", "warning", "Model error")
     return Statement(f"{text}.", lead="Model error")

@@ -299,12 +299,14 @@ def write_results(
     publication=None,
     drive="base",
     name="results",
-    structured=None,
+    zero=True,
+    more=None,
     edits=None,
 ) -> Path:
     """Write a results directory below a parent and return its path.
 
-    ``change``, one or several, edits the summary in place; ``edits`` edit tables, in place or by what they return.
+    ``change``, one or several, edits the summary in place; ``edits`` edit tables, in place or by what they return;
+    ``more`` are further tables. Without ``zero`` there are no posteriors without model error.
     """
     folder = parent / name
     folder.mkdir()
@@ -330,8 +332,12 @@ def write_results(
         tables["claims"] = tabulate_claims()
     if flexure:
         tables["flexure"] = tabulate_flexure()
-    if structured is not None:
-        tables["structured"] = structured
+    if not zero:
+        for fit in summary["variants"].values():
+            del fit["without_model_error"]
+        settings = {name: table for name, table in tables.items() if "model_error" in table}
+        tables |= {name: table[table["model_error"] == "free"] for name, table in settings.items()}
+    tables |= more or {}
     for table, edit in (edits or {}).items():
         edited = edit(tables[table])
         tables[table] = tables[table] if edited is None else edited

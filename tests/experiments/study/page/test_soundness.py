@@ -104,6 +104,19 @@ def test_of_sound_results_nothing_is_said(make_results, change, edits):
     assert any("0 of 12 position and orientation errors" in text for text in coverage)
 
 
+def test_bounds_are_those_with_model_error_where_that_did_not_converge(make_results):
+    """It is what the page is about; posteriors without it, whose bounds are too narrow, stand in for nothing."""
+
+    def beyond(table):
+        rows = (table["variant"] == BEST) & (table["model_error"] == "zero")
+        table.loc[rows, ["position_pit", "orientation_pit"]] = 0.99
+
+    fail = set_fit(BEST, converged=False, problems="R-hat 1.050, limit 1.01")
+    study = read_study(make_results(fail, edits={"poses": beyond}, variants=TWELVE, draws=False))
+    assert [one for one in state_soundness(study) if one.lead == "Bounds"] == []
+    assert any(f"{BEST} with model error: 0 of 12" in one.text for one in state_verdict(study))
+
+
 @pytest.mark.parametrize(
     ("chi2", "level", "mark"),
     [(200.0, "good", "verdict"), (338.0, "plain", "verdict doubtful"), (800.0, "plain", "verdict failed")],

@@ -30,8 +30,8 @@ from bayescal.experiments.study.page.data import (
     tabulate_claims,
 )
 from bayescal.experiments.study.page.evidence import show_evidence, show_tau_scale, tabulate_evidence
+from bayescal.experiments.study.page.functions import show_structured
 from bayescal.experiments.study.page.machine import _group_by_azimuth, tabulate_deformation
-from bayescal.experiments.study.page.model_error import show_structured
 from bayescal.experiments.study.page.parameters import (
     compare_published,
     fold_parameters,
@@ -415,7 +415,7 @@ def read_structured(make_results, **changes):
     row = ["pus/none", "C0", "calibration", 1, 1, 0.5, 3.0, 2.0, 4.0]
     columns = ["variant", "pose", "use", "leg", "actuator", "travel_mm", "mean_um", "low_um", "high_um"]
     frame = pd.DataFrame([row, [*row[:3], 2, *row[4:]]], columns=columns)
-    folder = make_results(change, structured=frame, name=f"results{len(changes)}")
+    folder = make_results(change, more={"structured": frame}, name=f"results{len(changes)}")
     assert "Structured model error" in [one.title for one in read_page(folder).sections]
     section = show_structured(read_study(folder))
     texts = [block.text for block in section.blocks if isinstance(block, Statement)]

@@ -1,0 +1,229 @@
+"""What the page says of the model error: what to do, how large it is, where, along what, and what may hide."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+from made_up_results import TWO, edit_config, read_page, read_study, set_fit
+
+from bayescal.errors import InputError
+from bayescal.experiments.study.page.model_error import show_model_error, state_terms
+from bayescal.experiments.study.page.parameters import show_parameters
+from bayescal.experiments.study.page.soundness import state_soundness
+from bayescal.experiments.study.page.verdict import state_verdict
+from bayescal.report.blocks import Figure, Fold, Statement, Table
+
+SEEN, UNSEEN = (12.0, 8.0, 17.0), (1.2, 0.1, 4.0)  # median and 90 % interval, µm: with a trace in the data, without
+LEGS = {"leg 1": 2.0, "leg 2": 9.0, "leg 3": 2.5}
+FUNCTIONS = ("linear", "own", "smooth", "drift", "together")
+
+
+def tabulate(sizes, members=LEGS, variants=TWO):
+    """Return the three tables of variants that err alike: sizes by term, rms of each member's error by its name."""
+    uses = [*["calibration"] * 4, *["verification"] * 2]
+    size = pd.DataFrame([(name, term, *one) for name in variants for term, one in sizes.items()])
+    by_member = [(name, one, "own", 0.5 * rms) for name in variants for one, rms in members.items()]
+    by_pose = [
+        (name, f"P{k}", use, member, mean := rms * (-1.0) ** k, mean - 1.0, mean + 1.0)
+        for name in variants
+        for k, use in enumerate(uses)
+        for member, rms in members.items()
+    ]
+    return {
+        "model_error": size.set_axis(["variant", "term", "median_um", "q05_um", "q95_um"], axis=1),
+        "model_error_members": pd.DataFrame(by_member, columns=["variant", "member", "term", "rms_um"]),
+        "model_error_poses": pd.DataFrame(
+            by_pose, columns=["variant", "pose", "use", "member", "mean_um", "low_um", "high_um"]
+        ),
+    }
+
+
+def all_unseen(**seen):
+    return dict.fromkeys(("independent", *FUNCTIONS), UNSEEN) | seen
+
+
+def read(make_results, sizes, members=LEGS, change=None, **more):
+    return read_study(make_results(change, more=tabulate(sizes, members), draws=False, **more))
+
+
+# --- what is found ---------------------------------------------------------------------------------------------------
+
+
+def test_says_what_to_do_then_how_large_it_is_and_where(make_results):
+    study = read(make_results, all_unseen(own=SEEN, together=(13.0, 9.0, 18.0)))
+    (statement,) = state_terms(study)
+    assert statement.text == (
+        "Check lead and encoder scale of leg 2, or free them as parameters. pus/linear leaves out a "
+        "systematic error of 13 [9, 18] µm rms (90 % interval), most of it in leg 2 (9.0 µm rms, the others 2.0 to "
+        "2.5 µm); the largest part is linear in the own position (a lead error, the scale of an encoder). The "
+        "intervals allow for it. No random error from pose to pose is seen beyond the noise (τ: 95 % upper "
+        "limit 4.0 µm)."
+    )
+    assert statement in state_verdict(study)
+    assert show_model_error(study).blocks[0] == statement
+
+
+@pytest.mark.parametrize(
+    ("sizes", "members", "level", "said"),
+    [
+        (
+            all_unseen(),
+            LEGS,
+            "good",
+            "no systematic error is seen (95 % upper limit 4.0 µm rms)",
+        ),
+        (all_unseen(independent=SEEN), LEGS, "plain", "Measure one pose several times … τ = 12 [8, 17] µm"),
+        (all_unseen(linear=SEEN, together=SEEN), LEGS, "plain", "Look for a coupling … linear in the positions of all"),
+        (all_unseen(drift=SEEN, together=SEEN), LEGS, "plain", "Let the machine warm up … temperature"),
+        (  # two that imitate each other: neither is seen, their sum is
+            all_unseen(linear=(5.0, 0.5, 12.0), own=(6.0, 0.6, 12.0), together=SEEN),
+            LEGS,
+            "plain",
+            "Check lead and encoder scale of leg 2 … 12 [8, 17] µm rms",
+        ),
+        (
+            all_unseen(own=SEEN, together=SEEN),
+            {"s[1]": 4.0, "s[2]": 5.0},
+            "plain",
+            "of every channel, or free … in all channels (4.0 to 5.0 µm rms each)",
+        ),
+        ({"own": SEEN}, {"s": 4.0}, "plain", "12 [8, 17] µm rms (90 % interval), in s; … allow for it."),
+    ],
+)
+def test_the_advice_follows_the_largest_term_that_is_seen(make_results, sizes, members, level, said):
+    (statement,) = state_terms(read(make_results, sizes, members))
+    places = [statement.text.find(words) for words in said.split(" … ")]
+    assert min(places) >= 0
+    assert places == sorted(places)
+    assert statement.level == level
+
+
+def test_each_term_has_its_size_and_whether_the_data_show_it(make_results):
+    section = show_model_error(read(make_results, all_unseen(own=SEEN)))
+    table = next(block for block in section.blocks if isinstance(block, Table))
+    rows = {row[0].text: [cell.text for cell in row[1:3]] for row in table.rows}
+    assert rows["linear in the own position"] == ["12 [8, 17]", "seen"]
+    assert rows["with time, in measuring order"] == ["1.2 [0.1, 4.0]", "no trace"]
+    assert len(rows) == len(all_unseen())
+
+
+def test_members_are_drawn_pose_by_pose_and_counted_over_the_calibration_poses(make_results):
+    members = {f"s[{k}]": float(k) for k in range(1, 15)}
+    tables = tabulate(all_unseen(own=SEEN, together=SEEN), members)
+    poses = tables["model_error_poses"]
+    poses.loc[poses["use"] == "verification", "mean_um"] = 1000.0  # no rms counts it
+    section = show_model_error(read_study(make_results(more=tables, draws=False)))
+    (figure,) = (block for block in section.blocks if isinstance(block, Figure))
+    assert "Shown are the 12 that err most" in figure.caption
+    drawn = figure.draw()
+    assert [axes.get_title() for axes in drawn.axes] == [f"s[{k}]" for k in range(3, 15)]
+    full, held = (line.get_ydata() for line in drawn.axes[0].lines[:2])
+    assert np.allclose(full, [3.0, -3.0, 3.0, -3.0])
+    assert np.allclose(held, 1000.0)
+    own = next(block for block in section.blocks if isinstance(block, Table) and "which channel" in block.caption)
+    assert [cell.text for cell in own.rows[9]] == ["s[10]", "5.0", "10"]
+
+
+def test_the_best_variant_stands_in_full_the_others_folded(make_results):
+    section = show_model_error(read(make_results, all_unseen(own=SEEN)))
+    assert sum(isinstance(block, Figure) for block in section.blocks) == 1
+    (fold,) = (block for block in section.blocks if isinstance(block, Fold))
+    (table,) = fold.blocks
+    assert [row[0].text for row in table.rows] == ["pus/linear", "pus/none"]
+    assert [row[-1].text for row in table.rows] == ["+30.0", "+30.0"]  # what it adds to the log-evidence
+
+
+# --- what may hide ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("floor", "said"),
+    [
+        (0.0, "None is allowed for beyond what the terms above suggest: if one of some size cannot be excluded, state"),
+        (10.0, "as stated (at_least_um), 10 µm rms are allowed for even where none is seen"),
+        ({"own": 5.0, "linear": 0.0}, "5 µm rms linear in the own position are allowed for"),
+    ],
+)
+def test_says_what_is_allowed_for_of_errors_without_a_trace(make_results, floor, said):
+    folder = make_results(more=tabulate(all_unseen()), draws=False)
+    edit_config(folder, lambda config: config["model_error"].update(at_least_um=floor))
+    section = show_model_error(read_study(folder))
+    (text,) = (one.text for one in section.blocks if isinstance(one, Statement) and "leaves no trace" in one.text)
+    assert said in text
+
+
+# --- which section there is, and other sentences ---------------------------------------------------------------------
+
+
+def test_tau_alone_of_legs_is_shown_leg_by_leg(make_results):
+    study = read(make_results, {"independent": SEEN})
+    assert state_terms(study) == []
+    assert any("τ is 4.0 µm; it is needed" in getattr(one, "text", "") for one in show_model_error(study).blocks)
+
+
+def test_tau_alone_of_readings_has_the_section_of_terms(make_results):
+    study = read(make_results, {"independent": SEEN}, zero=False)
+    (statement,) = state_terms(study)
+    assert "has no term for systematic errors: its intervals do not allow for them" in statement.text
+    assert show_model_error(study).blocks[0] == statement
+
+
+def test_where_the_data_show_no_error_it_is_not_advised_to_leave_it_out(make_results):
+    rises = set_fit("pus/linear", "zero", log_evidence=123.0)
+    said = [one.text for one in state_verdict(read(make_results, all_unseen(), change=rises))]
+    (text,) = (one for one in said if "log-evidence is 3.0 nat higher" in one)
+    assert text.startswith("The data show no model error of pus/linear: without one its")
+    assert "the intervals allow for errors that leave no trace all the same" in text
+    alone = state_verdict(read_study(make_results(rises, name="alone", draws=False)))
+    assert any("pus/linear needs no model error τ: setting it to zero raises" in one.text for one in alone)
+
+
+@pytest.mark.parametrize(
+    ("sizes", "level", "said"),
+    [
+        (all_unseen(own=SEEN), "warning", "The model error takes this up, and the intervals with it allow for it."),
+        ({"independent": SEEN}, "bad", "intervals are then too narrow with τ, too: leave out `terms` of [model_error]"),
+    ],
+)
+def test_residuals_beyond_the_noise_are_bad_only_where_nothing_takes_them_up(make_results, sizes, level, said):
+    change = set_fit("pus/linear", "zero", misfit_chi2=1000.0)
+    (statement,) = state_soundness(read(make_results, sizes, change=change))
+    assert statement.level == level
+    assert said in statement.text
+
+
+def test_sizes_of_errors_are_no_parameters_of_the_machine(make_results):
+    def add(table):
+        own = table[table["parameter"] == "tau[1]"].assign(parameter="sigma_own", verdict="noise")
+        return pd.concat([table, own], ignore_index=True)
+
+    edits, tables = {"parameters": add}, tabulate(all_unseen())
+    legs = show_parameters(read_study(make_results(zero=False, more=tables, draws=False, edits=edits)))
+    shown = " ".join(cell.text for block in legs.blocks if isinstance(block, Fold) for cell in _list_cells(block))
+    assert "a_x" in shown
+    assert "sigma_own" not in shown
+    edits["pose_errors"] = lambda table: table.iloc[:0]
+    folder = make_results(zero=False, more=tables, draws=False, edits=edits, name="readings")
+    (table,) = (one for one in show_parameters(read_study(folder)).blocks if isinstance(one, Table))
+    names = [row[0].text for row in table.rows]
+    assert "a_x[1]" in names
+    assert not {"sigma_own", "tau[1]"} & set(names)
+
+
+def _list_cells(fold):
+    return [cell for table in fold.blocks for row in table.rows for cell in row]
+
+
+def test_a_page_of_one_setting_claims_nothing_of_the_other(make_results):
+    page = read_page(make_results(zero=False))
+    assert "without model error" not in " ".join(one.text for one in page.verdict)
+    assert not any(one.title == "Model error" for one in page.sections)
+    panels = {figure.name: len(figure.draw().axes) for figure in page.figures() if figure.draw is not None}
+    assert (panels["errors"], panels["bounds"], panels["loo_pit"]) == (3, 1, 1)
+
+
+def test_a_term_that_is_not_known_is_named(make_results):
+    folder = make_results(more=tabulate({"wobble": SEEN}), draws=False)
+    with pytest.raises(InputError, match=r"model_error\.csv: variant pus/none: term: found 'wobble', expected one of"):
+        read_study(folder)
