@@ -197,6 +197,8 @@ class LinearGeometry:
         Minus the Hessian and the gradient there of the prior and of all rows that do not depend on the errors.
     log_prior : callable
         The log-prior of coordinates ζ (k,) of the errors.
+    sizes : callable
+        From ζ (B, k) to the errors in their own units.
     """
 
     centre: Array
@@ -204,6 +206,7 @@ class LinearGeometry:
     precision: Array
     pull: Array
     log_prior: Callable[[Array], float]
+    sizes: Callable[[Array], Array]
 
     def given(self, zeta: Array) -> GeometryGiven:
         """Return the geometry given ζ (k,): with J of the white rows e, H = P + JᵀJ and mean H⁻¹ (p - Jᵀ e)."""
