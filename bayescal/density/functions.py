@@ -43,7 +43,6 @@ from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.posterior import Funnel
 from bayescal.density.priors import SmoothKernel
 from bayescal.density.sampling import LegSampling
-from bayescal.density.structured import Conditional
 from bayescal.errors import InputError
 from bayescal.numerics.geometry import Array
 
@@ -61,6 +60,11 @@ class Place(NamedTuple):
 
     travel: Array  # (P, N): z, ranges
     time: Array | None  # (P,): place in measuring order, 0 to 1; None where there is no order
+
+    def join(self, other: Place) -> Place:
+        """Return the poses of both, one behind the other."""
+        time = None if self.time is None or other.time is None else np.concatenate([self.time, other.time])
+        return Place(np.concatenate([self.travel, other.travel]), time)
 
 
 def _linear(first: Place, second: Place) -> Array:
@@ -171,7 +175,7 @@ class FunctionLikelihood(Likelihood):
         m = self._seen.shape[0] * self._seen.shape[1]
         found = np.empty((len(self.functions.sorts), m, m))
         for k, kernel in enumerate(self.functions.between(self.functions.place, self.functions.place)):
-            whole = np.broadcast_to(kernel, (self.n_legs, *kernel.shape[1:]))
+            whole = _for_legs(kernel, self.n_legs)
             found[k] = np.einsum("pai,ipq,qbi->paqb", self._seen, whole, self._seen, optimize=True).reshape(m, m)
         return found
 
@@ -272,8 +276,24 @@ class FunctionLikelihood(Likelihood):
     def _factorise(self, amplitudes: Array) -> _White:
         return _White(cholesky(self._covariances(amplitudes[None])[0], lower=True, check_finite=False))
 
+    def whiten(self, model_error: Array) -> Callable[[Array], Array]:
+        """Return what makes rows (P, K, n) white, those of a pose given the poses before it."""
+        factor, n_seen = self._factorise(model_error), self._seen.shape[1]
+
+        def apply(rows: Array) -> Array:
+            white = self._turn @ rows
+            seen = factor.rows(white[:, :n_seen].reshape(-1, rows.shape[-1]))
+            return np.concatenate([seen.reshape(-1, n_seen, rows.shape[-1]), white[:, n_seen:]], axis=1)
+
+        return apply
+
     def _batches(self, size: int) -> list[slice]:
-        most = max(1, AT_ONCE // self._components.shape[-1] ** 2)
+        return self.batches(size)
+
+    def batches(self, size: int, n_others: int = 0) -> list[slice]:
+        """Return how many vectors to take at a time, where rows of so many other poses are predicted, too."""
+        rows = max(self._components.shape[-1], n_others * self._turn.shape[-1])
+        most = max(1, AT_ONCE // rows**2)
         return [slice(k, k + most) for k in range(0, size, most)]
 
     # --- density -------------------------------------------------------------------------------------------------
@@ -292,10 +312,19 @@ class FunctionLikelihood(Likelihood):
 
     @np.errstate(all="ignore")
     def _evaluate(self, theta: Array, model_error: Array) -> tuple[Array, Array]:
-        """Return log p(r_n | all other poses, θ, amplitudes) of each pose and its squared deviation, shapes (B, P).
+        """Return log p(r_n | all other poses, θ, amplitudes) of each pose and its squared deviation, shapes (B, P)."""
+        good, deviation, precision, unseen = self._give_others(theta, model_error)
+        square = np.einsum("bpi,bpij,bpj->bp", deviation, precision, deviation)
+        square += np.einsum("bpk,bpk->bp", unseen, unseen)
+        density = self._constant + 0.5 * np.linalg.slogdet(precision)[1] - 0.5 * square
+        return np.where(good[:, None], density, -np.inf), np.where(good[:, None], square, np.inf)
 
-        With A = S⁻¹ and α = A e the density of e_n given the others is normal with precision A_nn, and its deviation
-        from its mean is A_nn⁻¹ α_n.
+    def _give_others(self, theta: Array, model_error: Array) -> tuple[np.ndarray, Array, Array, Array]:
+        """Return which vectors are machines (B,), and the white rows of each pose given those of all others.
+
+        With A = S⁻¹ and α = A e the rows e_n given the others are normal with precision A_nn, and deviate from their
+        mean by A_nn⁻¹ α_n: deviations (B, P, N') and precisions (B, P, N', N'); then the rows that see no leg,
+        (B, P, K - N').
         """
         model_error = np.broadcast_to(model_error, (len(theta), model_error.shape[-1]))
         rows = self.base.errors(theta)
@@ -304,11 +333,8 @@ class FunctionLikelihood(Likelihood):
         shape = self._seen.shape[:2]
         inverse = np.linalg.inv(self._covariances(model_error))
         alpha = (inverse @ seen[..., None]).reshape(-1, *shape)
-        own = np.einsum("bpipj->bpij", inverse.reshape(-1, *shape, *shape))
-        square = np.einsum("bpi,bpi->bp", alpha, np.linalg.solve(own, alpha[..., None])[..., 0])
-        square += np.einsum("bpk,bpk->bp", unseen, unseen)
-        density = self._constant + 0.5 * np.linalg.slogdet(own)[1] - 0.5 * square
-        return np.where(good[:, None], density, -np.inf), np.where(good[:, None], square, np.inf)
+        precision = np.einsum("bpipj->bpij", inverse.reshape(-1, *shape, *shape))
+        return good, np.linalg.solve(precision, alpha[..., None])[..., 0], precision, unseen
 
     # --- derivatives ---------------------------------------------------------------------------------------------
 
@@ -442,7 +468,7 @@ class FunctionLikelihood(Likelihood):
     def _across(self, poses: LegRows, amplitudes: Array) -> Array:
         """Return the covariance of √w g at other poses with e, (B, Q, N, M), of amplitudes (B, N + C)."""
         kernels, n = self.functions.between(self.place_of(poses), self.functions.place), self.n_legs
-        whole = np.stack([np.broadcast_to(one, (n, *one.shape[1:])) for one in kernels])
+        whole = np.stack([_for_legs(one, n) for one in kernels])
         summed = np.einsum("bt,tiqp->biqp", amplitudes[:, n:] ** 2, whole, optimize=True)
         found = np.einsum("biqp,pai->bqipa", summed, self._seen, optimize=True)
         return (np.sqrt(poses.actuator_weight)[..., None, None] * found).reshape(*found.shape[:3], -1)
@@ -450,45 +476,85 @@ class FunctionLikelihood(Likelihood):
     def _own(self, poses: LegRows, amplitudes: Array) -> Array:
         """Return the covariance of √w g at and between other poses, (B, N, Q, Q)."""
         place, n, root = self.place_of(poses), self.n_legs, np.sqrt(poses.actuator_weight).T
-        kernels = self.functions.between(place, place)
-        whole = np.stack([np.broadcast_to(one, (n, *one.shape[1:])) for one in kernels])
+        whole = np.stack([_for_legs(one, n) for one in self.functions.between(place, place)])
         summed = np.einsum("bt,tiqr->biqr", amplitudes[:, n:] ** 2, whole, optimize=True)
         return np.asarray(summed * root[:, :, None] * root[:, None, :])
 
-    def condition(self, poses: LegRows, theta: Array, model_error: Array) -> Conditional:
-        """Return √w g at Q poses given the errors at the calibration poses, for (B, D) and amplitudes (B, N + C)."""
-        seen, _ = self._split(self.base.errors(theta))
-        parts = []
-        for part in self._batches(len(theta)):
-            across = self._across(poses, model_error[part])
-            b, q, n, m = across.shape
-            flat = across.reshape(b, q * n, m)
-            solved = np.linalg.solve(self._covariances(model_error[part]), np.swapaxes(flat, -1, -2))
-            mean = np.einsum("bmr,bm->br", solved, seen[part]).reshape(b, q, n)
-            taken = np.einsum("bqim,bmqj->bqij", across, solved.reshape(b, m, q, n), optimize=True)
-            own = np.einsum("biqq->bqi", self._own(poses, model_error[part]))
-            parts.append((mean, own[..., None] * np.eye(n) - taken))
-        return Conditional(*(np.concatenate(one) for one in zip(*parts, strict=True)))
+    def leave_out(self, theta: Array, model_error: Array) -> tuple[Array, Array]:
+        """Return each pose's rows as read minus expected from all other poses, (B, P, K), and their covariance.
 
-    def joint(self, poses: LegRows, theta: Array, model_error: Array) -> Array:
-        """Return the log-density of all held-back poses together, given the calibration poses, shape (B,)."""
+        The covariance, shape (B, P, K, K), is that of reading them; vectors are (B, D) and amplitudes (B, N + C).
+        """
+        _, deviation, precision, unseen = self._give_others(theta, model_error)
+        n_seen, k = self._seen.shape[1], self._turn.shape[-1]
+        white = np.broadcast_to(np.eye(k), (*deviation.shape[:2], k, k)).copy()
+        white[..., :n_seen, :n_seen] = np.linalg.inv(precision)
+        back = np.linalg.inv(self._turn)
+        rows = (back @ np.concatenate([deviation, unseen], axis=-1)[..., None])[..., 0]
+        return rows, back @ white @ np.swapaxes(back, -1, -2)
+
+    def predict(self, poses: LegRows, theta: Array, model_error: Array) -> tuple[Array, Array]:
+        """Return rows of Q other poses as read minus expected from the calibration poses, (B, Q, K), and covariance.
+
+        The covariance, shape (B, Q, K, Q, K), is that of reading all of them; vectors are (B, D), amplitudes
+        (B, N + C).
+        """
         known, _ = self._split(self.base.errors(theta))
         rows, shown, n = poses.errors(theta), poses.rows_of_legs, self.n_legs
-        found = []
-        for part in self._batches(len(theta)):
-            across = self._across(poses, model_error[part])
-            seen = np.einsum("qki,bqim->bqkm", shown, across).reshape(len(across), -1, across.shape[-1])
-            solved = np.linalg.solve(self._covariances(model_error[part]), np.swapaxes(seen, -1, -2))
-            total = np.einsum("qki,biqr,rli->bqkrl", shown, self._own(poses, model_error[part]), shown, optimize=True)
-            for k, amplitudes in enumerate(model_error[part]):
-                np.einsum("qkql->qkl", total[k])[:] += poses.error_covariance(amplitudes[:n])
-            total = total.reshape(len(across), seen.shape[1], -1) - seen @ solved
-            left = rows[part].reshape(len(across), -1) - np.einsum("bmr,bm->br", solved, known[part])
-            factor = np.linalg.cholesky(total)
-            white = np.linalg.solve(factor, left[..., None])[..., 0]
-            half_log_det = np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
-            found.append(-half_log_det - 0.5 * np.einsum("bm,bm->b", white, white))
-        return np.asarray(np.concatenate(found) + poses.log_constant.sum())
+        seen = np.einsum("qki,bqim->bqkm", shown, self._across(poses, model_error))
+        seen = seen.reshape(len(theta), -1, seen.shape[-1])
+        solved = np.linalg.solve(self._covariances(model_error), np.swapaxes(seen, -1, -2))
+        total = np.einsum("qki,biqr,rli->bqkrl", shown, self._own(poses, model_error), shown, optimize=True)
+        for k, amplitudes in enumerate(model_error):
+            np.einsum("qkql->qkl", total[k])[:] += poses.error_covariance(amplitudes[:n])
+        total -= (seen @ solved).reshape(total.shape)
+        return rows - np.einsum("bmr,bm->br", solved, known).reshape(rows.shape), total
+
+    # --- the functions -------------------------------------------------------------------------------------------
+
+    def draw_prior(self, place: Place, model_error: Array, rng: np.random.Generator) -> Array:
+        """Return draws of the functions before any data, one of each of amplitudes (B, N + C), at Q poses.
+
+        Shape (B, C, Q, N), mm along the actuators.
+        """
+        scales, found = model_error[:, self.n_legs :], []
+        for k, kernel in enumerate(self.functions.between(place, place)):
+            values, vectors = np.linalg.eigh(kernel)
+            root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
+            normal = rng.standard_normal((len(scales), self.n_legs, kernel.shape[-1]))
+            found.append(scales[:, k, None, None] * np.einsum("iqr,bir->bqi", _for_legs(root, self.n_legs), normal))
+        return np.stack(found, axis=1)
+
+    def draw(
+        self, others: LegRows | None, theta: Array, model_error: Array, rng: np.random.Generator
+    ) -> tuple[Array, Array]:
+        """Return means and draws of the functions given the errors at the calibration poses, (B, C, P + Q, N) each.
+
+        They are at the calibration poses and at Q others behind them, mm along the actuators. A draw of the prior, with
+        all errors, moves by what the data make of how they differ from it (conditioning by kriging: Journel and
+        Huijbregts 1978).
+        """
+        own, n, n_poses = self.functions.place, self.n_legs, self.n_poses
+        place = own if others is None else own.join(self.place_of(others))
+        read, _ = self._split(self.base.errors(theta))
+        drawn = self.draw_prior(place, model_error, rng)
+        alone = model_error[:, None, :n] * rng.standard_normal((len(theta), n_poses, n))
+        made = np.einsum("pai,bpi->bpa", self._seen, drawn[:, :, :n_poses].sum(axis=1) + alone)
+        made = made.reshape(read.shape) + rng.standard_normal(read.shape)
+        mean, kernels = np.empty_like(drawn), self.functions.between(place, own)
+        for k, amplitudes in enumerate(model_error):
+            solved = self._factorise(amplitudes).solve(np.stack([read[k], read[k] - made[k]], axis=1))
+            by_legs = np.einsum("pai,paz->zpi", self._seen, solved.reshape(n_poses, -1, 2))
+            for c, kernel in enumerate(kernels):
+                moves = np.einsum("iqp,zpi->zqi", _for_legs(kernel, n), by_legs, optimize=True)
+                mean[k, c] = amplitudes[n + c] ** 2 * moves[0]
+                drawn[k, c] += amplitudes[n + c] ** 2 * moves[1]
+        return mean, drawn
+
+
+def _for_legs(kernel: Array, n_legs: int) -> Array:
+    """Return kernels (N or 1, ...) of each leg, (N, ...)."""
+    return np.broadcast_to(kernel, (n_legs, *kernel.shape[1:]))
 
 
 def _turn_rows(base: LegRows) -> tuple[Array, Array]:
