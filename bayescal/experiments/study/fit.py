@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 KEPT_DRAWS = 1920  # of each ensemble, for everything after the diagnostics
+DEPENDENT_DRAWS = 250  # where poses depend on each other, whose densities given the others take long
 POSE_NUMBERS = 6
 ONLY_SAVED = ("prior", "prior_misfit")
 """Arrays of a posterior that nothing but its tree has."""
@@ -93,7 +94,9 @@ class Legs(Subject):
 
     def choose(self, shape: tuple[int, int, int]) -> np.ndarray:
         """Thin in time: the same steps of every walker, in order walker by walker."""
-        most = limit_draws(KEPT_DRAWS, shape[0] * len(self.inputs.verification))
+        dependent = isinstance(self.posterior.likelihood, FunctionLikelihood)
+        wanted = DEPENDENT_DRAWS if dependent else KEPT_DRAWS
+        most = limit_draws(wanted, shape[0] * len(self.inputs.verification))
         keep = max(1, -(-shape[1] * shape[2] // most))
         return np.arange(np.prod(shape)).reshape(shape)[:, :, ::keep].reshape(shape[0], -1)
 
