@@ -32,22 +32,20 @@ from functools import cached_property
 from typing import Final, NamedTuple
 
 import numpy as np
-from scipy.linalg import cho_solve, cholesky, solve_triangular
 
 from bayescal.data.measured_poses import MeasuredPoses
+from bayescal.density.components import Components, LinearRows
 from bayescal.density.elimination import whiten_covariance
 from bayescal.density.errors import LegErrors
 from bayescal.density.instruments import InstrumentLikelihood
 from bayescal.density.legs import Likelihood, turn_to_coordinates
 from bayescal.density.pose_likelihood import PoseLikelihood
-from bayescal.density.posterior import Funnel
 from bayescal.density.priors import SmoothKernel
 from bayescal.density.sampling import LegSampling
 from bayescal.errors import InputError
 from bayescal.numerics.geometry import Array
 
 START: Final = 0.02  # of a drift, that is there at the first pose
-AT_ONCE = 4_000_000  # numbers of the covariances that are factorised together
 FEWEST_POSES = 3
 
 
@@ -115,26 +113,6 @@ class PoseFunctions:
         return [SORTS[name](first, second) / norm for name, norm in zip(self.sorts, self.norms, strict=True)]
 
 
-@dataclass(frozen=True, eq=False)
-class _White:
-    """S of one vector of amplitudes, factorised."""
-
-    factor: Array  # (M, M): lower Cholesky factor, M = P N'
-
-    def rows(self, seen: Array) -> Array:
-        """Return white rows of (M, ...)."""
-        return np.asarray(solve_triangular(self.factor, seen, lower=True, check_finite=False))
-
-    def solve(self, seen: Array) -> Array:
-        """Return S⁻¹ times (M, ...)."""
-        return np.asarray(cho_solve((self.factor, True), seen, check_finite=False))
-
-    @cached_property
-    def inverse(self) -> Array:
-        """S⁻¹, shape (M, M)."""
-        return self.solve(np.eye(len(self.factor)))
-
-
 class FunctionLikelihood(Likelihood):
     """Log-density of poses with errors that are functions of the pose; see the module.
 
@@ -161,7 +139,7 @@ class FunctionLikelihood(Likelihood):
         self._travel, self._order = travel, order
         self.functions = PoseFunctions(tuple(sorts), self.place_of(base))
         self._turn, self._seen = _turn_rows(base)
-        self._components = self._find_components()
+        self.components = self._find_components()
         self._constant = base.log_constant + np.linalg.slogdet(self._turn)[1]
 
     def place_of(self, poses: LegRows) -> Place:
@@ -170,14 +148,17 @@ class FunctionLikelihood(Likelihood):
         time = np.array([self._order[name] for name in poses.pose_names]) if self._order else None
         return Place((poses.actuators - home) / self._travel, time)
 
-    def _find_components(self) -> Array:
-        """Return E_t, shape (C, M, M)."""
-        m = self._seen.shape[0] * self._seen.shape[1]
-        found = np.empty((len(self.functions.sorts), m, m))
+    def _find_components(self) -> Components:
+        """Return what the model errors of each leg, then the sorts of functions, add to the white rows."""
+        n_poses, n, n_legs = self._seen.shape
+        parts = np.empty((len(self.functions.sorts), n_poses * n, n_poses * n))
         for k, kernel in enumerate(self.functions.between(self.functions.place, self.functions.place)):
-            whole = _for_legs(kernel, self.n_legs)
-            found[k] = np.einsum("pai,ipq,qbi->paqb", self._seen, whole, self._seen, optimize=True).reshape(m, m)
-        return found
+            whole = _for_legs(kernel, n_legs)
+            parts[k] = np.einsum("pai,ipq,qbi->paqb", self._seen, whole, self._seen, optimize=True).reshape(
+                parts.shape[1:]
+            )
+        blocks = np.einsum("pai,pbi->ipab", self._seen, self._seen)
+        return Components(np.broadcast_to(np.eye(n), (n_poses, n, n)), blocks, parts)
 
     # --- what it is ----------------------------------------------------------------------------------------------
 
@@ -249,19 +230,6 @@ class FunctionLikelihood(Likelihood):
 
     # --- covariance of all rows ----------------------------------------------------------------------------------
 
-    def _covariances(self, amplitudes: Array, more: int = 0) -> Array:
-        """Return S of amplitudes (B, N + C), shape (B, M + more, M + more), with room for more rows."""
-        n, (n_poses, n_seen) = self.n_legs, self._seen.shape[:2]
-        m = n_poses * n_seen
-        total = np.zeros((len(amplitudes), m + more, m + more))
-        inner = total[:, :m, :m]
-        inner[:] = (amplitudes[:, n:] ** 2 @ self._components.reshape(-1, m * m)).reshape(-1, m, m)
-        own = np.einsum("pai,bi,pci->bpac", self._seen, amplitudes[:, :n] ** 2, self._seen, optimize=True)
-        for p in range(n_poses):
-            inner[:, p * n_seen : (p + 1) * n_seen, p * n_seen : (p + 1) * n_seen] += own[:, p]
-        inner[:, *np.diag_indices(m)] += 1.0
-        return total
-
     def _split(self, rows: Array) -> tuple[Array, Array]:
         """Return white rows that see the legs (..., M) and others (..., P, K - N'), of rows (..., P, K)."""
         n_seen = self._seen.shape[1]
@@ -273,12 +241,9 @@ class FunctionLikelihood(Likelihood):
         white, n_seen, m = self._turn @ slope, self._seen.shape[1], slope.shape[-1]
         return white[:, :n_seen].reshape(-1, m), white[:, n_seen:].reshape(-1, m)
 
-    def _factorise(self, amplitudes: Array) -> _White:
-        return _White(cholesky(self._covariances(amplitudes[None])[0], lower=True, check_finite=False))
-
     def whiten(self, model_error: Array) -> Callable[[Array], Array]:
         """Return what makes rows (P, K, n) white, those of a pose given the poses before it."""
-        factor, n_seen = self._factorise(model_error), self._seen.shape[1]
+        factor, n_seen = self.components.factorise(model_error**2), self._seen.shape[1]
 
         def apply(rows: Array) -> Array:
             white = self._turn @ rows
@@ -287,14 +252,12 @@ class FunctionLikelihood(Likelihood):
 
         return apply
 
+    def batches(self, size: int, n_others: int = 0) -> list[slice]:
+        """Return which of so many vectors are taken together, where rows of so many other poses are predicted, too."""
+        return self.components.batches(size, n_others * self._turn.shape[-1])
+
     def _batches(self, size: int) -> list[slice]:
         return self.batches(size)
-
-    def batches(self, size: int, n_others: int = 0) -> list[slice]:
-        """Return how many vectors to take at a time, where rows of so many other poses are predicted, too."""
-        rows = max(self._components.shape[-1], n_others * self._turn.shape[-1])
-        most = max(1, AT_ONCE // rows**2)
-        return [slice(k, k + most) for k in range(0, size, most)]
 
     # --- density -------------------------------------------------------------------------------------------------
 
@@ -306,48 +269,33 @@ class FunctionLikelihood(Likelihood):
         good = np.isfinite(rows).all(axis=(1, 2))
         seen, unseen = self._split(np.where(good[:, None, None], rows, 0.0))
         density = self._constant.sum() - 0.5 * np.einsum("bpk,bpk->b", unseen, unseen)
-        for part in self._batches(len(theta)):
-            density[part] += _weigh(self._covariances(model_error[part], 1), seen[part])
+        density += self.components.weigh(model_error**2, seen)
         return np.where(good & np.isfinite(density), density, -np.inf)
 
     @np.errstate(all="ignore")
     def _evaluate(self, theta: Array, model_error: Array) -> tuple[Array, Array]:
         """Return log p(r_n | all other poses, θ, amplitudes) of each pose and its squared deviation, shapes (B, P)."""
-        good, deviation, precision, unseen = self._give_others(theta, model_error)
-        square = np.einsum("bpi,bpij,bpj->bp", deviation, precision, deviation)
-        square += np.einsum("bpk,bpk->bp", unseen, unseen)
-        density = self._constant + 0.5 * np.linalg.slogdet(precision)[1] - 0.5 * square
-        return np.where(good[:, None], density, -np.inf), np.where(good[:, None], square, np.inf)
-
-    def _give_others(self, theta: Array, model_error: Array) -> tuple[np.ndarray, Array, Array, Array]:
-        """Return which vectors are machines (B,), and the white rows of each pose given those of all others.
-
-        With A = S⁻¹ and α = A e the rows e_n given the others are normal with precision A_nn, and deviate from their
-        mean by A_nn⁻¹ α_n: deviations (B, P, N') and precisions (B, P, N', N'); then the rows that see no leg,
-        (B, P, K - N').
-        """
         model_error = np.broadcast_to(model_error, (len(theta), model_error.shape[-1]))
         rows = self.base.errors(theta)
         good = np.isfinite(rows).all(axis=(1, 2))
         seen, unseen = self._split(np.where(good[:, None, None], rows, 0.0))
-        shape = self._seen.shape[:2]
-        inverse = np.linalg.inv(self._covariances(model_error))
-        alpha = (inverse @ seen[..., None]).reshape(-1, *shape)
-        precision = np.einsum("bpipj->bpij", inverse.reshape(-1, *shape, *shape))
-        return good, np.linalg.solve(precision, alpha[..., None])[..., 0], precision, unseen
+        density, square = self.components.weigh_each(model_error**2, seen)
+        rest = np.einsum("bpk,bpk->bp", unseen, unseen)
+        density, square = density + self._constant - 0.5 * rest, square + rest
+        return np.where(good[:, None], density, -np.inf), np.where(good[:, None], square, np.inf)
 
     # --- derivatives ---------------------------------------------------------------------------------------------
 
     def inform(self, theta: Array, change: Array, errors: LegErrors, zeta: Array) -> Array:
         """Return the information of the data on the geometry, shape (m, m)."""
-        white = self._factorise(errors.amplitudes(zeta))
+        white = self.components.factorise(errors.amplitudes(zeta) ** 2)
         seen, unseen = self._split_slopes(turn_to_coordinates(self.error_jacobian(theta)[1], change))
         rows = white.rows(seen)
         return np.asarray(rows.T @ rows + unseen.T @ unseen)
 
     def inform_row(self, theta: Array, change: Array, errors: LegErrors, zeta: Array, row: int) -> Array:
         """Return what one pose tells of the geometry beyond all others, shape (m, m)."""
-        white, n_seen = self._factorise(errors.amplitudes(zeta)), self._seen.shape[1]
+        white, n_seen = self.components.factorise(errors.amplitudes(zeta) ** 2), self._seen.shape[1]
         slope = turn_to_coordinates(self.error_jacobian(theta)[1], change)
         seen, _ = self._split_slopes(slope)
         mine, unseen = slice(row * n_seen, (row + 1) * n_seen), (self._turn[row] @ slope[row])[n_seen:]
@@ -367,7 +315,7 @@ class FunctionLikelihood(Likelihood):
         of whose expectation Gauss and Newton's Hessian has -2 a b tr (S⁻¹ E_a S⁻¹ E_b).
         """
         amplitudes, m = errors.amplitudes(zeta), change.shape[1]
-        white, (rows, slope) = self._factorise(amplitudes), self.error_jacobian(theta)
+        white, (rows, slope) = self.components.factorise(amplitudes**2), self.error_jacobian(theta)
         seen, unseen = self._split(rows)
         by_seen, by_unseen = self._split_slopes(turn_to_coordinates(slope, change))
         alpha, solved = white.solve(seen), white.solve(by_seen)
@@ -378,7 +326,8 @@ class FunctionLikelihood(Likelihood):
         if n == m:
             return gradient, hessian
         slopes, inside = errors.slopes_of_amplitudes(zeta), slice(m, n)
-        pulled, seen_by = self._act(alpha), self._act_on_inverse(white.inverse)  # E α (K, M), S⁻¹ E (K, M, M)
+        pulled = self.components.act(alpha)  # E α (K, M)
+        seen_by = self.components.act_on_inverse(white.inverse)  # S⁻¹ E (K, M, M)
         traces = np.einsum("kii->k", seen_by)
         surplus = pulled @ alpha - traces
         both = np.einsum("kij,lji->kl", seen_by, seen_by, optimize=True)
@@ -395,19 +344,6 @@ class FunctionLikelihood(Likelihood):
         hessian[inside, inside] += np.diag(errors.curvatures_of_amplitudes(zeta) @ (amplitudes * surplus))
         return gradient, hessian
 
-    def _act(self, alpha: Array) -> Array:
-        """Return E α of each amplitude, (M,) to (N + C, M)."""
-        by_pose = np.einsum("pai,pa->pi", self._seen, alpha.reshape(self._seen.shape[:2]))
-        own = np.einsum("pai,pi->ipa", self._seen, by_pose).reshape(self.n_legs, -1)
-        return np.concatenate([own, self._components @ alpha])
-
-    def _act_on_inverse(self, inverse: Array) -> Array:
-        """Return S⁻¹ E of each amplitude, (M, M) to (N + C, M, M)."""
-        shape = self._seen.shape[:2]
-        by_pose = np.einsum("mpa,pai->mpi", inverse.reshape(-1, *shape), self._seen)
-        own = np.einsum("mpi,pai->impa", by_pose, self._seen).reshape(self.n_legs, *inverse.shape)
-        return np.concatenate([own, inverse @ self._components])
-
     # --- straightening, search for the mode ----------------------------------------------------------------------
 
     def groups(self, sampling: LegSampling, errors: LegErrors) -> list[np.ndarray]:
@@ -415,38 +351,26 @@ class FunctionLikelihood(Likelihood):
         del errors
         return [np.arange(sampling.size)]
 
-    @cached_property
-    def _axes(self) -> tuple[Array, Array]:
-        """Directions of all rows that are nearly independent whatever the amplitudes, (M, M), and E of each there.
-
-        The latter are the diagonals, shape (N + C, M). The directions are those of the functions alone, of one size.
-        """
-        size = np.trace(self._components, axis1=1, axis2=2)
-        _, axes = np.linalg.eigh(np.einsum("kij,k->ij", self._components, 1.0 / size))
-        own = np.einsum("pai,paj->ijp", self._seen, axes.reshape(*self._seen.shape[:2], -1), optimize=True)
-        by_functions = np.einsum("im,kij,jm->km", axes, self._components, axes, optimize=True)
-        return axes, np.concatenate([np.sum(own**2, axis=-1), by_functions])
-
     def funnel_errors(self, errors: LegErrors, zeta: Array) -> Array:
-        """Return the errors in each of those directions, in units of the noise there, shape (B, M)."""
-        return np.sqrt(np.broadcast_to(errors.amplitudes(zeta) ** 2 @ self._axes[1], (len(zeta), len(self._axes[0]))))
+        """Return the amplitudes, shape (B, N + C)."""
+        return np.broadcast_to(errors.amplitudes(zeta), (len(zeta), self.n_model_errors))
 
-    def funnel(self, sampling: LegSampling, errors: LegErrors, y: Array) -> Funnel | None:
-        """Return how the geometry depends on the amplitudes at y, shape (n,), with S diagonal in fixed directions."""
-        if not errors.n_amplitudes:
-            return None
-        m, (theta, change) = sampling.size, self._around(sampling, y)
-        zeta = y[m:]
-        own = self.funnel_errors(errors, zeta[None])[0]
+    def funnel(self, sampling: LegSampling, errors: LegErrors, y: Array) -> None:
+        """Return None: how the geometry depends on the errors is known in closed form, see `linear_rows`."""
+
+    def linear_rows(self, sampling: LegSampling, errors: LegErrors, y: Array) -> LinearRows:
+        """Return the rows as a linear model of the geometry about y, shape (n,); see `Elimination.linear_rows`."""
+        theta, change = self._around(sampling, y)
         rows, slope = self.error_jacobian(theta)
-        seen, _ = self._split(rows)
+        seen, unseen = self._split(rows)
         by_seen, by_unseen = self._split_slopes(turn_to_coordinates(slope, change))
-        axes, sd = self._axes[0], np.sqrt(1.0 + own**2)
-        white, residual = axes.T @ by_seen / sd[:, None], axes.T @ seen / sd
-        parts = np.einsum("ka,kb->kab", white, white)
-        prior = sampling.prior_slope(change)
-        known = prior.T @ prior + by_unseen.T @ by_unseen  # what does not hang on the amplitudes
-        return Funnel(white.T @ white, known, np.ones(len(own)), own, parts, -white * residual[:, None])
+        return LinearRows(
+            seen,
+            by_seen,
+            by_unseen.T @ by_unseen,
+            -by_unseen.T @ unseen.ravel(),
+            lambda zeta: self.components.factorise(errors.amplitudes(zeta) ** 2),
+        )
 
     def _around(self, sampling: LegSampling, y: Array) -> tuple[Array, Array]:
         theta = sampling.theta_from_y(y[None, : sampling.size])[0]
@@ -454,7 +378,7 @@ class FunctionLikelihood(Likelihood):
 
     def _fit(self, sampling: LegSampling, errors: LegErrors, start: Array, amplitudes: Array) -> Array:
         """Return y with the geometry of least squares, white rows and priors together, at amplitudes (N + C,)."""
-        found, m, factor = start.copy(), sampling.size, self._factorise(amplitudes)
+        found, m, factor = start.copy(), sampling.size, self.components.factorise(amplitudes**2)
 
         def whiten(rows: Array) -> Array:
             seen, unseen = self._split_slopes(rows)
@@ -485,7 +409,8 @@ class FunctionLikelihood(Likelihood):
 
         The covariance, shape (B, P, K, K), is that of reading them; vectors are (B, D) and amplitudes (B, N + C).
         """
-        _, deviation, precision, unseen = self._give_others(theta, model_error)
+        seen, unseen = self._split(self.base.errors(theta))
+        deviation, precision = self.components.leave_out(model_error**2, seen)
         n_seen, k = self._seen.shape[1], self._turn.shape[-1]
         white = np.broadcast_to(np.eye(k), (*deviation.shape[:2], k, k)).copy()
         white[..., :n_seen, :n_seen] = np.linalg.inv(precision)
@@ -503,7 +428,7 @@ class FunctionLikelihood(Likelihood):
         rows, shown, n = poses.errors(theta), poses.rows_of_legs, self.n_legs
         seen = np.einsum("qki,bqim->bqkm", shown, self._across(poses, model_error))
         seen = seen.reshape(len(theta), -1, seen.shape[-1])
-        solved = np.linalg.solve(self._covariances(model_error), np.swapaxes(seen, -1, -2))
+        solved = np.linalg.solve(self.components.covariances(model_error**2), np.swapaxes(seen, -1, -2))
         total = np.einsum("qki,biqr,rli->bqkrl", shown, self._own(poses, model_error), shown, optimize=True)
         for k, amplitudes in enumerate(model_error):
             np.einsum("qkql->qkl", total[k])[:] += poses.error_covariance(amplitudes[:n])
@@ -543,7 +468,7 @@ class FunctionLikelihood(Likelihood):
         made = made.reshape(read.shape) + rng.standard_normal(read.shape)
         mean, kernels = np.empty_like(drawn), self.functions.between(place, own)
         for k, amplitudes in enumerate(model_error):
-            solved = self._factorise(amplitudes).solve(np.stack([read[k], read[k] - made[k]], axis=1))
+            solved = self.components.factorise(amplitudes**2).solve(np.stack([read[k], read[k] - made[k]], axis=1))
             by_legs = np.einsum("pai,paz->zpi", self._seen, solved.reshape(n_poses, -1, 2))
             for c, kernel in enumerate(kernels):
                 moves = np.einsum("iqp,zpi->zqi", _for_legs(kernel, n), by_legs, optimize=True)
@@ -564,18 +489,3 @@ def _turn_rows(base: LegRows) -> tuple[Array, Array]:
     axes, _ = np.linalg.qr(shown, mode="complete")
     turn = np.swapaxes(axes, -1, -2)
     return turn @ white, (turn @ shown)[:, : min(shown.shape[1:])]
-
-
-def _weigh(covariance: Array, errors: Array) -> Array:
-    """Return normal log-densities of errors (B, M) but for 2 π; covariances (B, M + 1, M + 1) have a row to spare.
-
-    The errors are carried along as one more row of the matrix; in the factor it holds the white ones. S - 1 has no
-    negative eigenvalue, and so eᵀ e in the corner keeps the matrix definite.
-    """
-    m = errors.shape[1]
-    covariance[:, m, :m], covariance[:, :m, m] = errors, errors
-    covariance[:, m, m] = 1.0 + np.einsum("bm,bm->b", errors, errors)
-    factor = np.linalg.cholesky(covariance)
-    white = factor[:, m, :m]
-    half_log_det = np.log(np.diagonal(factor, axis1=1, axis2=2)[:, :m]).sum(axis=1)
-    return np.asarray(-half_log_det - 0.5 * np.einsum("bm,bm->b", white, white))

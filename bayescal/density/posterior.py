@@ -15,6 +15,7 @@ from typing import Any, Self, final
 import numpy as np
 
 from bayescal.density.calibration.terms import Errors
+from bayescal.density.components import LinearGeometry, LinearRows
 from bayescal.density.priors import Prior
 from bayescal.machines.parameters import ParameterLayout
 from bayescal.numerics.geometry import Array
@@ -190,6 +191,14 @@ class Elimination[S: Sampling, E: Errors](ABC):
     @abstractmethod
     def funnel_errors(self, errors: E, zeta: Array) -> Array:
         """Return the errors that the geometry's uncertainty depends on, (B, k) to (B, N)."""
+
+    def linear_rows(self, sampling: S, errors: E, y: Array) -> LinearRows | None:
+        """Return the rows about y, shape (m + k,), as linear in the geometry, with a covariance that depends on ζ.
+
+        None, by default, where the rows of a pose depend on no other's, so that `funnel` tells enough.
+        """
+        del sampling, errors, y
+        return None
 
     @abstractmethod
     def funnel(self, sampling: S, errors: E, y: Array) -> Funnel | None:
@@ -402,3 +411,20 @@ class Posterior[L: Elimination[Any, Any], S: Sampling, E: Errors]:
     def funnel(self, y: Array) -> Funnel | None:
         """Return how the geometry depends on the errors at y, shape (n,); None where it does not."""
         return self.likelihood.funnel(self.sampling, self.errors, y)
+
+    def linear_geometry(self, y: Array) -> LinearGeometry | None:
+        """Return the geometry as linear in the rows about y, shape (n,); None where `funnel` tells what errors do."""
+        rows = self.likelihood.linear_rows(self.sampling, self.errors, y)
+        if rows is None:
+            return None
+        m, (theta, change) = self.n_geometry, self.around(y)
+        slope = self.sampling.prior_slope(change)
+        pull = rows.pull - self.sampling.prior_residual(y[:m], theta) @ slope
+        pull = pull + self.sampling.log_volume_slope(y[:m], theta, change)
+        precision = rows.information + slope.T @ slope
+
+        def log_prior(zeta: Array) -> float:
+            deviations = self.errors.deviations(zeta)
+            return float(-0.5 * deviations @ deviations)
+
+        return LinearGeometry(y[:m].copy(), rows, precision, pull, log_prior)

@@ -159,6 +159,8 @@ def _explore_from(
     trial_rng = np.random.default_rng(trial_seed)
     straight = straighten(posterior, modes[0])
     peaks = [_peak_in(straight, mode) for mode in modes]
+    if straight.conditional is not None:  # nothing sharper is known than geometry given the errors in closed form
+        peaks[0], enough = _peak_of_errors(straight), min(enough, ACCEPTABLE)
     best = _try_peaks(straight, peaks, modes, trial_rng)
     finer = posterior.finer()
     if finer is not None and not _is_fine(best, finer, np.random.default_rng(seed.generate_state(5))):
@@ -255,6 +257,17 @@ def _peak_in(straight: Straightening, mode: Mode, *, follow: bool = True) -> Pea
     centre = straight.x_from_y(mode.y[None])
     factor = np.linalg.cholesky(straight.carry(mode.y, mode.covariance, follow=follow))
     return Peak(centre[0], factor, float(straight.log_density(centre)[0]))
+
+
+def _peak_of_errors(straight: Straightening) -> Peak:
+    """Return the main peak where geometry given the errors is standard normal: the errors' from their draws."""
+    assert straight.conditional is not None
+    assert straight.bend is not None
+    n, m = straight.posterior.n_parameters, straight.posterior.n_geometry
+    errors = straight.bend.inverse(straight.conditional.errors)
+    centre, factor = np.zeros(n), np.eye(n)
+    centre[m:], factor[m:, m:] = errors.mean(axis=0), np.linalg.cholesky(np.atleast_2d(np.cov(errors.T)))
+    return Peak(centre, factor, float(straight.log_density(centre[None])[0]))
 
 
 def _try_peaks(straight: Straightening, peaks: list[Peak], modes: list[Mode], rng: np.random.Generator) -> Exploration:

@@ -85,7 +85,7 @@ def bend_at(straight: Straightening, peak: Peak) -> tuple[Straightening, Peak]:
 
     Along each ζ, the geometry following the stretch, quantiles of the density on a grid take the place of draws'.
     """
-    if not straight.blocks:
+    if not straight.follows_errors:
         return straight, peak
     n, flat = straight.posterior.n_geometry, replace(straight, bend=None)
     y = straight.y_from_x(peak.centre[None])

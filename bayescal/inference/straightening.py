@@ -23,6 +23,7 @@ from numpy.polynomial.chebyshev import chebder, chebvander
 from scipy.linalg import eigh
 from scipy.special import ndtri
 
+from bayescal.inference.conditional import ConditionalMap, fit_conditional
 from bayescal.inference.mode import Mode
 from bayescal.inference.skew import Skew
 from bayescal.inference.target import Target
@@ -181,6 +182,8 @@ class Straightening:
         Shears along others that were traced.
     skew : Skew or None
         Bend of what they follow.
+    conditional : ConditionalMap or None
+        In place of the blocks, where the geometry given the errors is known in closed form.
     """
 
     posterior: Target
@@ -192,6 +195,12 @@ class Straightening:
     curves: tuple[Curve, ...] = ()
     ridges: Ridges | None = None
     skew: Skew | None = None
+    conditional: ConditionalMap | None = None
+
+    @property
+    def follows_errors(self) -> bool:
+        """Whether the geometry's coordinates are stretched by the errors."""
+        return bool(self.blocks) or self.conditional is not None
 
     def _stretches(self, y: Array) -> list[tuple[Array, Array | float]]:
         """Return stretch and shift of every block; needs only the model errors of y."""
@@ -206,6 +215,26 @@ class Straightening:
             local = (result[:, block.index] - centre) @ block.inverse.T
             result[:, block.index] = centre + (local * stretch + shift) @ block.basis.T
         return result
+
+    def _spread_out(self, y: Array) -> Array:
+        """Turn straight geometry into stretched one in place, and return the log of what volumes gain, shape (B,)."""
+        if self.conditional is not None:
+            m = self.posterior.n_geometry
+            factor, shift, gain = self.conditional.open(y[:, m:])
+            y[:, :m] = self.conditional.forward(y[:, :m], factor, shift)
+            return gain
+        stretches = self._stretches(y)
+        self._stretch(y, stretches)
+        return sum((np.log(stretch).sum(axis=-1) for stretch, _ in stretches), np.zeros(len(y)))
+
+    def _draw_in(self, x: Array) -> None:
+        """Turn stretched geometry into straight one in place."""
+        if self.conditional is not None:
+            m = self.posterior.n_geometry
+            factor, shift, _ = self.conditional.open(x[:, m:])
+            x[:, :m] = self.conditional.backward(x[:, :m], factor, shift)
+            return
+        self._stretch(x, [(1.0 / stretch, -shift / stretch) for stretch, shift in self._stretches(x)])
 
     def _unbend(self, x: Array) -> Array:
         y, n = x.copy(), self.posterior.n_geometry
@@ -235,7 +264,7 @@ class Straightening:
     def y_from_x(self, x: Array) -> Array:
         """Return sampling coordinates."""
         y = self._unbend(x)
-        self._stretch(y, self._stretches(y))
+        self._spread_out(y)
         self._curve(y)
         return y
 
@@ -243,7 +272,7 @@ class Straightening:
         """Return straight coordinates."""
         x, n = y.copy(), self.posterior.n_geometry
         self._uncurve(x)
-        x = self._stretch(x, [(1.0 / stretch, -shift / stretch) for stretch, shift in self._stretches(y)])
+        self._draw_in(x)
         if self.bend is not None:
             x[:, n:] = self.bend.inverse(y[:, n:])
         return x
@@ -251,19 +280,15 @@ class Straightening:
     def log_density(self, x: Array) -> Array:
         """Return the posterior log-density in x, shape (B,): that in y plus log |dy/dx|."""
         y = self._unbend(x)
-        stretches = self._stretches(y)
-        total = np.zeros(len(x))
-        for stretch, _ in stretches:
-            total += np.log(stretch).sum(axis=-1)
+        total = self._spread_out(y)
         if self.bend is not None:
-            total += self.bend.log_slope(x[:, self.posterior.n_geometry :])
-        self._stretch(y, stretches)
-        total += self._curve(y)
+            total = total + self.bend.log_slope(x[:, self.posterior.n_geometry :])
+        total = total + self._curve(y)
         return total + self.posterior.log_density(y)
 
     def fitted_to(self, y: Array) -> Straightening:
         """Return the straightening with bend and curves fitted to draws (B, n); ridges that were traced stay."""
-        bend = fit_bend(y[:, self.posterior.n_geometry :]) if self.blocks else None
+        bend = fit_bend(y[:, self.posterior.n_geometry :]) if self.follows_errors else None
         traced = () if self.ridges is None else self.ridges.bases
         wanted = [(base, others) for base, others in self.posterior.curved_ridges() if base not in traced]
         return replace(self, bend=bend, curves=tuple(fit_curve(y, base, others) for base, others in wanted))
@@ -283,6 +308,12 @@ class Straightening:
 
 def straighten(posterior: Target, mode: Mode) -> Straightening:
     """Return the stretch that belongs to a mode; the identity where there is no model error to stretch for."""
+    conditional = fit_conditional(posterior, mode.y)
+    if conditional is not None:
+        nothing = np.empty(0)
+        return Straightening(
+            posterior, mode.y, (), nothing, nothing, bend=fit_bend(conditional.errors), conditional=conditional
+        )
     funnel = posterior.funnel(mode.y)
     if funnel is None:
         return Straightening(posterior, mode.y, (), np.empty(0), np.empty(0))

@@ -7,6 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
+from bayescal.density.components import LinearGeometry
 from bayescal.density.priors import Prior
 from bayescal.numerics.geometry import Array
 
@@ -88,6 +89,9 @@ class Target(Prospect, Protocol):
 
         No coordinate that follows one has a ridge along itself.
         """
+
+    def linear_geometry(self, y: Array) -> LinearGeometry | None:
+        """Return the geometry about y, shape (n,), as normal given the errors; None where `funnel` tells enough."""
 
     def funnel(self, y: Array) -> Funnel | None:
         """Return what makes the geometry the less certain the larger a model error, at y (n,); None without them."""
