@@ -172,6 +172,13 @@ class FunctionLikelihood(Likelihood):
         """Those of the poses: joints are hardly known where errors may be functions of the pose."""
         return None if self.base.of_poses is None else self.base.of_poses.poses
 
+    def of_errors_at(self, poses: PoseLikelihood) -> FunctionLikelihood:
+        """Return the density of other poses with such errors; in their own order where any is not known here."""
+        names, order = poses.pose_names, self._order
+        if order and not set(names) <= set(order):
+            order = {name: k / len(names) for k, name in enumerate(names)}
+        return FunctionLikelihood(poses, self.functions.sorts, self._travel, order)
+
     @property
     def n_poses(self) -> int:
         """Number of poses P."""

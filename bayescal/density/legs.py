@@ -185,6 +185,10 @@ class Likelihood(Elimination[LegSampling, LegErrors]):
         """Return a density of other poses that leaves out as much as this one does."""
         return (other.finer() or other) if self.is_solved else other
 
+    def of_errors_at(self, poses: PoseLikelihood) -> Likelihood:
+        """Return the density of other poses whose errors depend on each other as here; by default they do not."""
+        return poses
+
     # --- densities -----------------------------------------------------------------------------------------------
 
     def evaluate(self, theta: Array, model_error: Array) -> tuple[Array, Array]:
