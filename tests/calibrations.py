@@ -16,12 +16,12 @@ def copy_delta(folder: Path) -> Path:
 
 
 def write_delta(folder: Path) -> Path:
-    """Write a small calibration of the linear delta; return its config."""
+    """Write a small calibration of the linear delta without a model error; return its config."""
     path = copy_delta(folder) / "study.toml"
     text = path.read_text()
     for key, value in LITTLE.items():
         text = re.sub(rf"(?m)^{key} = .*$", f"{key} = {value}", text)
-    path.write_text(text + "\n[next]\ncandidates = 20\n")
+    path.write_text(text + "\n[next]\ncandidates = 20\n\n[model_error]\nterms = []\n")
     return path
 
 

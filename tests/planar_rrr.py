@@ -39,6 +39,9 @@ xi = { prior = "normal", sd = 0.3 }
 eta = { prior = "normal", sd = 0.3 }
 theta0 = { prior = "normal", sd = 0.3 }     # degrees
 
+[model_error]
+terms = []
+
 [[variants]]
 name = "all"
 title = "Everything free"

@@ -100,7 +100,9 @@ class ReadingRows:
             return np.asarray(found + absent)
 
         def common(zeta: Array) -> Array:
-            return np.asarray(left @ self.posterior.errors.columns(zeta[None], likelihood.data)[0])
+            return np.asarray(
+                left @ self.posterior.errors.columns(zeta[None], likelihood.data, likelihood.error_gain)[0]
+            )
 
         errors = (across @ error[0][..., None])[..., 0]
         slope = -(across @ by_parameters[0])

@@ -34,6 +34,8 @@ TELLING = 0.02  # below it a trial's efficiency is mostly chance, and the later 
 TRIAL_DRAWS = 2000
 FIRST_DRAWS, HOPELESS = 256, 0.05  # of a trial, and what they may show for it to end with them
 FINE_DRAWS, FINE_ENOUGH = 64, 0.9  # draws, and what share of them has to count by the density that leaves nothing out
+WIDE_SHARE, WIDE = 0.15, 1.8  # of a proposal by a conditional map, for the errors' tails, and how much wider it is
+CONDITIONAL_DOF = 100.0  # of the same: geometry given the errors has next to no tails
 OWN_SHARE, CLUSTER_DOF = 0.2, 6.0  # of the proposal so far beside clusters of a pilot's draws, and their tails
 PILOT_STEPS = 100
 PILOT_BURN_IN = 40
@@ -271,8 +273,21 @@ def _peak_of_errors(straight: Straightening) -> Peak:
 
 
 def _try_peaks(straight: Straightening, peaks: list[Peak], modes: list[Mode], rng: np.random.Generator) -> Exploration:
-    proposal = proposal_from_peaks(peaks, DOF)
+    proposal = (
+        proposal_from_peaks(peaks, DOF) if straight.conditional is None else _propose_conditionally(straight, peaks)
+    )
     return Exploration(straight, proposal, modes, _try_out(straight, proposal, rng))
+
+
+def _propose_conditionally(straight: Straightening, peaks: list[Peak]) -> MixtureProposal:
+    """Return the mixture over peaks, the main one's errors with a wider component beside them."""
+    found, m = proposal_from_peaks(peaks, CONDITIONAL_DOF), straight.posterior.n_geometry
+    wide = found.factors[:1].copy()
+    wide[:, m:, m:] *= WIDE
+    weights = np.append(found.weights, WIDE_SHARE * found.weights[0])
+    weights[0] *= 1.0 - WIDE_SHARE
+    means, factors = np.concatenate([found.means, found.means[:1]]), np.concatenate([found.factors, wide])
+    return MixtureProposal(weights, means, factors, CONDITIONAL_DOF)
 
 
 def _sharpen(straight: Straightening, main: Peak, modes: list[Mode], curve: bool) -> tuple[Straightening, list[Peak]]:

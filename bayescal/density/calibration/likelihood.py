@@ -134,7 +134,7 @@ class CalibrationLikelihood(PoseElimination, Elimination[AffineSampling, Errors]
 
     def white_columns(self, errors: Errors, zeta: Array, white: Whitening) -> Array:
         """Return what coefficients do to white readings at poses that stay, (B, P, K, N)."""
-        return white.rows(np.where(self.data.present[..., None], errors.columns(zeta, self.data), 0.0))
+        return white.rows(np.where(self.data.present[..., None], errors.columns(zeta, self.data, self.error_gain), 0.0))
 
     def draw_common(self, theta: Array, errors: Errors, zeta: Array, rng: np.random.Generator) -> CommonDraws:
         """Return draws of the errors common to all rows, one for each machine."""
@@ -251,7 +251,7 @@ class CalibrationLikelihood(PoseElimination, Elimination[AffineSampling, Errors]
         curvature = 0.5 * np.einsum("npkl,oplk->no", seen, seen, optimize=True)
         if found is None:
             return gradient - 0.5 * np.trace(seen, axis1=-2, axis2=-1).sum(axis=-1), curvature
-        acted = errors.column_slopes(zeta, self.data)
+        acted = errors.column_slopes(zeta, self.data, self.error_gain)
         moved = left @ white.rows(np.where(there[..., None], acted, 0.0))
         gradient += np.einsum("p,pk,npku,u->n", trust, error, moved, found.mean[0], optimize=True)
         return gradient, curvature + found.inform(both, trust[:, None, None] * left @ both, moved)
@@ -281,26 +281,26 @@ class CalibrationLikelihood(PoseElimination, Elimination[AffineSampling, Errors]
         machines = theta + both[:, :m] @ change.T
         noises = np.repeat(zeta[None], 2 * n, axis=0)
         noises[:, :k] += both[:, m:]
-        parts = [self._log_volume(machines[part], errors, noises[part], turn) for part in self.batches(2 * n)]
-        volume, turned = (np.concatenate(one) for one in zip(*parts, strict=True))
-        turned[np.arange(2 * n) % n >= m] = 0.0  # by noise H is scaled alone, which is no turn
-        values = volume + turned
+        parts = [self._log_volume(machines[part], errors, noises[part], white, turn) for part in self.batches(2 * n)]
+        values = np.concatenate(parts)
         return np.asarray((values[:n] - values[n:]) / (2.0 * STEP))
 
-    def _log_volume(self, theta: Array, errors: Errors, zeta: Array, turn: Array | None) -> tuple[Array, Array]:
-        """Return log-volumes of machines right where they stand, with that of coefficients; and -r H δ."""
+    def _log_volume(self, theta: Array, errors: Errors, zeta: Array, reference: Whitening, turn: Array | None) -> Array:
+        """Return log-volumes of machines where they explain readings best, (B,), with those of coefficients and -r H δ.
+
+        The last is by H of a whitening that stays: as the noise changes H is scaled, which is no turn.
+        """
         white, at = self.explain(theta, errors, zeta)
-        slope = at.slope  # that of a pose close by, the same for machines that are much alike
-        if not self.is_near(theta).all():
-            slope = self.linearise(theta, at.pose, white)[1]
-        there = Stand(at.pose, at.error, slope)
+        near = self.expansion if self.is_near(theta).all() else None  # H of a pose close by for machines much alike
+        raw = self._linearise(theta, at.pose)[1] if near is None else near.predict(theta)[1]
+        there = Stand(at.pose, at.error, white.rows(raw))
         volume = self.log_volume(there, white).sum(axis=1)
         if turn is None:
-            return volume, np.zeros(len(theta))
+            return volume
         volume += white.log_det.sum(axis=1)
         for some, found in self._absorb(errors, zeta, white, there):
             volume[some] += found.log_volume
-        return volume, -np.einsum("bpkq,pkq->b", slope, turn)
+        return np.asarray(volume - np.einsum("bpkq,pkq->b", reference.rows(raw), turn))
 
     # --- search for the mode -------------------------------------------------------------------------------------
 

@@ -102,12 +102,12 @@ def replicate_readings(
             at = likelihood.stand(theta, white)
             places = at.pose + wider * _draw_poses(at.slope, rng)
             if errors.has_columns:
-                common = posterior.likelihood.draw_common(*posterior.at(own), rng).at(data)
+                common = posterior.likelihood.draw_common(*posterior.at(own), rng).at(data, likelihood.error_gain)
                 places -= find_step(at.slope, white.vector(np.where(data.present, common, 0.0)))[0]
         else:
             places = np.broadcast_to(pose, (len(theta), *pose.shape))
             if errors.has_columns:
-                columns = errors.columns(posterior.zeta(own), data)
+                columns = errors.columns(posterior.zeta(own), data, likelihood.error_gain)
                 common = np.einsum("bpkn,bn->bpk", columns, rng.standard_normal((len(own), columns.shape[-1])))
         read = likelihood.model.read(theta[:, None], places, given)
         noise = wider * rng.standard_normal((len(theta), *data.values.shape))
@@ -151,7 +151,7 @@ def _predict(
         slope = held.comparison.pull_back(error, here.values, here.by_pose)[..., channel, :]
         error_left, shift = at.error, np.zeros(error.shape[:-1])
         if posterior.errors.has_columns:  # what errors common to all rows make of the pose, to first order
-            common = posterior.likelihood.draw_common(*posterior.at(y[part]), rng).at(held.data)
+            common = posterior.likelihood.draw_common(*posterior.at(y[part]), rng).at(held.data, held.error_gain)
             moved, left = find_step(at.slope, white.vector(np.where(rest.data.present, common, 0.0)))
             error_left = at.error - left
             shift = common[..., channel] - np.einsum("tpq,tpq->tp", slope, moved)

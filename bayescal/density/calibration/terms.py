@@ -116,6 +116,8 @@ class ErrorTerm(ABC):
     """
 
     Config: ClassVar[type[Section]] = Section
+    of_model: ClassVar[bool] = False
+    """Whether its columns are errors of the machine's model, and show in the readings as its `error_gain` says."""
     names: tuple[str, ...]
     units: tuple[str, ...]
     priors: tuple[Prior, ...]
@@ -213,9 +215,15 @@ class NoiseFactor(GroupTerm):
         return Slopes(log_factor=np.broadcast_to(np.where(self.channels, self.scale, 0.0), (1, *data.sd.shape)))
 
 
+@dataclass(frozen=True, eq=False)
 class ModelErrorTerm(GroupTerm):
-    """An error τ that the stated noise lacks, drawn anew at every row, half normal, in the channels' unit."""
+    """An error τ that the stated noise lacks, drawn anew at every row, half normal; of variance τ² + floor².
 
+    ``levers`` (K,): by how many units of τ one unit of each channel counts; one where τ is in the channels' unit.
+    """
+
+    levers: Array | float = 1.0
+    floor: float = 0.0
     what = "model_error"
 
     @property
@@ -224,14 +232,15 @@ class ModelErrorTerm(GroupTerm):
         return (HalfNormalPrior(self.scale),)
 
     def variance(self, zeta: Array, data: Measurements) -> Array:
-        """Return τ² for its channels, zero for the others."""
+        """Return τ² + floor² for its channels, zero for the others."""
         del data
-        return np.where(self.channels, self.priors[0].value(zeta) ** 2, 0.0)[:, None]
+        square = self.priors[0].value(zeta) ** 2 + self.floor**2
+        return np.where(self.channels, square / np.square(self.levers), 0.0)[:, None]
 
     def slopes(self, zeta: Array, data: Measurements) -> Slopes:
         """Return 2 τ dτ/dζ."""
         prior = self.priors[0]
-        slope = np.where(self.channels, 2.0 * prior.value(zeta) * prior.slope(zeta), 0.0)
+        slope = np.where(self.channels, 2.0 * prior.value(zeta) * prior.slope(zeta) / np.square(self.levers), 0.0)
         return Slopes(variance=np.broadcast_to(slope, (1, *data.sd.shape)))
 
 
@@ -361,19 +370,21 @@ class Errors:
         concerned = [np.ones(n_channels, bool) if one.concerns is None else one.concerns for one in self._noisy]
         return ~np.any(concerned, axis=0)
 
-    def columns(self, zeta: Array, data: Measurements) -> Array:
-        """Return Φ of all terms side by side, (B, P, K, N)."""
-        found = [term.columns(part, data) for term, part in self.of(zeta)]
+    def columns(self, zeta: Array, data: Measurements, gain: Array | None = None) -> Array:
+        """Return Φ of all terms side by side, (B, P, K, N), where model errors show by a gain (P, K, K), or as is."""
+        found = [_show(term, term.columns(part, data), gain) for term, part in self.of(zeta)]
         shape = (len(zeta), *data.sd.shape)
         wide = [np.broadcast_to(one, (*shape, one.shape[-1])) for one in found if one is not None]
         return np.concatenate([np.zeros((*shape, 0)), *wide], axis=-1)
 
-    def act(self, zeta: Array, data: Measurements, coefficients: Array) -> list[Array | None]:
-        """Return what coefficients (B, N) make of each term, (B, P, K); None of one without columns."""
+    def act(
+        self, zeta: Array, data: Measurements, coefficients: Array, gain: Array | None = None
+    ) -> list[Array | None]:
+        """Return what coefficients (B, N) make of each term, (B, P, K); None of one without columns. See `columns`."""
         found: list[Array | None] = []
         start = 0
         for term, part in self.of(zeta):
-            own = term.columns(part, data)
+            own = _show(term, term.columns(part, data), gain)
             if own is None:
                 found.append(None)
                 continue
@@ -390,15 +401,15 @@ class Errors:
             found += [Slopes(*(None if one is None else one[k] for one in own)) for k in range(len(part))]
         return found + [Slopes()] * len(self.outliers.names)
 
-    def column_slopes(self, zeta: Array, data: Measurements) -> Array:
-        """Return the derivatives of Φ by all coordinates at ζ, shape (n,), (n, P, K, N)."""
+    def column_slopes(self, zeta: Array, data: Measurements, gain: Array | None = None) -> Array:
+        """Return the derivatives of Φ by all coordinates at ζ, shape (n,), (n, P, K, N); see `columns`."""
         widths = [
             0 if (own := term.columns(part[None], data)) is None else own.shape[-1] for term, part in self.of(zeta)
         ]
         result = np.zeros((len(zeta), *data.sd.shape, sum(widths)))
         start = 0
         for (term, part), where, width in zip(self.of(zeta), self._slices, widths, strict=True):
-            own = term.slopes(part, data).columns if width else None
+            own = _show(term, term.slopes(part, data).columns, gain) if width else None
             if own is not None:
                 result[where, ..., start : start + width] = own
             start += width
@@ -431,6 +442,11 @@ class Errors:
 
 
 NO_ERRORS = Errors()
+
+
+def _show(term: ErrorTerm, columns: Array | None, gain: Array | None) -> Array | None:
+    """Return how columns (..., P, K, N) of a term show in the readings."""
+    return columns if columns is None or gain is None or not term.of_model else gain @ columns
 
 
 def check_term(term: ErrorTerm, data: Measurements) -> None:
@@ -475,11 +491,14 @@ class CommonDraws:
     # that they were drawn with
     parts: tuple[tuple[Array, Array], ...]
 
-    def by_term(self, data: Measurements) -> list[Array | None]:
-        """Return what each term does to readings at rows like these, (T, P, K); None of one without columns."""
-        found = [self.errors.act(zeta, data, coefficients) for zeta, coefficients in self.parts]
+    def by_term(self, data: Measurements, gain: Array | None = None) -> list[Array | None]:
+        """Return what each term is at rows like these, (T, P, K), or does to readings by a gain (P, K, K).
+
+        None of one without columns.
+        """
+        found = [self.errors.act(zeta, data, coefficients, gain) for zeta, coefficients in self.parts]
         return [None if one[0] is None else np.concatenate(one) for one in zip(*found, strict=True)]
 
-    def at(self, data: Measurements) -> Array:
+    def at(self, data: Measurements, gain: Array | None = None) -> Array:
         """Return the same of all terms together."""
-        return np.asarray(sum(one for one in self.by_term(data) if one is not None))
+        return np.asarray(sum(one for one in self.by_term(data, gain) if one is not None))

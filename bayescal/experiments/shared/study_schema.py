@@ -168,6 +168,7 @@ type DataConfig = Annotated[
 
 def _tag_error(value: Any) -> str:
     by_channel = isinstance(value, dict) and all(isinstance(one, dict | Section) for one in value.values())
+    by_channel = by_channel and not ModelErrorConfig.model_fields.keys() & set(value)
     return f"{MEASURED}{'channels' if by_channel else 'legs'}"
 
 
@@ -202,7 +203,9 @@ class VariantConfig(KernelChoiceConfig, FreeConfig):
     machine: InputFile | None = None
     """Another machine's file for this variant."""
     noise: Literal["unknown", "stated"] = "unknown"
-    """Noise as `stated`, or `unknown` as far as [unknown_noise] and [model_error] allow."""
+    """Noise as `stated`, or `unknown` as far as [unknown_noise] and a [model_error] by channel allow; terms of the
+    model error are no noise, and hold all the same.
+    """
     errors: Names | None = Field(default=None, exclude_if=lambda value: value is None)
     """Sections of [errors] that it has; all whose channels it takes in where nothing is said."""
     robust: Annotated[float, Field(ge=1.0, le=100.0)] | None = None

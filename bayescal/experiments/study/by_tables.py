@@ -87,10 +87,10 @@ class ReadingStudy(ReadingInputs, Inputs):
         return estimate_calibration(self)
 
     def outlook(self) -> list[str]:
-        """Return what each variant's readings can determine, columns that are not used, and that there is no tool."""
+        """Return what each variant's readings can determine, and in lines what is not used or not there."""
         stated = all(one.model.states_tool for one in self.variants.values())
         said = join_outlooks({name: one.tell_outlook() for name, one in self.variants.items()})
-        return [*said, *filter(None, (self.unused, "" if stated else NO_TOOL))]
+        return [*said, *filter(None, (self.unused, self.missing, "" if stated else NO_TOOL))]
 
     def find_slip(self) -> FoundSlip | None:
         """Return what may have happened to readings that no machine within its priors comes near."""

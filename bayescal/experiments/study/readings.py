@@ -331,6 +331,7 @@ def describe_readings(inputs: ReadingInputs, fits: Mapping[Task, Fit], run: Run)
         "member": next(iter(inputs.variants.values())).model.member,
         "states_tool": all(one.model.states_tool for one in inputs.variants.values()),
         **({"unused": inputs.unused} if inputs.unused else {}),
+        **({"missing_terms": inputs.missing} if inputs.missing else {}),
     }
     return Described(known, {name: table for name, table in tables.items() if not table.empty}, summary)
 

@@ -89,6 +89,9 @@ text = "drawn within its tolerances"
 [[data]]
 file = "data/readings.csv"
 {INSTRUMENTS}{SENSORS}
+[model_error]
+terms = []
+
 [[variants]]
 name = "all"
 title = "All instruments"
@@ -261,6 +264,9 @@ l = {{ prior = "normal", sd = 0.5 }}
 
 [unknown_noise]
 rho = 0.5
+
+[model_error]
+terms = []
 
 [[variants]]
 name = "all"

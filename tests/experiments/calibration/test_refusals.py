@@ -20,8 +20,8 @@ CONFIG = {
     "one in common": ('common = ["l"]', 'common = ["t_x"]', "one parameter, expected at least two"),
     "unknown group": ("[sampler]", "[unknown_noise]\ncam = 1.0\n[sampler]", "unknown_noise: found 'cam'"),
     "error on a channel that is not there": (
-        "[sampler]",
-        "[model_error]\nprobe = { scale = 0.1 }\n[sampler]",
+        "[model_error]\nterms = []",
+        "[model_error]\nprobe = { scale = 0.1 }",
         "model_error: found 'probe', expected a group of channels: s, camera, height",
     ),
     "noise of a channel that is not there": (

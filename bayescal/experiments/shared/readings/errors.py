@@ -1,7 +1,8 @@
-"""Errors of readings that a config names in [errors]: from their sections to terms."""
+"""Errors of readings, from their sections to terms: those named in [errors], and the model error in its terms."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from itertools import product
 from pathlib import Path
 
@@ -10,7 +11,10 @@ import numpy as np
 from bayescal.config.classes import choose, name_failures
 from bayescal.density.calibration.functions import FunctionErrors
 from bayescal.density.calibration.measurements import Measurements
+from bayescal.density.calibration.model_error import OwnChannels, build_model_error
 from bayescal.density.calibration.terms import ErrorTerm, TermRows, check_term
+from bayescal.density.priors import Prior
+from bayescal.density.schema import TERMS, TermName
 from bayescal.errors import InputError, name_faults
 from bayescal.experiments.shared.function_errors import check_functions
 from bayescal.experiments.shared.readings.noise import group_channels
@@ -18,6 +22,7 @@ from bayescal.experiments.shared.readings.workspace import Workspace
 from bayescal.experiments.shared.study_schema import StudyConfig, VariantConfig
 from bayescal.machines.readings import ReadingModel
 from bayescal.numerics.geometry import Array
+from bayescal.numerics.units import MICROMETRE
 
 LARGEST_GRID = 3**6  # poses over the workspace, from which the readings' ranges are taken
 
@@ -82,3 +87,84 @@ def measure_ranges(model: ReadingModel, data: Measurements, workspace: Workspace
 
 def _draw_ends(q: int) -> Array:
     return np.random.default_rng(0).integers(-1, 2, (LARGEST_GRID, q)).astype(np.float64)
+
+
+# --- the model error in its terms ----------------------------------------------------------------------------------
+
+
+def build_terms_of_model(
+    config: StudyConfig,
+    section: VariantConfig,
+    model: ReadingModel,
+    data: Measurements,
+    start: Array,
+    used: np.ndarray,
+    workspace: Workspace,
+    tolerances: Mapping[str, Prior],
+) -> tuple[tuple[ErrorTerm, ...], str]:
+    """Return the terms of a variant's model error, and in a line which of them there cannot be; empty for none.
+
+    They are what the machine's own channels err by, whatever is said of their noise.
+
+    Parameters
+    ----------
+    config : StudyConfig
+    section : VariantConfig
+    model : ReadingModel
+        The machine with the K channels that the variant takes in.
+    data : Measurements
+        Of all P rows.
+    start : ndarray, shape (P, q)
+        Where the nominal machine explains them best.
+    used : ndarray of bool, shape (P,)
+        Which rows are for calibration.
+    workspace : Workspace
+    tolerances : mapping of parameter to Prior
+        Of what is free.
+
+    Raises
+    ------
+    InputError
+        For terms beside errors by channel, terms asked for by name that there cannot be, and a floor beyond all
+        tolerances.
+    """
+    error, terms = config.leg_error, config.leg_error.terms_for(section)
+    if terms and config.channel_errors:
+        raise InputError(f"model_error: found terms {terms} beside errors by channel in [model_error], expected one")
+    if not terms:
+        return (), ""
+    own = OwnChannels.find(model, data, start, used, *measure_ranges(model, data, workspace))
+    missing = own.find_missing(terms)
+    if missing and terms != list(TERMS):  # asked for by name
+        name, why = next(iter(missing.items()))
+        raise InputError(f"model_error: found term {name!r}, but {why}, expected other terms")
+    floors = error.floors()
+    check_floors(floors, [prior.sd for name, prior in tolerances.items() if _is_length(model, name)])
+    left = build_model_error(
+        own,
+        len(model.channels),
+        [name for name in terms if name not in missing],
+        (MICROMETRE * error.scale_um, MICROMETRE * error.functions_um),
+        {name: MICROMETRE * floor for name, floor in floors.items()},
+        error.per_leg,
+    )
+    without = [([name for name, why in missing.items() if why == one], one) for one in dict.fromkeys(missing.values())]
+    said = [f"no term{'s' * (len(names) > 1)} {', '.join(names)}, as {why}" for names, why in without]
+    return left, f"the model error has {' and '.join(said)}" if said else ""
+
+
+def _is_length(model: ReadingModel, name: str) -> bool:
+    """Whether a parameter is a length; one of several that deviate alike is not asked."""
+    layout = model.layout
+    return name in layout.names and layout.units[layout.names.index(name)] == "mm"
+
+
+def check_floors(floors: Mapping[TermName, float], tolerances: Sequence[float]) -> None:
+    """Raise InputError where a floor of the model error, µm, is beyond all tolerances of lengths, mm."""
+    largest = max(tolerances, default=np.inf) / MICROMETRE
+    for name, floor in floors.items():
+        if floor > largest:
+            raise InputError(
+                f"model_error.at_least_um: found {floor:g} µm for {name!r}, expected less than the largest "
+                f"tolerance, {largest:g} µm"
+            )

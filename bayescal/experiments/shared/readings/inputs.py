@@ -17,9 +17,9 @@ from bayescal.density.posterior import Posterior
 from bayescal.density.priors import Prior
 from bayescal.errors import InputError, name_faults
 from bayescal.experiments.shared.measured_slips import Suspicion, check_reach
-from bayescal.experiments.shared.outlook import tell_outlook
+from bayescal.experiments.shared.outlook import join_outlooks, tell_outlook
 from bayescal.experiments.shared.readings.beside import Beside, read_beside
-from bayescal.experiments.shared.readings.errors import build_terms
+from bayescal.experiments.shared.readings.errors import build_terms, build_terms_of_model
 from bayescal.experiments.shared.readings.instruments import keep_files, read_instruments, read_model
 from bayescal.experiments.shared.readings.noise import build_noise, stated_noise
 from bayescal.experiments.shared.readings.priors import choose_priors, widen
@@ -68,6 +68,7 @@ class Variant:
     start: Array
     workspace: Workspace
     aligned: bool = False
+    missing: str = ""
 
     @property
     def name(self) -> str:
@@ -123,6 +124,8 @@ class ReadingInputs:
         Where in that folder the config's own one is.
     unused : str
         Which columns of the tables no variant takes in, in a line; empty where it takes in all.
+    missing : str
+        Which terms of the model error there cannot be, by variant, in a line; empty where there are all.
     """
 
     config: StudyConfig
@@ -132,6 +135,7 @@ class ReadingInputs:
     files: dict[str, bytes]
     machine_folder: str
     unused: str = ""
+    missing: str = ""
 
 
 def read_inputs(config: StudyConfig, folder: Path) -> ReadingInputs:
@@ -155,8 +159,9 @@ def read_inputs(config: StudyConfig, folder: Path) -> ReadingInputs:
             variants[one.name] = _build(config, one, models[one.name], readings, deviations, folder, symbols)
     beside = [read_beside(one, folder, model) for one in config.beside]
     unused = readings.tell_unused({name for one in variants.values() for name in one.model.names})
+    missing = join_outlooks({name: one.missing for name, one in variants.items() if one.missing})
     name = getattr(model, "name", config.machine)
-    return ReadingInputs(config, name, variants, beside, *keep_files(config, folder), unused)
+    return ReadingInputs(config, name, variants, beside, *keep_files(config, folder), unused, "; ".join(missing))
 
 
 def _build(
@@ -206,7 +211,9 @@ def _build(
     )
     check_readings(data.n_poses, len(chosen), len(priors), len(model.coordinates))
     start = find_starts(unplaced.posterior(np.ones(data.n_poses, dtype=bool)), workspace, config.seed)
-    placed = replace(unplaced, start=start)
+    used = ~unplaced.verification
+    found, missing = build_terms_of_model(config, section, model, data, start, used, workspace, priors)
+    placed = replace(unplaced, start=start, errors=replace(unplaced.errors, terms=(*terms, *found)), missing=missing)
     check_reach(placed.suspicion(np.ones(data.n_poses, dtype=bool)))
     return placed
 

@@ -1,0 +1,302 @@
+"""The model error of any machine by tables of readings: what its own channels err by because the model is wrong.
+
+Channel i of the machine's own, and not an instrument's, errs at rows p and q beside its stated noise, independently of
+the others, by
+
+    cov(g_ip, g_iq) = {τ_i² δ_pq + Σ_t s_t² k_t,i(p, q) / c_t} / λ_i²
+
+with the sorts of functions k of `bayescal.density.functions`, of which c_t is the mean over the own channels and the
+calibration rows. Travel z is what a channel reads beyond the middle of the workspace, in units of the whole range over
+which it moves there. τ and s are lengths at the tool: root mean squares in mm. A channel in another unit has a lever λ,
+by how many millimetres one unit of it moves the tool; one that reads lengths has λ = 1.
+
+Functions are columns that all rows share, Φ = s / λ · R with R Rᵀ = k / c over all rows, those that are held back too;
+at other rows they are what their values at these rows say of them, k(·, rows) (Rᵀ)⁺.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import ClassVar
+
+import numpy as np
+
+from bayescal.density.calibration.measurements import Comparison, Measurements
+from bayescal.density.calibration.terms import ErrorTerm, ModelErrorTerm, Slopes
+from bayescal.density.errors import TAU
+from bayescal.density.functions import FEWEST_POSES, Place, PoseFunctions
+from bayescal.density.priors import HalfCauchyPrior, Prior
+from bayescal.machines.readings import ReadingModel
+from bayescal.numerics.geometry import Array
+from bayescal.numerics.units import MICROMETRE
+
+SMALLEST = 1e-9  # of a kernel's largest eigenvalue, below which directions are left out
+STILL = 1e-6  # mm over its range, by which a channel moves the tool, below which it does not
+OF_NOISE = 10.0 * MICROMETRE
+"""What one standard deviation of the noise counts at the tool of a channel that does not move it, mm."""
+
+
+@dataclass(frozen=True, eq=False)
+class OwnChannels:
+    """N channels of the machine's own that move over the workspace, at the M rows of a study.
+
+    Attributes
+    ----------
+    comparison : Comparison
+        Of the N channels.
+    places : ndarray of int, shape (N,)
+        Where they stand among all K channels.
+    home, range : ndarray, shape (N,)
+        What the nominal machine reads in the middle of the workspace, and how far readings go from end to end.
+    levers : ndarray, shape (N,)
+        By how many mm one unit of each moves the tool.
+    order : ndarray of int, shape (M,)
+        Places of the rows in measuring order.
+    expected, readings : ndarray, shape (M, N)
+        What the nominal machine reads at the rows, and what was read, in the channels' units; NaN where nothing was.
+    used : ndarray of bool, shape (M,)
+        Which rows are for calibration.
+    """
+
+    comparison: Comparison
+    places: np.ndarray
+    home: Array
+    range: Array
+    levers: Array
+    order: np.ndarray
+    expected: Array
+    readings: Array
+    used: np.ndarray
+
+    @classmethod
+    def find(
+        cls, model: ReadingModel, data: Measurements, pose: Array, used: np.ndarray, home: Array, reach: Array
+    ) -> OwnChannels:
+        """Return the own channels of a machine.
+
+        Parameters
+        ----------
+        model : ReadingModel
+            The machine with the K channels that are read.
+        data : Measurements
+            Of all M rows.
+        pose : ndarray, shape (M, q)
+            Where the nominal machine explains the readings best.
+        used : ndarray of bool, shape (M,)
+            Which rows are for calibration.
+        home, reach : ndarray, shape (K,)
+            What the nominal machine reads in the middle of the workspace, and how far readings go from there.
+        """
+        own = np.array([not one.external for one in model.channels])
+        noise = np.array([_find_noise(data, k) for k in range(len(own))])
+        places = np.flatnonzero(own & (reach > 0.0) & (noise > 0.0))  # what has no noise is a constraint
+        expected = model.read(model.layout.nominal, pose, data.given)[:, places]
+        return cls(
+            Comparison(tuple(model.channels[k] for k in places)),
+            places,
+            home[places],
+            2.0 * reach[places],
+            _find_levers(model, data.pick(used), pose[used], places, reach[places], noise[places]),
+            data.order,
+            np.where(np.isfinite(expected), expected, home[places]),
+            data.values[:, places],
+            used,
+        )
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the N channels."""
+        return tuple(one.name for one in self.comparison.channels)
+
+    @cached_property
+    def place(self) -> Place:
+        """Where functions are evaluated at all M rows."""
+        return self._locate(self.readings, self.expected, self.order)
+
+    def _locate(self, readings: Array, expected: Array, order: np.ndarray) -> Place:
+        beyond = self.comparison.subtract(np.where(np.isfinite(readings), readings, expected), expected)
+        return Place((expected + beyond - self.home) / self.range, order / (self.order.max() + 1.0))
+
+    def at(self, rows: np.ndarray) -> Place:
+        """Return the same of some of the rows."""
+        assert self.place.time is not None
+        return Place(self.place.travel[rows], self.place.time[rows])
+
+    def find_rows(self, data: Measurements) -> np.ndarray:
+        """Return which of the M rows each of P rows is, by its place in measuring order, (P,); -1 for none."""
+        sorter = np.argsort(self.order)
+        where = sorter[np.minimum(np.searchsorted(self.order, data.order, sorter=sorter), len(sorter) - 1)]
+        return np.where(self.order[where] == data.order, where, -1)
+
+    def place_of(self, data: Measurements) -> Place:
+        """Return where functions are evaluated at P rows; what is not read is what the nominal machine reads."""
+        rows = self.find_rows(data)
+        expected = np.where(rows[:, None] >= 0, self.expected[rows], self.home)
+        return self._locate(data.values[:, self.places], expected, data.order)
+
+    def find_missing(self, terms: Sequence[str]) -> dict[str, str]:
+        """Return which sorts of errors there cannot be, each with the reason."""
+        n, used = len(self.places), int(self.used.sum())
+        found: dict[str, str] = {}
+        for name in terms:
+            if not n:
+                found[name] = "no channel of the machine itself moves"
+            elif name == "independent":
+                continue
+            elif used < FEWEST_POSES:
+                found[name] = f"there are fewer than {FEWEST_POSES} rows"
+            elif name != "drift" and not self.place.travel[self.used].any():
+                found[name] = "no channel of the machine itself moves"
+            elif name == "own" and n == 1 and "linear" in terms:
+                found[name] = "of one channel it is the linear one"
+        return found
+
+
+def _find_noise(data: Measurements, channel: int) -> float:
+    """Return the median of a channel's stated noise; zero where nothing was read."""
+    there = data.sd[data.present[:, channel], channel]
+    return float(np.median(there)) if len(there) else 0.0
+
+
+def _find_levers(
+    model: ReadingModel, data: Measurements, pose: Array, places: np.ndarray, reach: Array, noise: Array
+) -> Array:
+    """Return by how many mm one unit of own channels moves the tool, root mean square over poses (P, q), (N,).
+
+    The tool moves by ∂tool/∂v (∂own/∂v)⁺, as located by the own channels, in units of their ranges. Where a channel
+    does not move it, or there is none whose place is a length, `OF_NOISE` is one standard deviation of its noise.
+    """
+    units, levers = [model.channels[k].unit for k in places], np.zeros(len(places))
+    if model.tool_lengths and len(model.coordinates) and len(places):
+        theta, scale = model.layout.nominal, model.pose_scale
+        by_pose = model.tool(theta, pose)[1][:, model.tool_lengths] * scale
+        own = model.linearise(theta, pose, False, data.given).by_pose[:, places] * scale / reach[:, None]
+        good = np.isfinite(by_pose).all(axis=(1, 2)) & np.isfinite(own).all(axis=(1, 2))
+        if good.any():
+            moves = by_pose[good] @ np.linalg.pinv(own[good])
+            levers = np.sqrt((moves**2).sum(axis=1).mean(axis=0))
+    levers = np.where(levers > STILL, levers / reach, OF_NOISE / noise)
+    return np.where([unit == "mm" for unit in units], 1.0, levers)
+
+
+@dataclass(frozen=True, eq=False)
+class IndependentErrors(ModelErrorTerm):
+    """τ, drawn anew at every row, half-normal, in mm at the tool: of one own channel, or of all."""
+
+    @property
+    def names(self) -> tuple[str, ...]:  # type: ignore[override]
+        """``tau``, or ``tau[2]``."""
+        return (self.label,)
+
+
+@dataclass(frozen=True, eq=False)
+class FunctionsOfPose(ErrorTerm):
+    """Errors of one sort of functions, of all N own channels, of one scale s in mm at the tool; see the module.
+
+    ``floor``: what s is at least, mm; the error has the variance s² + floor².
+    """
+
+    of_model: ClassVar[bool] = True
+    sort: str  # of `bayescal.density.functions.SORTS`
+    own: OwnChannels
+    scale: float  # of the half-Cauchy prior of s, mm
+    floor: float = 0.0
+
+    @property
+    def names(self) -> tuple[str, ...]:  # type: ignore[override]
+        """``sigma_linear`` and the like."""
+        return (f"sigma_{self.sort}",)
+
+    @property
+    def units(self) -> tuple[str, ...]:  # type: ignore[override]
+        """Millimetres."""
+        return ("mm",)
+
+    @property
+    def priors(self) -> tuple[Prior, ...]:  # type: ignore[override]
+        """Half-Cauchy."""
+        return (HalfCauchyPrior(self.scale),)
+
+    @cached_property
+    def functions(self) -> PoseFunctions:
+        """The kernel, normalised over the calibration rows."""
+        return PoseFunctions((self.sort,), self.own.at(np.flatnonzero(self.own.used)))
+
+    @cached_property
+    def _roots(self) -> tuple[Array, Array]:
+        """R of all M rows, (N or 1, M, R), and what takes kernels with these rows to it, (N or 1, M, R)."""
+        (kernel,) = self.functions.between(self.own.place, self.own.place)
+        values, vectors = np.linalg.eigh(kernel)
+        there = values > SMALLEST * values[:, -1:].max()
+        some = there.any(axis=0)
+        size = np.where(there, np.sqrt(np.maximum(values, 0.0)), 0.0)[:, None, some]
+        over = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0.0)
+        return vectors[..., some] * size, vectors[..., some] * over
+
+    def amplitude(self, zeta: Array) -> Array:
+        """Return the root mean square of the error, floor included, mm at the tool, (..., 1) to (...,)."""
+        return np.asarray(np.hypot(self.priors[0].value(zeta[..., 0]), self.floor))
+
+    def _act(self, data: Measurements) -> Array:
+        """Return the columns (P, K, N R) of an amplitude of one."""
+        rows, place = self.own.find_rows(data), self.own.place_of(data)
+        root, over = self._roots
+        if (rows >= 0).all() and np.array_equal(place.travel, self.own.place.travel[rows]):
+            shown = root[:, rows]
+        else:
+            shown = self.functions.between(place, self.own.place)[0] @ over
+        n = len(self.own.places)
+        found = np.zeros((*data.sd.shape, n, shown.shape[-1]))
+        for k, channel in enumerate(self.own.places):
+            found[:, channel, k] = shown[k % len(shown)] / self.own.levers[k]
+        return found.reshape(*data.sd.shape, -1)
+
+    def columns(self, zeta: Array, data: Measurements) -> Array:
+        """Return what coefficients do to each channel's readings, (B, P, K, N R)."""
+        return self.amplitude(zeta)[:, None, None, None] * self._act(data)
+
+    def slopes(self, zeta: Array, data: Measurements) -> Slopes:
+        """Return Φ's, with d√(s² + floor²) = s ds / √(s² + floor²)."""
+        prior, amplitude = self.priors[0], self.amplitude(zeta)
+        share = float(prior.value(zeta[0])) / float(amplitude) if amplitude > 0.0 else 1.0
+        return Slopes(columns=share * float(prior.slope(zeta[0])) * self._act(data)[None])
+
+
+def build_model_error(
+    own: OwnChannels,
+    n_channels: int,
+    terms: Sequence[str],
+    scales: tuple[float, float],
+    floors: Mapping[str, float],
+    each: bool,
+) -> tuple[ErrorTerm, ...]:
+    """Return the terms of a model error.
+
+    Parameters
+    ----------
+    own : OwnChannels
+    n_channels : int
+        Number K of all channels.
+    terms : sequence of str
+        Which there can be: `independent` and sorts of functions.
+    scales : (float, float)
+        Of the half-normal prior of τ, and of the half-Cauchy priors, mm.
+    floors : mapping of str to float
+        Least root mean squares by term, mm.
+    each : bool
+        Whether each own channel has a τ of its own.
+    """
+    found: list[ErrorTerm] = []
+    levers = np.ones(n_channels)
+    levers[own.places] = own.levers
+    if "independent" in terms:
+        every = np.isin(np.arange(n_channels), own.places)
+        groups = {TAU: every}
+        if each and len(own.places) > 1:
+            groups = {f"{TAU}[{k}]": np.arange(n_channels) == place for k, place in enumerate(own.places, 1)}
+        floor = floors.get("independent", 0.0)
+        found += [IndependentErrors(name, one, scales[0], "mm", levers, floor) for name, one in groups.items()]
+    found += [FunctionsOfPose(name, own, scales[1], floors.get(name, 0.0)) for name in terms if name != "independent"]
+    return tuple(found)

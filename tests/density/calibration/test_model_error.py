@@ -1,0 +1,234 @@
+"""The model error of an arm's encoders, against plain formulas: covariances, levers, floors, terms that cannot be."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import own_arm
+import pytest
+
+from bayescal.density.calibration.likelihood import CalibrationLikelihood
+from bayescal.density.calibration.measurements import Measurements
+from bayescal.density.calibration.model_error import OF_NOISE, OwnChannels, build_model_error
+from bayescal.density.calibration.terms import Errors
+from bayescal.density.posterior import Posterior
+from bayescal.density.priors import NormalPrior
+from bayescal.machines.readings import Channel, FunctionModel
+
+TERMS = ("independent", "linear", "own", "smooth", "drift")
+SD = np.array([5e-6] * 3 + [0.02] * 3)
+HOME, REACH = np.array([0.0, 0.6, -1.2]), np.array([1.0, 0.4, 0.4])
+N_ROWS, START = 12, 0.02
+
+
+class Linear(own_arm.Arm):
+    """An arm whose first encoder reads millimetres, and whose last is a constraint."""
+
+    def __init__(self) -> None:
+        super().__init__(None)
+        self.channels[0] = Channel("encoder[1]", "mm")
+
+
+def measure(machine, seed=4):
+    """Return readings at poses of the workspace, some of them not taken, in an order that is not that of the rows."""
+    model, rng = FunctionModel("arm", machine), np.random.default_rng(seed)
+    pose = HOME + REACH * rng.uniform(-1.0, 1.0, (N_ROWS, 3))
+    theta = model.layout.nominal + 1e-3 * rng.standard_normal(model.layout.size)
+    values = model.read(theta, pose) + SD * rng.standard_normal((N_ROWS, 6))
+    values[2, 1] = values[5, 0] = values[7, 4] = np.nan
+    names = tuple(f"R{k}" for k in range(N_ROWS))
+    order = np.roll(np.arange(N_ROWS), 5)
+    return model, Measurements(names, values, np.tile(SD, (N_ROWS, 1)), order=order), pose
+
+
+@pytest.fixture
+def used():
+    return np.arange(N_ROWS) % 4 != 1
+
+
+@pytest.fixture
+def arm(used):
+    """Return an arm's own channels, its readings and their poses."""
+    model, data, pose = measure(own_arm.Arm(None))
+    reach = np.append(REACH, [0.0, 0.0, 0.0])
+    return OwnChannels.find(model, data, pose, used, np.append(HOME, np.zeros(3)), reach), model, data, pose
+
+
+def terms_of(own, terms=TERMS, floors=(), each=False):
+    return build_model_error(own, 6, terms, (0.01, 0.02), dict(floors), each)
+
+
+def kernels(z, t):
+    """Return k of two rows by sort and channel, as the method states them."""
+
+    def smooth(a, b):
+        return np.exp(-0.5 * np.sum((a - b) ** 2))
+
+    return {
+        "linear": lambda p, q, _: z[p] @ z[q],
+        "own": lambda p, q, i: z[p, i] * z[q, i],
+        "smooth": lambda p, q, _: smooth(z[p], z[q]) - smooth(z[p], 0 * z[p]) - smooth(z[q], 0 * z[q]) + 1.0,
+        "drift": lambda p, q, _: min(t[p], t[q]) + START,
+    }
+
+
+@pytest.mark.parametrize("sort", TERMS[1:])
+def test_covariance_of_a_sort_is_its_formula(sort, arm, used):
+    own, model, data, pose = arm
+    (term,) = terms_of(own, (sort,))
+    columns = term.columns(np.array([[0.4]]), data)[0]
+    scale = float(term.natural(np.array([[0.4]]))[0, 0])
+    z = (data.values[:, :3] - HOME) / (2.0 * REACH)
+    nominal = (model.read(model.layout.nominal, pose)[:, :3] - HOME) / (2.0 * REACH)
+    z = np.where(np.isfinite(z), z, nominal)
+    k, rows = kernels(z, data.order / N_ROWS)[sort], np.flatnonzero(used)
+    norm = np.mean([k(p, p, i) for p in rows for i in range(3)])
+    for p in range(N_ROWS):
+        for q in range(N_ROWS):
+            expected = np.zeros((6, 6))
+            for i in range(3):
+                expected[i, i] = scale**2 * k(p, q, i) / norm / own.levers[i] ** 2
+            found = columns[p] @ columns[q].T
+            np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-7 * scale**2 / own.levers.min() ** 2)
+
+
+def test_one_sigma_is_a_root_mean_square_at_the_tool_over_the_calibration_rows(arm, used):
+    own, _, data, _ = arm
+    for term in terms_of(own, TERMS[1:]):
+        columns = term.columns(np.array([[0.4]]), data.pick(used))[0][:, :3]
+        square = (columns**2).sum(axis=-1) * own.levers**2
+        assert np.sqrt(square.mean()) == pytest.approx(float(term.natural(np.array([[0.4]]))[0, 0]), rel=1e-9)
+
+
+def test_rows_held_back_and_further_ones_have_the_same_functions(arm, used):
+    """Some of the rows, the same ones as new rows of another order, and new readings of a linear function."""
+    own, _, data, _ = arm
+    zeta = np.array([[0.4]])
+    for term in terms_of(own, TERMS[1:]):
+        whole = term.columns(zeta, data)
+        np.testing.assert_array_equal(term.columns(zeta, data.pick(~used)), whole[:, ~used])
+        if term.sort != "drift":  # of which the order is all
+            again = replace(data.pick(~used), order=np.array([100, 101, 102]))
+            filled = np.isfinite(again.values[:, :3]).all(axis=1)
+            found = term.columns(zeta, again)[:, filled]
+            np.testing.assert_allclose(found, whole[:, ~used][:, filled], rtol=0.0, atol=1e-7 * np.abs(whole).max())
+    linear, own_slope, *_ = terms_of(own, TERMS[1:])
+    values = data.values.copy()[:1]
+    values[0, :3] = HOME + 2.0 * REACH * [0.3, -0.2, 0.1]
+    new = replace(data.pick(np.arange(1)), values=values, order=np.array([100]))
+    square = np.sum(linear.columns(zeta, new)[0, 0, 1] ** 2) * own.levers[1] ** 2 * linear.functions.norms[0]
+    assert square == pytest.approx(linear.amplitude(zeta)[0] ** 2 * (0.3**2 + 0.2**2 + 0.1**2), rel=1e-6)
+    square = np.sum(own_slope.columns(zeta, new)[0, 0, 1] ** 2) * own.levers[1] ** 2 * own_slope.functions.norms[0]
+    assert square == pytest.approx(own_slope.amplitude(zeta)[0] ** 2 * 0.2**2, rel=1e-6)
+
+
+def test_levers_are_how_far_the_tool_moves(arm, used):
+    own, model, _, pose = arm
+    step, nominal = 1e-5, model.layout.nominal
+    for i in range(3):
+        move = step * np.eye(3)[i]  # an encoder reads the joint's angle
+        apart = model.tool(nominal, pose[used] + move)[0] - model.tool(nominal, pose[used] - move)[0]
+        expected = np.sqrt(np.mean(np.sum((apart / (2.0 * step)) ** 2, axis=1)))
+        assert own.levers[i] == pytest.approx(expected, rel=1e-6)
+
+
+def test_levers_of_lengths_and_of_what_does_not_move_the_tool(used):
+    """A channel in mm has lever one; where the tool's places are no lengths, noise is what there is."""
+    model, data, pose = measure(Linear())
+    reach = np.append(REACH, [0.0, 0.0, 0.0])
+    found = OwnChannels.find(model, data, pose, used, np.append(HOME, np.zeros(3)), reach)
+    assert found.levers[0] == 1.0
+    assert found.levers[1] > 100.0
+    machine = own_arm.Arm(None)
+    machine.tool_channels = tuple(Channel(one, "rad") for one in "abc")
+    turning = OwnChannels.find(FunctionModel("arm", machine), data, pose, used, np.append(HOME, np.zeros(3)), reach)
+    np.testing.assert_allclose(turning.levers, OF_NOISE / SD[:3])
+
+
+def test_constraints_and_channels_that_stay_do_not_err(used):
+    model, data, pose = measure(own_arm.Arm(None))
+    data.sd[:, 2] = 0.0
+    reach = np.array([1.0, 0.0, 0.4, 9.0, 9.0, 9.0])
+    found = OwnChannels.find(model, data, pose, used, np.append(HOME, np.zeros(3)), reach)
+    assert found.names == ("encoder[1]",)
+
+
+def test_one_tau_for_all_or_one_each(arm):
+    own, _, data, _ = arm
+    (shared,) = terms_of(own, ("independent",))
+    zeta = np.array([[0.3]])
+    tau = float(shared.natural(zeta)[0, 0])
+    expected = np.append((tau / own.levers) ** 2, np.zeros(3))
+    np.testing.assert_allclose(shared.variance(zeta, data)[0, 0], expected)
+    each = Errors(terms_of(own, ("independent",), each=True))
+    assert each.names == ("tau[1]", "tau[2]", "tau[3]")
+    assert each.units == ("mm",) * 3
+    _, beside = each.noise(np.array([[0.3, -0.2, 0.1]]), data, data.sd)
+    own_tau = each.natural(np.array([[0.3, -0.2, 0.1]]))[0]
+    np.testing.assert_allclose(beside[0, 0], np.append(own_tau / own.levers, np.zeros(3)))
+
+
+def test_floors_stay_where_no_error_is_seen(arm):
+    own, _, data, _ = arm
+    floors = {"independent": 0.003, "linear": 0.004, "smooth": 0.005}
+    low = np.array([[-30.0]])
+    for term, name in zip(terms_of(own, floors=floors.items()), TERMS, strict=True):
+        floor = floors.get(name, 0.0)
+        if name == "independent":
+            np.testing.assert_allclose(term.variance(low, data)[0, 0, :3], (floor / own.levers) ** 2, rtol=1e-9)
+            square = term.natural(np.array([[0.5]]))[0, 0] ** 2 + floor**2
+            np.testing.assert_allclose(term.variance(np.array([[0.5]]), data)[0, 0, :3], square / own.levers**2)
+        else:
+            assert term.amplitude(low)[0] == pytest.approx(floor, abs=1e-15)
+            s = term.natural(np.array([[0.5]]))[0, 0]
+            assert term.amplitude(np.array([[0.5]]))[0] == pytest.approx(np.hypot(s, floor), rel=1e-12)
+
+
+@pytest.mark.parametrize("floor", [0.0, 0.01])
+@pytest.mark.parametrize("zeta", [-2.0, 0.3])
+def test_slopes_of_terms_are_those_of_differences(zeta, floor, arm):
+    own, _, data, _ = arm
+    step, at = 1e-6, np.array([zeta])
+    for term in terms_of(own, floors=dict.fromkeys(TERMS, floor).items()):
+        found = term.slopes(at, data)
+        if term.names == ("tau",):
+            up, down = term.variance(at[None] + step, data), term.variance(at[None] - step, data)
+            slope = np.broadcast_to((up - down) / (2.0 * step), found.variance.shape)
+            np.testing.assert_allclose(found.variance, slope, rtol=1e-6)
+        else:
+            up, down = term.columns(at[None] + step, data), term.columns(at[None] - step, data)
+            size = np.abs(up).max()
+            np.testing.assert_allclose(found.columns, (up - down) / (2.0 * step), atol=1e-6 * size)
+
+
+def test_gradient_of_a_posterior_is_that_of_differences(arm, used):
+    own, model, data, pose = arm
+    layout = model.layout
+    priors = {name: NormalPrior(float(x), 0.5) for name, x in zip(layout.names, layout.nominal, strict=True)}
+    priors = {name: one for name, one in priors.items() if not name.startswith("o")}
+    likelihood = CalibrationLikelihood(model, data.pick(used), 1.0, pose[used])
+    posterior = Posterior(likelihood, priors, Errors(terms_of(own))).anchored()
+    y = posterior.polish(np.zeros(posterior.n_parameters))
+    y[posterior.n_geometry :] += [0.4, -0.6, 0.1, -0.3, 0.2]
+    y[: posterior.n_geometry] += 1e-3
+    gradient, _ = posterior.gradient(y)
+    moves = 1e-4 * np.eye(len(y))
+    expected = (posterior.log_density(y + moves) - posterior.log_density(y - moves)) / 2e-4
+    np.testing.assert_allclose(gradient, expected, rtol=1e-6, atol=1e-4)
+
+
+def test_terms_that_there_cannot_be(arm, used):
+    own, model, data, pose = arm
+    assert not own.find_missing(TERMS)
+    home, reach = np.append(HOME, np.zeros(3)), np.append(REACH, np.zeros(3))
+    few = OwnChannels.find(model, data, pose, np.arange(N_ROWS) < 2, home, reach)
+    assert set(few.find_missing(TERMS)) == set(TERMS[1:])
+    alone = OwnChannels.find(model, data, pose, used, home, np.array([0.0, 0.4, 0.0, 9.0, 9.0, 9.0]))
+    assert alone.find_missing(TERMS) == {"own": "of one channel it is the linear one"}
+    assert not alone.find_missing(("own",))
+    nothing = OwnChannels.find(model, data, pose, used, home, np.array([0.0, 0.0, 0.0, 9.0, 9.0, 9.0]))
+    assert set(nothing.find_missing(TERMS)) == set(TERMS)
+    standing = replace(data, values=np.where(np.arange(6) < 3, np.append(HOME, np.zeros(3)), data.values))
+    still = OwnChannels.find(model, standing, pose, used, home, reach)
+    assert set(still.find_missing(TERMS)) == {"linear", "own", "smooth"}

@@ -1,0 +1,103 @@
+"""The model error of studies of tables, in its terms: what silent ones have, what variants choose, what is refused."""
+
+from __future__ import annotations
+
+import calibrations
+import numpy as np
+import pytest
+
+from bayescal.errors import InputError
+from bayescal.experiments.frame.load import load
+from bayescal.experiments.study.by_tables import ReadingStudy
+
+TERMS = ("tau", "sigma_linear", "sigma_own", "sigma_smooth", "sigma_drift")
+NONE = "\n[model_error]\nterms = []\n"
+
+
+def read(path):
+    return ReadingStudy.load(load(path)[1], path.parent)
+
+
+def write(folder, section="", variant=""):
+    """Write a delta's study with a section, nothing by default, and keys of its first variant."""
+    path = calibrations.write_delta(folder)
+    calibrations.change(path, NONE, section and f"\n[model_error]\n{section}\n")
+    return calibrations.change(path, 'name = "all"\n', f'name = "all"\n{variant}\n')
+
+
+def names_of(study, variant="all"):
+    return study.variants[variant].posterior().errors.names
+
+
+def test_a_silent_study_has_all_terms_by_which_its_carriages_err(tmp_path):
+    study = read(write(tmp_path))
+    assert names_of(study) == names_of(study, "one_rod") == TERMS
+    variant = study.variants["all"]
+    columns = variant.posterior().errors.columns(np.zeros((1, 5)), variant.data)
+    assert np.abs(columns[..., :3, :]).sum(axis=(0, 1, 3)).all()
+    assert not columns[..., 3:, :].any()  # of the instruments
+    assert not study.missing
+    assert not [line for line in study.outlook() if "model error" in line]
+
+
+def test_variants_have_terms_of_their_own(tmp_path):
+    study = read(write(tmp_path, variant='model_error = ["independent", "drift"]\nnoise = "stated"'))
+    assert names_of(study) == ("tau", "sigma_drift")
+    assert names_of(study, "one_rod") == TERMS
+    study = read(write(tmp_path / "other", variant="model_error = []"))
+    assert names_of(study) == ()
+
+
+def test_scales_floors_and_tau_by_channel_are_those_of_the_section(tmp_path):
+    section = "scale_um = 3.0\nfunctions_um = 7.0\nat_least_um = { own = 2.0 }\nper_leg = true"
+    section += '\nterms = ["independent", "own"]'
+    *taus, own = read(write(tmp_path, section)).variants["all"].posterior().errors.terms
+    assert [one.names for one in taus] == [("tau[1]",), ("tau[2]",), ("tau[3]",)]
+    assert [one.priors[0].scale for one in taus] == pytest.approx([0.003] * 3)
+    assert own.priors[0].scale == pytest.approx(0.007)
+    assert own.floor == pytest.approx(0.002)
+    together = read(write(tmp_path / "other", "at_least_um = 6.0")).variants["all"].posterior().errors.terms
+    floors = [one.floor for one in together]
+    assert floors == pytest.approx([0.0, *[0.006 / np.sqrt(3.0)] * 3, 0.0])
+
+
+def test_terms_that_there_cannot_be_are_left_out_and_said(tmp_path):
+    path = write(tmp_path, variant='sensors = ["s[1]", "cam_x", "cam_y", "height"]')
+    study = read(path)
+    assert names_of(study) == ("tau", "sigma_linear", "sigma_smooth", "sigma_drift")
+    said = "variant 'all': the model error has no term own, as of one channel it is the linear one"
+    assert study.missing == said
+    assert said in study.outlook()
+
+
+REFUSED = {
+    "a term that there cannot be": (
+        "",
+        'sensors = ["s[1]", "cam_x", "cam_y", "height"]\nmodel_error = ["linear", "own"]',
+        "variant 'all': model_error: found term 'own', but of one channel it is the linear one, expected other terms",
+    ),
+    "no channel of its own": (
+        'terms = ["independent"]',
+        'sensors = ["cam_x", "cam_y", "height"]',
+        "model_error: found term 'independent', but no channel of the machine itself moves",
+    ),
+    "a floor beyond the tolerances": (
+        "at_least_um = { linear = 600.0 }",
+        "",
+        "model_error.at_least_um: found 600 µm for 'linear', expected less than the largest tolerance, 500 µm",
+    ),
+    "beside errors by channel": (
+        "s = { scale = 0.01 }",
+        'model_error = ["linear"]',
+        "model_error: found terms ['linear'] beside errors by channel in [model_error], expected one",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_is_refused(case, tmp_path):
+    section, variant, text = REFUSED[case]
+    with pytest.raises(InputError) as caught:
+        read(write(tmp_path, section, variant))
+    assert text in str(caught.value)
+    assert "\n" not in str(caught.value)
