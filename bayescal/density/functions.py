@@ -128,16 +128,26 @@ class FunctionLikelihood(Likelihood):
         Range of the actuators, mm.
     order : mapping of str to float
         From names of poses to their places in measuring order, 0 to 1; empty where there is none.
+    functions : PoseFunctions, optional
+        Those of other poses, over which they are normalised; by default over these.
     """
 
-    def __init__(self, base: LegRows, sorts: Sequence[str], travel: float, order: Mapping[str, float]) -> None:
-        if base.n_poses < FEWEST_POSES:
+    def __init__(
+        self,
+        base: LegRows,
+        sorts: Sequence[str],
+        travel: float,
+        order: Mapping[str, float],
+        functions: PoseFunctions | None = None,
+    ) -> None:
+        if functions is None and base.n_poses < FEWEST_POSES:
             raise InputError(f"model_error: found {base.n_poses} calibration poses, expected {FEWEST_POSES} or more")
         # where the geometry is hardly known the mode's gradient needs more digits
         self.base: LegRows = base.refined() if isinstance(base, PoseLikelihood) else base
         self.machine, self.layout, self.actuator_weight = base.machine, base.layout, base.actuator_weight
         self._travel, self._order = travel, order
-        self.functions = PoseFunctions(tuple(sorts), self.place_of(base))
+        self.place = self.place_of(base)
+        self.functions = functions or PoseFunctions(tuple(sorts), self.place)
         self._turn, self._seen = _turn_rows(base)
         self.components = self._find_components()
         self._constant = base.log_constant + np.linalg.slogdet(self._turn)[1]
@@ -152,7 +162,7 @@ class FunctionLikelihood(Likelihood):
         """Return what the model errors of each leg, then the sorts of functions, add to the white rows."""
         n_poses, n, n_legs = self._seen.shape
         parts = np.empty((len(self.functions.sorts), n_poses * n, n_poses * n))
-        for k, kernel in enumerate(self.functions.between(self.functions.place, self.functions.place)):
+        for k, kernel in enumerate(self.functions.between(self.place, self.place)):
             whole = _for_legs(kernel, n_legs)
             parts[k] = np.einsum("pai,ipq,qbi->paqb", self._seen, whole, self._seen, optimize=True).reshape(
                 parts.shape[1:]
@@ -177,7 +187,7 @@ class FunctionLikelihood(Likelihood):
         names, order = poses.pose_names, self._order
         if order and not set(names) <= set(order):
             order = {name: k / len(names) for k, name in enumerate(names)}
-        return FunctionLikelihood(poses, self.functions.sorts, self._travel, order)
+        return FunctionLikelihood(poses, self.functions.sorts, self._travel, order, self.functions)
 
     @property
     def n_poses(self) -> int:
@@ -230,7 +240,7 @@ class FunctionLikelihood(Likelihood):
 
     def error_covariance(self, model_error: Array) -> Array:
         """Return the covariance of each pose's rows by itself, shape (P, K, K), for amplitudes (N + C,)."""
-        own = [np.diagonal(one, axis1=1, axis2=2) for one in self.functions.between(*2 * [self.functions.place])]
+        own = [np.diagonal(one, axis1=1, axis2=2) for one in self.functions.between(*2 * [self.place])]
         square = sum(s**2 * one for s, one in zip(model_error[self.n_legs :], own, strict=True))  # (N or 1, P)
         shown = self.base.rows_of_legs * np.sqrt(self.actuator_weight * np.asarray(square).T)[:, None, :]
         return self.base.error_covariance(model_error[: self.n_legs]) + shown @ np.swapaxes(shown, -1, -2)
@@ -398,7 +408,7 @@ class FunctionLikelihood(Likelihood):
 
     def _across(self, poses: LegRows, amplitudes: Array) -> Array:
         """Return the covariance of √w g at other poses with e, (B, Q, N, M), of amplitudes (B, N + C)."""
-        kernels, n = self.functions.between(self.place_of(poses), self.functions.place), self.n_legs
+        kernels, n = self.functions.between(self.place_of(poses), self.place), self.n_legs
         whole = np.stack([_for_legs(one, n) for one in kernels])
         summed = np.einsum("bt,tiqp->biqp", amplitudes[:, n:] ** 2, whole, optimize=True)
         found = np.einsum("biqp,pai->bqipa", summed, self._seen, optimize=True)
@@ -466,7 +476,7 @@ class FunctionLikelihood(Likelihood):
         all errors, moves by what the data make of how they differ from it (conditioning by kriging: Journel and
         Huijbregts 1978).
         """
-        own, n, n_poses = self.functions.place, self.n_legs, self.n_poses
+        own, n, n_poses = self.place, self.n_legs, self.n_poses
         place = own if others is None else own.join(self.place_of(others))
         read, _ = self._split(self.base.errors(theta))
         drawn = self.draw_prior(place, model_error, rng)

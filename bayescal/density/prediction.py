@@ -100,7 +100,7 @@ def replicate(likelihood: Likelihood, theta: Array, model_error: Array, rng: np.
     noise = _draw_noise(likelihood, model_error, rng.standard_normal(errors.shape))
     if isinstance(likelihood, FunctionLikelihood):
         base, scales = likelihood.base, np.broadcast_to(model_error, (len(theta), model_error.shape[-1]))
-        drawn = likelihood.draw_prior(likelihood.functions.place, scales, rng).sum(axis=1)
+        drawn = likelihood.draw_prior(likelihood.place, scales, rng).sum(axis=1)
         shown = base.gain @ base.rows_of_legs * np.sqrt(base.actuator_weight)[:, None, :]
         noise = noise + np.einsum("pij,spj->spi", shown, drawn)
     return Replicates(errors, noise)

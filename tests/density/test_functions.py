@@ -269,7 +269,7 @@ def test_poses_at_home_have_no_functions(two):
     home = np.broadcast_to(machines.INITIAL_POSITION, calibration.actuators.shape)
     likelihood = build(calibration)
     functions = type(likelihood.functions)(
-        likelihood.functions.sorts, likelihood.functions.place._replace(travel=0.0 * home)
+        likelihood.functions.sorts, likelihood.place._replace(travel=0.0 * home)
     )
     with pytest.raises(InputError, match="at home"):
         functions.between(functions.place, functions.place)
