@@ -26,11 +26,13 @@ from bayescal.density.legs import BATCH, LegPosterior, Likelihood, build_leg_pos
 from bayescal.density.outliers import NORMAL, Contaminated
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.priors import INDEPENDENT, Prior, SharePrior, build_kernel
+from bayescal.density.schema import TERMS
 from bayescal.density.structured import StructuredLikelihood, count_nodes
 from bayescal.errors import InputError, PoseInputError, name_faults
 from bayescal.experiments.frame.memory import Need, check_arrays
 from bayescal.experiments.shared.measured import MeasuredReadings, MeasuredVariant, see_legs
 from bayescal.experiments.shared.origin import name_origin
+from bayescal.experiments.shared.readings.errors import check_floors
 from bayescal.experiments.shared.readings.instruments import keep_files
 from bayescal.experiments.shared.readings.priors import choose_priors, widen
 from bayescal.experiments.shared.search_memory import check_poses
@@ -54,7 +56,6 @@ from bayescal.machines.mechanism import Mechanism
 from bayescal.machines.read import build_named_machine, load_mechanism
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import MICROMETRE
-from bayescal.report.numbers import format_count
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -63,6 +64,7 @@ if TYPE_CHECKING:
     from bayescal.experiments.shared.estimate import Fit, Subject
     from bayescal.experiments.study.claims import Claims
 
+FEW_POSES = f"fewer than {FEWEST_POSES} poses calibrate the machine"
 MOST_POSES = 150
 """Calibration poses with errors that are functions of the pose, beyond which their covariance takes too long."""
 ALONE_STATED = 'terms = ["independent"]'
@@ -257,7 +259,7 @@ class StudyInputs(Inputs):
             likelihood, terms = _give_kernel(likelihood, self.config, variant, self.mechanism.actuator_range)
         elif with_model_error and (sorts := self.list_sorts(variant)):
             likelihood = self.give_functions(likelihood, variant)
-            floors = {name: one * MICROMETRE for name, one in known.floors().items()}
+            floors: dict[str, float] = {name: one * MICROMETRE for name, one in known.floors().items()}
             terms = [FunctionScales(sorts, known.functions_um * MICROMETRE, floors)]
         blunders = self.config.blunders
         outliers = NORMAL if blunders is None else Contaminated(SharePrior(blunders.expected_share))
@@ -302,11 +304,7 @@ class StudyInputs(Inputs):
         wanted = dict.fromkeys(name for one in self.config.variants for name in self._want_sorts(one))
         if not wanted or any(self.list_sorts(one) for one in self.config.variants):
             return ""
-        n = int(np.count_nonzero(~self.verification))
-        return (
-            f"model error: the terms {', '.join(wanted)} are left out: {format_count(n)} calibration "
-            f"pose{'s' * (n > 1)} cannot show them, {FEWEST_POSES} or more can"
-        )
+        return f"the model error has no terms {', '.join(wanted)}, as {FEW_POSES}"
 
     def give_functions(self, base: Likelihood, variant: VariantConfig) -> FunctionLikelihood:
         """Return a density of the calibration poses with the errors of a variant that are functions of the pose.
@@ -484,7 +482,9 @@ def load_inputs(config: StudyConfig, folder: Path) -> StudyInputs:
         check_poses(len(measured.names), mechanism.n_legs, machine.layout.size)
         check_measurement(inputs.measured, machine, config.measured, folder)
         with name_faults(f"variant {variant.name!r}"):
-            check_machine(inputs.posterior(variant, with_model_error=True))
+            posterior = inputs.posterior(variant, with_model_error=True)
+            check_machine(posterior)
+            _check_terms(inputs, variant, posterior)
             for factor in config.sensitivity.factor:
                 with name_faults(f"sensitivity.factor {factor:g}"):
                     check_machine(inputs.posterior(variant, True, factor))
@@ -495,6 +495,17 @@ def load_inputs(config: StudyConfig, folder: Path) -> StudyInputs:
         if symbol not in known:
             look_up(dict.fromkeys(known), symbol, "parameters", folder)
     return inputs
+
+
+def _check_terms(inputs: StudyInputs, variant: VariantConfig, posterior: LegPosterior) -> None:
+    """Raise InputError for terms asked for by name that there cannot be, and for a floor beyond all tolerances."""
+    terms, units = inputs.config.leg_error.terms_for(variant), dict(zip(posterior.names, posterior.units, strict=True))
+    missing = [name for name in terms if name in SORTS and name not in inputs.list_sorts(variant)]
+    if missing and terms != list(TERMS):
+        raise InputError(f"model_error: found term {missing[0]!r}, but {FEW_POSES}, expected other terms")
+    check_floors(
+        inputs.config.leg_error.floors(), [one.sd for name, one in posterior.priors.items() if units[name] == "mm"]
+    )
 
 
 def _give_kernel(
