@@ -128,12 +128,8 @@ def fit_conditional(posterior: Target, y: Array) -> ConditionalMap | None:
     if linear is None or len(y) == posterior.n_geometry:
         return None
     rng = np.random.default_rng(1803)
-    draws = sample_scales(_density_of(linear), y[posterior.n_geometry :], N_DRAWS, N_DRAWS, rng).draws
+    draws = sample_scales(linear.log_mass, y[posterior.n_geometry :], N_DRAWS, N_DRAWS, rng).draws
     return _fit(linear, draws, rng)
-
-
-def _density_of(linear: LinearGeometry) -> Callable[[Array], float]:
-    return lambda zeta: linear.given(zeta).log_mass
 
 
 def _fit(linear: LinearGeometry, draws: Array, rng: np.random.Generator) -> ConditionalMap:
