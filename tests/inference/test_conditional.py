@@ -5,7 +5,8 @@ import pytest
 import telescope_machines as machines
 
 from bayescal.density.errors import FunctionScales, ModelError
-from bayescal.density.functions import SORTS, FunctionLikelihood
+from bayescal.density.functions import FunctionLikelihood
+from bayescal.density.sorts import SORTS
 from bayescal.density.legs import build_leg_posterior
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.priors import NormalPrior

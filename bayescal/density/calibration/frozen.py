@@ -19,7 +19,7 @@ import numpy as np
 from scipy.linalg import cholesky
 
 from bayescal.density.calibration.terms import Errors
-from bayescal.density.components import LinearRows, White, assemble, batches, weigh, weigh_each
+from bayescal.density.components import LinearRows, White, assemble, batches, leave_out, weigh, weigh_left_out
 from bayescal.density.elimination import Whitening
 from bayescal.numerics.geometry import Array
 
@@ -87,7 +87,8 @@ class FrozenRows:
         rows, found = self._find_rows(likelihood, theta)
         for part in batches(len(theta), rows.shape[1]):
             own, weights = self._blocks(likelihood, errors, zeta[part]), errors.amplitudes(zeta[part]) ** 2
-            found[part] += weigh_each(assemble(own, self.parts, weights), rows[part], len(self.left))[0]
+            total = assemble(own, self.parts, weights)
+            found[part] += weigh_left_out(*leave_out(total, rows[part], len(self.left)))[0]
         return np.where(np.isfinite(found), found, -np.inf)
 
     def _find_rows(self, likelihood: CalibrationLikelihood, theta: Array) -> tuple[Array, Array]:

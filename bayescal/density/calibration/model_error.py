@@ -26,8 +26,8 @@ import numpy as np
 from bayescal.density.calibration.measurements import Comparison, Measurements
 from bayescal.density.calibration.terms import ErrorTerm, ModelErrorTerm, Slopes
 from bayescal.density.errors import TAU
-from bayescal.density.functions import FEWEST_POSES, Place, PoseFunctions
 from bayescal.density.priors import HalfCauchyPrior, Prior
+from bayescal.density.sorts import FEWEST_POSES, Place, PoseFunctions
 from bayescal.machines.readings import ReadingModel
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import MICROMETRE
@@ -199,7 +199,7 @@ class FunctionsOfPose(ErrorTerm):
     """
 
     of_model: ClassVar[bool] = True
-    sort: str  # of `bayescal.density.functions.SORTS`
+    sort: str  # of `bayescal.density.sorts.SORTS`
     own: OwnChannels
     scale: float  # of the half-Cauchy prior of s, mm
     floor: float = 0.0

@@ -7,7 +7,8 @@ import pytest
 import studies
 from experiments.study.test_instrument_study import FRAMES, write_points
 
-from bayescal.density.functions import SORTS, FunctionLikelihood
+from bayescal.density.functions import FunctionLikelihood
+from bayescal.density.sorts import SORTS
 from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.frame.run import compute_experiment
