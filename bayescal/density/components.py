@@ -18,7 +18,9 @@ from functools import cached_property
 from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import as_strided
 from scipy.linalg import cho_solve, cholesky, solve_triangular
+from scipy.linalg.lapack import dpotrf, dtrtrs
 
 from bayescal.numerics.geometry import Array
 
@@ -73,11 +75,11 @@ class Components:
         """Number M of rows."""
         return self.known.shape[0] * self.known.shape[1]
 
-    def covariances(self, variances: Array, more: int = 0) -> Array:
-        """Return S of variances (B, G + C), shape (B, M + more, M + more), with room for more rows."""
+    def covariances(self, variances: Array) -> Array:
+        """Return S of variances (B, G + C), shape (B, M, M)."""
         g = len(self.blocks)
         own = self.known + (variances[:, :g] @ self.blocks.reshape(g, -1)).reshape(-1, *self.known.shape)
-        return assemble(own, self.parts, variances[:, g:], more)
+        return assemble(own, self.parts, variances[:, g:])
 
     def factorise(self, variances: Array) -> White:
         """Return S of variances (G + C,)."""
@@ -87,7 +89,7 @@ class Components:
         """Return normal log-densities of rows (B, M) but for 2 π, shape (B,), for variances (B, G + C)."""
         found = np.empty(len(rows))
         for part in batches(len(rows), self.size):
-            found[part] = weigh(self.covariances(variances[part], 1), rows[part])
+            found[part] = weigh(self.covariances(variances[part]), rows[part])
         return found
 
     def weigh_each(self, variances: Array, rows: Array) -> tuple[Array, Array]:
@@ -116,8 +118,8 @@ def batches(size: int, n_rows: int) -> list[slice]:
     return [slice(k, k + most) for k in range(0, size, most)]
 
 
-def assemble(own: Array, parts: Array, weights: Array, more: int = 0) -> Array:
-    """Return block diagonal matrices plus weighted parts, with room for more rows.
+def assemble(own: Array, parts: Array, weights: Array) -> Array:
+    """Return block diagonal matrices plus weighted parts.
 
     Parameters
     ----------
@@ -125,35 +127,29 @@ def assemble(own: Array, parts: Array, weights: Array, more: int = 0) -> Array:
     parts : ndarray, shape (C, M, M)
         M = P n.
     weights : ndarray, shape (B, C)
-    more : int
 
     Returns
     -------
-    ndarray, shape (B, M + more, M + more)
+    ndarray, shape (B, M, M)
     """
-    n_poses, n, m = own.shape[1], own.shape[2], parts.shape[-1]
-    total = np.zeros((len(weights), m + more, m + more))
-    inner = total[:, :m, :m]
-    inner[:] = (weights @ parts.reshape(-1, m * m)).reshape(-1, m, m)
-    for p in range(n_poses):
-        inner[:, p * n : (p + 1) * n, p * n : (p + 1) * n] += own[:, p]
+    n, m = own.shape[2], parts.shape[-1]
+    total = np.asarray(weights @ parts.reshape(len(parts), -1)).reshape(-1, m, m)
+    batch, row, column = total.strides
+    blocks = as_strided(total, own.shape, (batch, n * (row + column), row, column))  # a pose's rows with its columns
+    blocks += own
     return total
 
 
-CORNER: Final = 1e200  # larger than any square of white rows; what comes before it in a factor does not depend on it
-
-
 def weigh(covariance: Array, rows: Array) -> Array:
-    """Return normal log-densities of rows (B, M) but for 2 π, shape (B,); covariances (B, M + 1, M + 1) are used up.
-
-    The rows are carried along as one more row of the matrix; in the factor it holds the white ones.
-    """
-    m = rows.shape[1]
-    covariance[:, m, :m], covariance[:, :m, m], covariance[:, m, m] = rows, rows, CORNER
-    factor = np.linalg.cholesky(covariance)
-    white = factor[:, m, :m]
-    half_log_det = np.log(np.diagonal(factor, axis1=1, axis2=2)[:, :m]).sum(axis=1)
-    return np.asarray(-half_log_det - 0.5 * np.einsum("bm,bm->b", white, white))
+    """Return normal log-densities of rows (B, M) but for 2 π, shape (B,); covariances (B, M, M) are used up."""
+    white, determinant = np.empty_like(rows), np.empty(len(rows))
+    for k, one in enumerate(covariance):  # in place: the transpose is in Fortran's order, the factor its upper triangle
+        factor, info = dpotrf(one.T, lower=0, clean=0, overwrite_a=1)
+        if info:
+            raise np.linalg.LinAlgError(f"found a covariance that is not positive definite at row {info}")
+        white[k] = dtrtrs(factor, rows[k], lower=0, trans=1)[0]
+        determinant[k] = np.log(np.diag(factor)).sum()
+    return np.asarray(-determinant - 0.5 * np.einsum("bm,bm->b", white, white))
 
 
 def leave_out(covariance: Array, rows: Array, n_poses: int) -> tuple[Array, Array]:

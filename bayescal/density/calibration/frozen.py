@@ -79,7 +79,7 @@ class FrozenRows:
         total = rest.sum(axis=1)
         for part in batches(len(theta), rows.shape[1]):
             own, weights = self._blocks(likelihood, errors, zeta[part]), errors.amplitudes(zeta[part]) ** 2
-            total[part] += weigh(assemble(own, self.parts, weights, 1), rows[part])
+            total[part] += weigh(assemble(own, self.parts, weights), rows[part])
         return np.where(np.isfinite(total), total, -np.inf)
 
     def density_by_row(self, likelihood: CalibrationLikelihood, theta: Array, errors: Errors, zeta: Array) -> Array:
