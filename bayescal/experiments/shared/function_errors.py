@@ -153,8 +153,9 @@ def tabulate_model_error(
         Of the errors common to all rows, one for each.
     """
     sizes, functions, tau = dict[str, Array](), dict[str, Array](), list[Array]()
-    names = list[str]()
-    for (term, zeta), errors in zip(posterior.errors.of(posterior.zeta(y)), draws.by_term(data), strict=True):
+    names, terms = list[str](), posterior.errors.of(posterior.zeta(y))
+    common = draws.by_term(data) or [None] * len(terms)
+    for (term, zeta), errors in zip(terms, common, strict=True):
         if isinstance(term, IndependentErrors):
             tau.append(term.natural(zeta)[:, 0] ** 2 + term.floor**2)
         elif isinstance(term, FunctionsOfPose) and errors is not None:
