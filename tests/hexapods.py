@@ -72,6 +72,7 @@ a_x = {{ prior = "normal", sd = 1.0 }}
 l = {{ prior = "normal", sd = 1.0 }}
 
 [model_error]
+terms = ["independent"]
 per_leg = false
 
 [[variants]]

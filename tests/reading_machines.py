@@ -223,6 +223,9 @@ class JointTarget:
     def finer(self) -> None:
         return None
 
+    def linear_geometry(self, y: np.ndarray) -> None:
+        return None
+
     def funnel(self, y: np.ndarray) -> None:
         return None
 

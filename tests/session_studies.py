@@ -28,6 +28,7 @@ matrix = "deformation_matrix.csv"
 l = {{ prior = "normal", sd = 2.0 }}
 
 [model_error]
+terms = ["independent"]
 scale_um = 10.0
 per_leg = false
 

@@ -95,6 +95,7 @@ kappa = {{ prior = "normal", sd = 0.01 }}
 b_z = {{ prior = "fixed", offset = 0.0 }}
 
 [model_error]
+terms = ["independent"]
 scale_um = 10.0
 per_leg = false
 

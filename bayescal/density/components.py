@@ -94,6 +94,10 @@ class Components:
         """Return log p(e_n | all other rows) but for 2 π of each pose and its squared deviation, shapes (B, P)."""
         return weigh_each(self.covariances(variances), rows, len(self.known))
 
+    def leave_out(self, variances: Array, rows: Array) -> tuple[Array, Array]:
+        """Return by how much each pose's rows deviate from what all others predict, (B, P, n), and their precision."""
+        return leave_out(self.covariances(variances), rows, len(self.known))
+
     def act(self, alpha: Array) -> Array:
         """Return B_g α and E_t α, (M,) to (G + C, M)."""
         own = np.einsum("gpij,pj->gpi", self.blocks, alpha.reshape(self.known.shape[:2]))
@@ -152,18 +156,24 @@ def weigh(covariance: Array, rows: Array) -> Array:
     return np.asarray(-half_log_det - 0.5 * np.einsum("bm,bm->b", white, white))
 
 
-def weigh_each(covariance: Array, rows: Array, n_poses: int) -> tuple[Array, Array]:
-    """Return log p(e_n | all other rows) but for 2 π of each pose and its squared deviation, shapes (B, P).
+def leave_out(covariance: Array, rows: Array, n_poses: int) -> tuple[Array, Array]:
+    """Return by how much each pose's rows deviate from what all others predict, and their precision then.
 
-    With A = S⁻¹ and α = A e the density of e_n given the others is normal with precision A_nn, and its deviation from
-    its mean is A_nn⁻¹ α_n.
+    With A = S⁻¹ and α = A e the density of e_n given the others is normal with precision A_nn, shape (B, P, n, n), and
+    its deviation from its mean is A_nn⁻¹ α_n, shape (B, P, n).
     """
     shape = n_poses, rows.shape[1] // n_poses
     inverse = np.linalg.inv(covariance)
     alpha = (inverse @ rows[..., None]).reshape(-1, *shape)
-    own = np.einsum("bpipj->bpij", inverse.reshape(-1, *shape, *shape))
-    square = np.einsum("bpi,bpi->bp", alpha, np.linalg.solve(own, alpha[..., None])[..., 0])
-    return 0.5 * np.linalg.slogdet(own)[1] - 0.5 * square, square
+    precision = np.einsum("bpipj->bpij", inverse.reshape(-1, *shape, *shape))
+    return np.linalg.solve(precision, alpha[..., None])[..., 0], precision
+
+
+def weigh_each(covariance: Array, rows: Array, n_poses: int) -> tuple[Array, Array]:
+    """Return log p(e_n | all other rows) but for 2 π of each pose and its squared deviation, shapes (B, P)."""
+    deviation, precision = leave_out(covariance, rows, n_poses)
+    square = np.einsum("bpi,bpij,bpj->bp", deviation, precision, deviation)
+    return 0.5 * np.linalg.slogdet(precision)[1] - 0.5 * square, square
 
 
 class LinearRows(NamedTuple):
@@ -197,6 +207,8 @@ class LinearGeometry:
         Minus the Hessian and the gradient there of the prior and of all rows that do not depend on the errors.
     log_prior : callable
         The log-prior of coordinates ζ (k,) of the errors.
+    sizes : callable
+        From ζ (B, k) to the errors in their own units.
     """
 
     centre: Array
@@ -204,6 +216,7 @@ class LinearGeometry:
     precision: Array
     pull: Array
     log_prior: Callable[[Array], float]
+    sizes: Callable[[Array], Array]
 
     def given(self, zeta: Array) -> GeometryGiven:
         """Return the geometry given ζ (k,): with J of the white rows e, H = P + JᵀJ and mean H⁻¹ (p - Jᵀ e)."""
@@ -216,3 +229,7 @@ class LinearGeometry:
         log_mass = 0.5 * (step @ step - residual @ residual) - white.half_log_det - np.log(np.diag(factor)).sum()
         mean = self.centre + inverse.T @ step
         return GeometryGiven(mean, inverse.T @ inverse, float(log_mass) + self.log_prior(zeta))
+
+    def log_mass(self, zeta: Array) -> float:
+        """Return the density of the errors' unknowns alone at ζ (k,), but for a constant."""
+        return self.given(zeta).log_mass

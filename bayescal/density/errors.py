@@ -7,8 +7,8 @@ function of the pose, its scale s of each leg; then the function's length where 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -40,13 +40,15 @@ class Amplitudes(ErrorTerm):
     priors: tuple[Prior, ...]  # length n
     # (n, K): which of the term's amplitudes each unknown is, ones and zeros; zeros alone where there is no such error
     shown: Array
+    # length n: f of each unknown, in its unit; the amplitude of an unknown u is √(u² + f²)
+    floors: tuple[float, ...]
 
     @classmethod
-    def of_legs(cls, label: str, prior: Prior, n_legs: int, shared: bool) -> Amplitudes:
+    def of_legs(cls, label: str, prior: Prior, n_legs: int, shared: bool, floor: float = 0.0) -> Amplitudes:
         """Return the amplitudes in mm of N legs, each with its own, or all alike."""
         names = (label,) if shared or n_legs == 1 else tuple(f"{label}[{leg}]" for leg in range(1, n_legs + 1))
-        n = len(names)
-        return cls(label, names, ("mm",) * n, (prior,) * n, np.ones((1, n_legs)) if shared else np.eye(n_legs))
+        n, shown = len(names), np.ones((1, n_legs)) if shared else np.eye(n_legs)
+        return cls(label, names, ("mm",) * n, (prior,) * n, shown, (floor,) * n)
 
 
 @dataclass(frozen=True)
@@ -55,6 +57,7 @@ class ModelError:
 
     scale: float | None
     shared: bool = False
+    floor: float = 0.0  # mm; what is unknown adds to it in squares
 
     @property
     def prior(self) -> Prior:
@@ -64,8 +67,8 @@ class ModelError:
     def at_legs(self, n_legs: int) -> Amplitudes:
         """Return it as a term."""
         if self.scale is None:
-            return Amplitudes(TAU, (), (), (), np.zeros((0, n_legs)))
-        return Amplitudes.of_legs(TAU, self.prior, n_legs, self.shared)
+            return Amplitudes(TAU, (), (), (), np.zeros((0, n_legs)), ())
+        return Amplitudes.of_legs(TAU, self.prior, n_legs, self.shared, self.floor)
 
 
 NO_MODEL_ERROR = ModelError(None)
@@ -98,7 +101,7 @@ class KernelLength:
     def at_legs(self, n_legs: int) -> Amplitudes:
         """Return it as a term."""
         del n_legs
-        return Amplitudes(LENGTH, (LENGTH,), ("1",), (self.lengths,), np.ones((1, 1)))
+        return Amplitudes(LENGTH, (LENGTH,), ("1",), (self.lengths,), np.ones((1, 1)), (0.0,))
 
 
 @dataclass(frozen=True)
@@ -107,13 +110,15 @@ class FunctionScales:
 
     sorts: tuple[str, ...]
     scale: float  # of their half-Cauchy densities, mm
+    floors: Mapping[str, float] = field(default_factory=dict)  # by sort, mm; what is unknown adds to it in squares
 
     def at_legs(self, n_legs: int) -> Amplitudes:
         """Return them as a term."""
         del n_legs
         n = len(self.sorts)
         names = tuple(f"sigma_{name}" for name in self.sorts)
-        return Amplitudes(FUNCTION_SCALES, names, ("mm",) * n, (HalfCauchyPrior(self.scale),) * n, np.eye(n))
+        floors = tuple(self.floors.get(name, 0.0) for name in self.sorts)
+        return Amplitudes(FUNCTION_SCALES, names, ("mm",) * n, (HalfCauchyPrior(self.scale),) * n, np.eye(n), floors)
 
 
 type LegTerm = ModelError | KernelScale | KernelLength | FunctionScales
@@ -136,7 +141,16 @@ class LegErrors(Errors):
     @cached_property
     def _shown(self) -> Array:
         """Which of all K amplitudes each unknown is, shape (k', K)."""
-        return np.asarray(block_diag(*(term.shown for term in self.terms if isinstance(term, Amplitudes))))
+        return np.asarray(block_diag(*(term.shown for term in self._amplitudes)))
+
+    @cached_property
+    def _floors(self) -> Array:
+        """The floors f of all K amplitudes, mm."""
+        return np.concatenate([np.array(term.floors) @ term.shown for term in self._amplitudes])
+
+    @property
+    def _amplitudes(self) -> list[Amplitudes]:
+        return [term for term in self.terms if isinstance(term, Amplitudes)]
 
     def place(self, label: str) -> slice:
         """Return where the coordinates of a term are, none where there is no such term."""
@@ -157,7 +171,16 @@ class LegErrors(Errors):
         """Return the amplitudes of all terms, (..., K), or (K,) for any ζ where none is free."""
         if not self.n_amplitudes:
             return np.zeros(self._shown.shape[1])
-        return np.asarray(self._show("value", zeta) @ self._shown)
+        return self._lift(self._show("value", zeta) @ self._shown)
+
+    def amplitudes_of(self, natural: Array) -> Array:
+        """Return the amplitudes of all terms, (..., K), of what is unknown in its own units, (..., k)."""
+        found = [own for term, own in self.of(natural) if isinstance(term, Amplitudes)]
+        return self._lift(np.concatenate(found, axis=-1) @ self._shown)
+
+    def _lift(self, unknown: Array) -> Array:
+        """Return the amplitudes √(u² + f²) of unknowns, (..., K)."""
+        return np.hypot(unknown, self._floors) if self._floors.any() else np.asarray(unknown)
 
     def uniform(self, size: float) -> Array:
         """Return amplitudes (K,) that are alike for all legs, mm, with which a search for the mode begins."""
@@ -171,14 +194,23 @@ class LegErrors(Errors):
         return self.amplitudes(zeta)[..., : self.n_legs]
 
     def slopes_of_amplitudes(self, zeta: Array) -> Array:
-        """Return the derivative of the amplitudes by their coordinates at ζ (k,), shape (k', K)."""
-        return np.asarray(self._show("slope", zeta)[:, None] * self._shown)
+        """Return the derivative of the amplitudes by their coordinates at ζ (k,), shape (k', K): u' u / √(u² + f²)."""
+        return np.asarray(self._show("slope", zeta)[:, None] * self._shown * self._share(zeta)[0])
 
     def curvatures_of_amplitudes(self, zeta: Array) -> Array:
         """Return the second derivative, shape (k', K)."""
-        return np.asarray(self._show("curvature", zeta)[:, None] * self._shown)
+        share, left = self._share(zeta)
+        slope, curvature = (self._show(what, zeta)[:, None] * self._shown for what in ("slope", "curvature"))
+        return np.asarray(curvature * share + slope**2 * left)
+
+    def _share(self, zeta: Array) -> tuple[Array, Array]:
+        """Return first and second derivatives of the amplitudes by the unknowns at ζ (k,): u / a and f² / a³, (K,)."""
+        unknown, floors = self._show("value", zeta) @ self._shown, self._floors
+        there, amplitude = floors > 0.0, np.hypot(unknown, floors)
+        lifted = np.where(there, amplitude, 1.0)
+        return np.where(there, unknown / lifted, 1.0), np.where(there, floors**2 / lifted**3, 0.0)
 
     def mean_square_tau(self, natural: Array) -> float:
         """Return the mean of τ² over draws in natural units (..., k) and over legs, mm²; zero without model error."""
-        tau = natural[..., self.place(TAU)]
-        return float(np.mean(tau**2)) if tau.shape[-1] else 0.0
+        tau, floor = natural[..., self.place(TAU)], self.model_error.floor
+        return float(np.mean(tau**2)) + floor**2 if tau.shape[-1] else 0.0

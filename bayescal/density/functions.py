@@ -42,7 +42,6 @@ from bayescal.density.legs import Likelihood, turn_to_coordinates
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.priors import SmoothKernel
 from bayescal.density.sampling import LegSampling
-from bayescal.density.structured import Conditional
 from bayescal.errors import InputError
 from bayescal.numerics.geometry import Array
 
@@ -59,6 +58,11 @@ class Place(NamedTuple):
 
     travel: Array  # (P, N): z, ranges
     time: Array | None  # (P,): place in measuring order, 0 to 1; None where there is no order
+
+    def join(self, other: Place) -> Place:
+        """Return the poses of both, one behind the other."""
+        time = None if self.time is None or other.time is None else np.concatenate([self.time, other.time])
+        return Place(np.concatenate([self.travel, other.travel]), time)
 
 
 def _linear(first: Place, second: Place) -> Array:
@@ -124,16 +128,26 @@ class FunctionLikelihood(Likelihood):
         Range of the actuators, mm.
     order : mapping of str to float
         From names of poses to their places in measuring order, 0 to 1; empty where there is none.
+    functions : PoseFunctions, optional
+        Those of other poses, over which they are normalised; by default over these.
     """
 
-    def __init__(self, base: LegRows, sorts: Sequence[str], travel: float, order: Mapping[str, float]) -> None:
-        if base.n_poses < FEWEST_POSES:
+    def __init__(
+        self,
+        base: LegRows,
+        sorts: Sequence[str],
+        travel: float,
+        order: Mapping[str, float],
+        functions: PoseFunctions | None = None,
+    ) -> None:
+        if functions is None and base.n_poses < FEWEST_POSES:
             raise InputError(f"model_error: found {base.n_poses} calibration poses, expected {FEWEST_POSES} or more")
         # where the geometry is hardly known the mode's gradient needs more digits
         self.base: LegRows = base.refined() if isinstance(base, PoseLikelihood) else base
         self.machine, self.layout, self.actuator_weight = base.machine, base.layout, base.actuator_weight
         self._travel, self._order = travel, order
-        self.functions = PoseFunctions(tuple(sorts), self.place_of(base))
+        self.place = self.place_of(base)
+        self.functions = functions or PoseFunctions(tuple(sorts), self.place)
         self._turn, self._seen = _turn_rows(base)
         self.components = self._find_components()
         self._constant = base.log_constant + np.linalg.slogdet(self._turn)[1]
@@ -148,8 +162,8 @@ class FunctionLikelihood(Likelihood):
         """Return what the model errors of each leg, then the sorts of functions, add to the white rows."""
         n_poses, n, n_legs = self._seen.shape
         parts = np.empty((len(self.functions.sorts), n_poses * n, n_poses * n))
-        for k, kernel in enumerate(self.functions.between(self.functions.place, self.functions.place)):
-            whole = np.broadcast_to(kernel, (n_legs, *kernel.shape[1:]))
+        for k, kernel in enumerate(self.functions.between(self.place, self.place)):
+            whole = _for_legs(kernel, n_legs)
             parts[k] = np.einsum("pai,ipq,qbi->paqb", self._seen, whole, self._seen, optimize=True).reshape(
                 parts.shape[1:]
             )
@@ -167,6 +181,13 @@ class FunctionLikelihood(Likelihood):
     def closing_poses(self) -> MeasuredPoses | None:
         """Those of the poses: joints are hardly known where errors may be functions of the pose."""
         return None if self.base.of_poses is None else self.base.of_poses.poses
+
+    def of_errors_at(self, poses: PoseLikelihood) -> FunctionLikelihood:
+        """Return the density of other poses with such errors; in their own order where any is not known here."""
+        names, order = poses.pose_names, self._order
+        if order and not set(names) <= set(order):
+            order = {name: k / len(names) for k, name in enumerate(names)}
+        return FunctionLikelihood(poses, self.functions.sorts, self._travel, order, self.functions)
 
     @property
     def n_poses(self) -> int:
@@ -219,7 +240,7 @@ class FunctionLikelihood(Likelihood):
 
     def error_covariance(self, model_error: Array) -> Array:
         """Return the covariance of each pose's rows by itself, shape (P, K, K), for amplitudes (N + C,)."""
-        own = [np.diagonal(one, axis1=1, axis2=2) for one in self.functions.between(*2 * [self.functions.place])]
+        own = [np.diagonal(one, axis1=1, axis2=2) for one in self.functions.between(*2 * [self.place])]
         square = sum(s**2 * one for s, one in zip(model_error[self.n_legs :], own, strict=True))  # (N or 1, P)
         shown = self.base.rows_of_legs * np.sqrt(self.actuator_weight * np.asarray(square).T)[:, None, :]
         return self.base.error_covariance(model_error[: self.n_legs]) + shown @ np.swapaxes(shown, -1, -2)
@@ -236,6 +257,24 @@ class FunctionLikelihood(Likelihood):
         """Return the same of derivatives (P, K, m): (M, m) and (P (K - N'), m)."""
         white, n_seen, m = self._turn @ slope, self._seen.shape[1], slope.shape[-1]
         return white[:, :n_seen].reshape(-1, m), white[:, n_seen:].reshape(-1, m)
+
+    def whiten(self, model_error: Array) -> Callable[[Array], Array]:
+        """Return what makes rows (P, K, n) white, those of a pose given the poses before it."""
+        factor, n_seen = self.components.factorise(model_error**2), self._seen.shape[1]
+
+        def apply(rows: Array) -> Array:
+            white = self._turn @ rows
+            seen = factor.rows(white[:, :n_seen].reshape(-1, rows.shape[-1]))
+            return np.concatenate([seen.reshape(-1, n_seen, rows.shape[-1]), white[:, n_seen:]], axis=1)
+
+        return apply
+
+    def batches(self, size: int, n_others: int = 0) -> list[slice]:
+        """Return which of so many vectors are taken together, where rows of so many other poses are predicted, too."""
+        return batches(size, max(self.components.size, n_others * self._turn.shape[-1]))
+
+    def _batches(self, size: int) -> list[slice]:
+        return self.batches(size)
 
     # --- density -------------------------------------------------------------------------------------------------
 
@@ -369,8 +408,8 @@ class FunctionLikelihood(Likelihood):
 
     def _across(self, poses: LegRows, amplitudes: Array) -> Array:
         """Return the covariance of √w g at other poses with e, (B, Q, N, M), of amplitudes (B, N + C)."""
-        kernels, n = self.functions.between(self.place_of(poses), self.functions.place), self.n_legs
-        whole = np.stack([np.broadcast_to(one, (n, *one.shape[1:])) for one in kernels])
+        kernels, n = self.functions.between(self.place_of(poses), self.place), self.n_legs
+        whole = np.stack([_for_legs(one, n) for one in kernels])
         summed = np.einsum("bt,tiqp->biqp", amplitudes[:, n:] ** 2, whole, optimize=True)
         found = np.einsum("biqp,pai->bqipa", summed, self._seen, optimize=True)
         return (np.sqrt(poses.actuator_weight)[..., None, None] * found).reshape(*found.shape[:3], -1)
@@ -378,45 +417,86 @@ class FunctionLikelihood(Likelihood):
     def _own(self, poses: LegRows, amplitudes: Array) -> Array:
         """Return the covariance of √w g at and between other poses, (B, N, Q, Q)."""
         place, n, root = self.place_of(poses), self.n_legs, np.sqrt(poses.actuator_weight).T
-        kernels = self.functions.between(place, place)
-        whole = np.stack([np.broadcast_to(one, (n, *one.shape[1:])) for one in kernels])
+        whole = np.stack([_for_legs(one, n) for one in self.functions.between(place, place)])
         summed = np.einsum("bt,tiqr->biqr", amplitudes[:, n:] ** 2, whole, optimize=True)
         return np.asarray(summed * root[:, :, None] * root[:, None, :])
 
-    def condition(self, poses: LegRows, theta: Array, model_error: Array) -> Conditional:
-        """Return √w g at Q poses given the errors at the calibration poses, for (B, D) and amplitudes (B, N + C)."""
-        seen, _ = self._split(self.base.errors(theta))
-        parts = []
-        for part in batches(len(theta), self.components.size):
-            across = self._across(poses, model_error[part])
-            b, q, n, m = across.shape
-            flat = across.reshape(b, q * n, m)
-            solved = np.linalg.solve(self.components.covariances(model_error[part] ** 2), np.swapaxes(flat, -1, -2))
-            mean = np.einsum("bmr,bm->br", solved, seen[part]).reshape(b, q, n)
-            taken = np.einsum("bqim,bmqj->bqij", across, solved.reshape(b, m, q, n), optimize=True)
-            own = np.einsum("biqq->bqi", self._own(poses, model_error[part]))
-            parts.append((mean, own[..., None] * np.eye(n) - taken))
-        return Conditional(*(np.concatenate(one) for one in zip(*parts, strict=True)))
+    def leave_out(self, theta: Array, model_error: Array) -> tuple[Array, Array]:
+        """Return each pose's rows as read minus expected from all other poses, (B, P, K), and their covariance.
 
-    def joint(self, poses: LegRows, theta: Array, model_error: Array) -> Array:
-        """Return the log-density of all held-back poses together, given the calibration poses, shape (B,)."""
+        The covariance, shape (B, P, K, K), is that of reading them; vectors are (B, D) and amplitudes (B, N + C).
+        """
+        seen, unseen = self._split(self.base.errors(theta))
+        deviation, precision = self.components.leave_out(model_error**2, seen)
+        n_seen, k = self._seen.shape[1], self._turn.shape[-1]
+        white = np.broadcast_to(np.eye(k), (*deviation.shape[:2], k, k)).copy()
+        white[..., :n_seen, :n_seen] = np.linalg.inv(precision)
+        back = np.linalg.inv(self._turn)
+        rows = (back @ np.concatenate([deviation, unseen], axis=-1)[..., None])[..., 0]
+        return rows, back @ white @ np.swapaxes(back, -1, -2)
+
+    def predict(self, poses: LegRows, theta: Array, model_error: Array) -> tuple[Array, Array]:
+        """Return rows of Q other poses as read minus expected from the calibration poses, (B, Q, K), and covariance.
+
+        The covariance, shape (B, Q, K, Q, K), is that of reading all of them; vectors are (B, D), amplitudes
+        (B, N + C).
+        """
         known, _ = self._split(self.base.errors(theta))
         rows, shown, n = poses.errors(theta), poses.rows_of_legs, self.n_legs
-        found = []
-        for part in batches(len(theta), self.components.size):
-            across = self._across(poses, model_error[part])
-            seen = np.einsum("qki,bqim->bqkm", shown, across).reshape(len(across), -1, across.shape[-1])
-            solved = np.linalg.solve(self.components.covariances(model_error[part] ** 2), np.swapaxes(seen, -1, -2))
-            total = np.einsum("qki,biqr,rli->bqkrl", shown, self._own(poses, model_error[part]), shown, optimize=True)
-            for k, amplitudes in enumerate(model_error[part]):
-                np.einsum("qkql->qkl", total[k])[:] += poses.error_covariance(amplitudes[:n])
-            total = total.reshape(len(across), seen.shape[1], -1) - seen @ solved
-            left = rows[part].reshape(len(across), -1) - np.einsum("bmr,bm->br", solved, known[part])
-            factor = np.linalg.cholesky(total)
-            white = np.linalg.solve(factor, left[..., None])[..., 0]
-            half_log_det = np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
-            found.append(-half_log_det - 0.5 * np.einsum("bm,bm->b", white, white))
-        return np.asarray(np.concatenate(found) + poses.log_constant.sum())
+        seen = np.einsum("qki,bqim->bqkm", shown, self._across(poses, model_error))
+        seen = seen.reshape(len(theta), -1, seen.shape[-1])
+        solved = np.linalg.solve(self.components.covariances(model_error**2), np.swapaxes(seen, -1, -2))
+        total = np.einsum("qki,biqr,rli->bqkrl", shown, self._own(poses, model_error), shown, optimize=True)
+        for k, amplitudes in enumerate(model_error):
+            np.einsum("qkql->qkl", total[k])[:] += poses.error_covariance(amplitudes[:n])
+        total -= (seen @ solved).reshape(total.shape)
+        return rows - np.einsum("bmr,bm->br", solved, known).reshape(rows.shape), total
+
+    # --- the functions -------------------------------------------------------------------------------------------
+
+    def draw_prior(self, place: Place, model_error: Array, rng: np.random.Generator) -> Array:
+        """Return draws of the functions before any data, one of each of amplitudes (B, N + C), at Q poses.
+
+        Shape (B, C, Q, N), mm along the actuators.
+        """
+        scales, found = model_error[:, self.n_legs :], []
+        for k, kernel in enumerate(self.functions.between(place, place)):
+            values, vectors = np.linalg.eigh(kernel)
+            root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
+            normal = rng.standard_normal((len(scales), self.n_legs, kernel.shape[-1]))
+            found.append(scales[:, k, None, None] * np.einsum("iqr,bir->bqi", _for_legs(root, self.n_legs), normal))
+        return np.stack(found, axis=1)
+
+    def draw(
+        self, others: LegRows | None, theta: Array, model_error: Array, rng: np.random.Generator
+    ) -> tuple[Array, Array]:
+        """Return means and draws of the functions given the errors at the calibration poses, (B, C, P + Q, N) each.
+
+        They are at the calibration poses and at Q others behind them, mm along the actuators. A draw of the prior, with
+        all errors, moves by what the data make of how they differ from it (conditioning by kriging: Journel and
+        Huijbregts 1978).
+        """
+        own, n, n_poses = self.place, self.n_legs, self.n_poses
+        place = own if others is None else own.join(self.place_of(others))
+        read, _ = self._split(self.base.errors(theta))
+        drawn = self.draw_prior(place, model_error, rng)
+        alone = model_error[:, None, :n] * rng.standard_normal((len(theta), n_poses, n))
+        made = np.einsum("pai,bpi->bpa", self._seen, drawn[:, :, :n_poses].sum(axis=1) + alone)
+        made = made.reshape(read.shape) + rng.standard_normal(read.shape)
+        mean, kernels = np.empty_like(drawn), self.functions.between(place, own)
+        for k, amplitudes in enumerate(model_error):
+            solved = self.components.factorise(amplitudes**2).solve(np.stack([read[k], read[k] - made[k]], axis=1))
+            by_legs = np.einsum("pai,paz->zpi", self._seen, solved.reshape(n_poses, -1, 2))
+            for c, kernel in enumerate(kernels):
+                moves = np.einsum("iqp,zpi->zqi", _for_legs(kernel, n), by_legs, optimize=True)
+                mean[k, c] = amplitudes[n + c] ** 2 * moves[0]
+                drawn[k, c] += amplitudes[n + c] ** 2 * moves[1]
+        return mean, drawn
+
+
+def _for_legs(kernel: Array, n_legs: int) -> Array:
+    """Return kernels (N or 1, ...) of each leg, (N, ...)."""
+    return np.broadcast_to(kernel, (n_legs, *kernel.shape[1:]))
 
 
 def _turn_rows(base: LegRows) -> tuple[Array, Array]:

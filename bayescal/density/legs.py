@@ -141,6 +141,11 @@ class Likelihood(Elimination[LegSampling, LegErrors]):
     def pose_covariance(self, model_error: Array) -> Array:
         """Return the covariance of `pose_errors`, shape (..., P, 6, 6), for model errors (..., N) in mm."""
 
+    def whiten(self, model_error: Array) -> Callable[[Array], Array]:
+        """Return what makes rows (P, K, n) white under model errors (K,), of the same shape."""
+        whitening = np.linalg.inv(np.linalg.cholesky(self.error_covariance(model_error)))
+        return lambda rows: np.asarray(whitening @ rows)
+
     def parts(self) -> list[tuple[slice, Likelihood]]:
         """Return which poses are best worked on together, each with their density; by default all."""
         return [(slice(None), self)]
@@ -179,6 +184,10 @@ class Likelihood(Elimination[LegSampling, LegErrors]):
     def like(self, other: Likelihood) -> Likelihood:
         """Return a density of other poses that leaves out as much as this one does."""
         return (other.finer() or other) if self.is_solved else other
+
+    def of_errors_at(self, poses: PoseLikelihood) -> Likelihood:
+        """Return the density of other poses whose errors depend on each other as here; by default they do not."""
+        return poses
 
     # --- densities -----------------------------------------------------------------------------------------------
 

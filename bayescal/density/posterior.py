@@ -427,4 +427,4 @@ class Posterior[L: Elimination[Any, Any], S: Sampling, E: Errors]:
             deviations = self.errors.deviations(zeta)
             return float(-0.5 * deviations @ deviations)
 
-        return LinearGeometry(y[:m].copy(), rows, precision, pull, log_prior)
+        return LinearGeometry(y[:m].copy(), rows, precision, pull, log_prior, self.errors.natural)

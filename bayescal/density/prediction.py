@@ -1,6 +1,6 @@
 """What a posterior predicts for measured poses, and how far the measurements lie from it (RR-8096 figures 15 to 17).
 
-With a structured model error the error at a pose is interpolated from those at the others.
+Where errors are functions of the pose the error at a pose is interpolated from those at the others.
 """
 
 from __future__ import annotations
@@ -10,6 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import logsumexp
 
+from bayescal.density.functions import FunctionLikelihood, LegRows
+from bayescal.density.instruments import InstrumentLikelihood
 from bayescal.density.legs import Likelihood, batches
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.structured import StructuredLikelihood
@@ -89,13 +91,19 @@ def replicate(likelihood: Likelihood, theta: Array, model_error: Array, rng: np.
         Bound to the poses to predict.
     theta : ndarray, shape (S, D)
         Posterior draws.
-    model_error : ndarray, shape (S, N) or (N,)
-        Their model errors, mm.
+    model_error : ndarray, shape (S, K) or (K,)
+        Their model errors, mm; functions of the pose are drawn with these scales, whatever the data say of them.
     rng : Generator
         For the noise of the predicted measurements.
     """
     errors = likelihood.pose_errors(theta)
-    return Replicates(errors, _draw_noise(likelihood, model_error, rng.standard_normal(errors.shape)))
+    noise = _draw_noise(likelihood, model_error, rng.standard_normal(errors.shape))
+    if isinstance(likelihood, FunctionLikelihood):
+        base, scales = likelihood.base, np.broadcast_to(model_error, (len(theta), model_error.shape[-1]))
+        drawn = likelihood.draw_prior(likelihood.place, scales, rng).sum(axis=1)
+        shown = base.gain @ base.rows_of_legs * np.sqrt(base.actuator_weight)[:, None, :]
+        noise = noise + np.einsum("pij,spj->spi", shown, drawn)
+    return Replicates(errors, noise)
 
 
 def summarise_misfit(mean: Array, misfit: Array) -> Prediction:
@@ -207,3 +215,97 @@ def pointwise_given(
         single.append(poses.log_constant - half_log_det - 0.5 * np.sum(white**2, axis=-1))
         together.append(likelihood.joint(poses, theta[part], model_error[part]))
     return np.concatenate(single), np.concatenate(together)
+
+
+# --- functions of several sorts --------------------------------------------------------------------------------------
+
+FUNCTION_DRAWS = 150
+"""Of the posterior, for which the functions are drawn."""
+
+
+@dataclass(frozen=True, eq=False)
+class FunctionDraws:
+    """The errors of N legs that are functions of the pose, of C sorts, as T draws have them, mm along the actuators."""
+
+    mean: Array  # (P, N): at all poses, of all sorts together, posterior mean and 90 % interval
+    low: Array  # (P, N)
+    high: Array  # (P, N)
+    size: Array  # (T, C): root mean square over calibration poses and legs of each sort
+    by_leg: Array  # (T, N): root mean square over calibration poses, of all sorts together
+    mean_by_leg: Array  # (C, N): root mean square over calibration poses of the posterior mean of each sort
+
+
+def draw_functions(
+    likelihood: FunctionLikelihood, others: LegRows | None, theta: Array, model_error: Array, rng: np.random.Generator
+) -> FunctionDraws:
+    """Return the functions at the calibration poses and at others behind them, of draws (T, D) and (T, N + C)."""
+    mean, drawn = likelihood.draw(others, theta, model_error, rng)
+    own, total = slice(0, likelihood.n_poses), drawn.sum(axis=1)
+    low, high = np.quantile(total, [0.5 - INTERVAL / 2, 0.5 + INTERVAL / 2], axis=0)
+    return FunctionDraws(
+        mean.sum(axis=1).mean(axis=0),
+        low,
+        high,
+        np.sqrt(np.mean(drawn[:, :, own] ** 2, axis=(2, 3))),
+        np.sqrt(np.mean(total[:, own] ** 2, axis=1)),
+        np.sqrt(np.mean(mean.mean(axis=0)[:, own] ** 2, axis=1)),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Given:
+    """Poses as draws predict them from the errors at the calibration poses, a calibration pose from all others."""
+
+    pointwise: Array  # (S, Q): log-density of each
+    together: Array | None  # (S,): of all of them; of the calibration poses there is none
+    replicates: Replicates  # of the chosen draws
+
+
+def predict_given(
+    likelihood: FunctionLikelihood,
+    others: LegRows | None,
+    theta: Array,
+    model_error: Array,
+    chosen: np.ndarray,
+    rng: np.random.Generator,
+) -> Given:
+    """Return what draws predict of other poses, or, where there are none, of each calibration pose without itself.
+
+    Parameters
+    ----------
+    likelihood : FunctionLikelihood
+        Of the calibration poses.
+    others : PoseLikelihood, InstrumentLikelihood or None
+    theta : ndarray, shape (S, D)
+    model_error : ndarray, shape (S, N + C)
+    chosen : ndarray of int, shape (T,)
+        Draws whose replicates are wanted, in ascending order.
+    rng : Generator
+    """
+    poses, single, together, errors, noise = others or likelihood.base, [], [], [], []
+    for part in likelihood.batches(len(theta), 0 if others is None else others.n_poses):
+        if others is None:
+            rows, own = likelihood.leave_out(theta[part], model_error[part])
+        else:
+            rows, covariance = likelihood.predict(others, theta[part], model_error[part])
+            own = np.einsum("bqkql->bqkl", covariance)
+            flat = rows.reshape(len(rows), -1)
+            together.append(_weigh(flat, np.linalg.cholesky(covariance.reshape(*flat.shape, -1))))
+        factor = np.linalg.cholesky(own)
+        single.append(_weigh(rows, factor))
+        mine = chosen[(chosen >= part.start) & (chosen < part.stop)] - part.start
+        normal = rng.standard_normal((len(mine), *rows.shape[1:], 1))
+        errors.append((poses.gain @ rows[mine][..., None])[..., 0])
+        noise.append((poses.gain @ (factor[mine] @ normal))[..., 0])
+    constant = poses.log_constant
+    total = np.concatenate(together) + constant.sum() if together else None
+    known = poses.instrument.rows.measured if isinstance(poses, InstrumentLikelihood) else True
+    read = np.where(known, np.concatenate(errors), np.nan)
+    return Given(np.concatenate(single) + constant, total, Replicates(read, np.concatenate(noise)))
+
+
+def _weigh(rows: Array, factor: Array) -> Array:
+    """Return normal log-densities of rows (..., M) but for 2 π, with Cholesky factors (..., M, M)."""
+    white = np.linalg.solve(factor, rows[..., None])[..., 0]
+    half_log_det = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(axis=-1)
+    return np.asarray(-half_log_det - 0.5 * np.sum(white**2, axis=-1))

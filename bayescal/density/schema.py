@@ -90,8 +90,10 @@ class KernelConfig(Section):
     """Whether every leg has a scale of its own."""
 
     def name_for(self, choice: KernelChoiceConfig) -> KernelName:
-        """Return the kernel of a variant: its own, or that of all."""
-        return choice.model_error if isinstance(choice.model_error, str) else self.kernel
+        """Return the kernel of a variant: its own, or that of all where it names no terms of its own."""
+        if isinstance(choice.model_error, list):
+            return INDEPENDENT
+        return choice.model_error or self.kernel
 
     def length_for(self, choice: KernelChoiceConfig) -> float:
         """Return the length of a variant's kernel, or the median of its prior, in ranges of the actuators."""

@@ -1,9 +1,10 @@
 """Coordinates in which geometry is normal whatever the errors are, where that is known in closed form.
 
 Given the unknowns ζ of the errors the geometry is normal to first order, y | ζ ~ N(μ(ζ), C(ζ)), and so the density of ζ
-alone is known, too: few, they are drawn by importance. Mean and Cholesky factor of C are then fitted by quadratics of ζ
-to draws, y = μ(ζ) + F(ζ) x, in a basis in which C is nearly diagonal for all of them: a triangular map that is close to
-the exact one and costs next to nothing. A map that is a little off costs draws of the proposal, and nothing else.
+alone is known, too: few, they are drawn by importance. Mean and Cholesky factor of C are then fitted to draws of ζ by
+cubics of log(s² + r), s the errors' sizes: flat where an error is too small to matter, straight where it is large. The
+map y = μ + F x that they give is triangular in a basis in which C is nearly diagonal for all ζ, close to the exact one,
+and costs next to nothing. A map that is a little off costs draws of the proposal, and nothing else.
 """
 
 from __future__ import annotations
@@ -14,7 +15,6 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
 
 from bayescal.density.components import LinearGeometry
 from bayescal.inference.scales import sample_scales
@@ -22,10 +22,54 @@ from bayescal.inference.target import Target
 from bayescal.numerics.geometry import Array
 
 N_DRAWS: Final = 1000  # of the proposal of ζ
-NODES_PER_FEATURE: Final = 15  # at which the map is fitted
-MOST_NODES: Final = 400
+NODES_PER_FEATURE: Final = 6  # at which the map is fitted
+MOST_NODES: Final = 800
 WIDER: Final = 1.3  # standard deviations of half of the nodes in those of the draws
-BOUND: Final = 4.0  # standard deviations of ζ at which quadratics level off
+BOUND: Final = 4.0  # standard deviations of log(s² + r) at which features level off
+REST: Final = 0.1  # r, in medians of s²
+
+
+@dataclass(frozen=True, eq=False)
+class Features:
+    """Functions of ζ that maps are made of.
+
+    Attributes
+    ----------
+    sizes : callable
+        From ζ (B, k) to the errors' sizes s (B, k).
+    rest : ndarray, shape (k,)
+        r.
+    place, width : ndarray, shape (k,)
+        Mean and standard deviation of log(s² + r).
+    is_cubic : bool
+        Whether there are products of three.
+    """
+
+    sizes: Callable[[Array], Array]
+    rest: Array
+    place: Array
+    width: Array
+    is_cubic: bool
+
+    @classmethod
+    def fit(cls, sizes: Callable[[Array], Array], draws: Array) -> Features:
+        """Return those of draws (T, k)."""
+        square = sizes(draws) ** 2
+        rest = np.maximum(REST * np.median(square, axis=0), np.finfo(float).tiny)
+        log = np.log(square + rest)
+        k = draws.shape[1]
+        n_cubic = 1 + k + k * (k + 1) // 2 + k**2
+        return cls(sizes, rest, log.mean(axis=0), log.std(axis=0) + 1e-9, n_cubic * NODES_PER_FEATURE <= MOST_NODES)
+
+    def list(self, zeta: Array) -> Array:
+        """Return them at ζ, (B, k) to (B, f): one, coordinates, products of two, and of three but for distinct ones."""
+        white = (np.log(self.sizes(zeta) ** 2 + self.rest) - self.place) / self.width
+        one = white / np.sqrt(1.0 + (white / BOUND) ** 2)
+        first, second = np.triu_indices(one.shape[1])
+        parts = [np.ones((len(one), 1)), one, one[:, first] * one[:, second]]
+        if self.is_cubic:
+            parts.append((one[:, :, None] ** 2 * one[:, None, :]).reshape(len(one), -1))
+        return np.concatenate(parts, axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,8 +82,7 @@ class ConditionalMap:
         c.
     basis, inverse : ndarray, shape (m, m)
         B and B⁻¹.
-    place, whitening : ndarray, shapes (k,) and (k, k)
-        Mean of ζ and the inverse of its covariance's Cholesky factor.
+    features : Features
     coefficients : ndarray, shape (f, m (m + 3) / 2)
         Of logarithms of F's diagonal, of F below it over its columns' diagonal, of μ; by features of ζ.
     errors : ndarray, shape (T, k)
@@ -49,15 +92,14 @@ class ConditionalMap:
     centre: Array
     basis: Array
     inverse: Array
-    place: Array
-    whitening: Array
+    features: Features
     coefficients: Array
     errors: Array
 
     def open(self, zeta: Array) -> tuple[Array, Array, Array]:
         """Return F (B, m, m), μ (B, m) and log |B F| (B,) at ζ (B, k)."""
         m = len(self.centre)
-        values = _list_features((zeta - self.place) @ self.whitening.T) @ self.coefficients
+        values = self.features.list(zeta) @ self.coefficients
         factor = np.zeros((len(zeta), m, m))
         factor[:, *np.tril_indices(m, -1)] = values[:, m:-m]
         factor[:, *np.diag_indices(m)] = 1.0
@@ -77,13 +119,6 @@ class ConditionalMap:
         return np.asarray(np.linalg.solve(factor, ((y - self.centre) @ self.inverse.T - shift)[..., None])[..., 0])
 
 
-def _list_features(white: Array) -> Array:
-    """Return one, bounded coordinates and their products, (B, k) to (B, f)."""
-    bounded = white / np.sqrt(1.0 + (white / BOUND) ** 2)
-    first, second = np.triu_indices(white.shape[1])
-    return np.concatenate([np.ones((len(white), 1)), bounded, bounded[:, first] * bounded[:, second]], axis=1)
-
-
 def fit_conditional(posterior: Target, y: Array) -> ConditionalMap | None:
     """Return the map of a posterior about a mode (n,); None where nothing is known in closed form.
 
@@ -93,19 +128,15 @@ def fit_conditional(posterior: Target, y: Array) -> ConditionalMap | None:
     if linear is None or len(y) == posterior.n_geometry:
         return None
     rng = np.random.default_rng(1803)
-    draws = sample_scales(_density_of(linear), y[posterior.n_geometry :], N_DRAWS, N_DRAWS, rng).draws
+    draws = sample_scales(linear.log_mass, y[posterior.n_geometry :], N_DRAWS, N_DRAWS, rng).draws
     return _fit(linear, draws, rng)
 
 
-def _density_of(linear: LinearGeometry) -> Callable[[Array], float]:
-    return lambda zeta: linear.given(zeta).log_mass
-
-
 def _fit(linear: LinearGeometry, draws: Array, rng: np.random.Generator) -> ConditionalMap:
-    place, k = draws.mean(axis=0), draws.shape[1]
-    spread = cholesky(np.atleast_2d(np.cov(draws.T)) + 1e-9 * np.eye(k), lower=True)
-    half = min(MOST_NODES, NODES_PER_FEATURE * (1 + k + k * (k + 1) // 2)) // 2
-    wide = place + WIDER * rng.standard_normal((half, k)) @ spread.T
+    features, k = Features.fit(linear.sizes, draws), draws.shape[1]
+    half = min(MOST_NODES, NODES_PER_FEATURE * features.list(draws[:1]).shape[1]) // 2
+    spread = np.linalg.cholesky(np.atleast_2d(np.cov(draws.T)) + 1e-9 * np.eye(k))
+    wide = draws.mean(axis=0) + WIDER * rng.standard_normal((half, k)) @ spread.T
     nodes = np.concatenate([wide, draws[rng.choice(len(draws), half)]])
     given = [linear.given(zeta) for zeta in nodes]
     mean, covariance = np.stack([one.mean for one in given]), np.stack([one.covariance for one in given])
@@ -118,7 +149,5 @@ def _fit(linear: LinearGeometry, draws: Array, rng: np.random.Generator) -> Cond
     diagonal = np.diagonal(factor, axis1=1, axis2=2)
     below = (factor / diagonal[:, None, :])[:, *np.tril_indices(len(root), -1)]
     wanted = np.concatenate([np.log(diagonal), below, (mean - centre) @ inverse.T], axis=1)
-    whitening = solve_triangular(spread, np.eye(k), lower=True)
-    features = _list_features((nodes - place) @ whitening.T)
-    coefficients = np.linalg.lstsq(features, wanted, rcond=None)[0]
-    return ConditionalMap(centre, basis, inverse, place, whitening, coefficients, draws)
+    coefficients = np.linalg.lstsq(features.list(nodes), wanted, rcond=None)[0]
+    return ConditionalMap(centre, basis, inverse, features, coefficients, draws)

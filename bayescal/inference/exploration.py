@@ -326,7 +326,10 @@ def _follow_ridges(
     peaks = [_peak_in(straight, mode) for mode in modes]
     if straight.ridges is None:
         return straight, peaks, found
-    straight, peaks = _sharpen(straight, peaks[0], modes, curve=True)
+    if straight.conditional is None:
+        straight, peaks = _sharpen(straight, peaks[0], modes, curve=True)
+    else:
+        peaks[0] = _peak_of_errors(straight)
     traced = _try_peaks(straight, peaks, modes, rng)
     return straight, peaks, traced if traced.efficiency >= min(enough, found.efficiency) else found
 

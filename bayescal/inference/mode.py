@@ -261,7 +261,7 @@ def _climb_given_errors(posterior: Target, start: Array) -> Climb:
     for _ in range(MOST_STEPS):
         linear = posterior.linear_geometry(y)
         assert linear is not None
-        y[m:] = find_scales_mode(lambda zeta, at=linear: at.given(zeta).log_mass, y[m:])
+        y[m:] = find_scales_mode(linear.log_mass, y[m:])
         given = linear.given(y[m:])
         step, here = given.mean - y[:m], float(posterior.log_density(y[None])[0])
         for share in 0.5 ** np.arange(HALVINGS):

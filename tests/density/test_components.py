@@ -62,7 +62,7 @@ def test_geometry_given_the_errors_is_that_of_the_joint_normal(components):
         residual, slope, np.zeros((4, 4)), np.zeros(4), lambda zeta: components.factorise(np.exp(zeta) * VARIANCES)
     )
     # a standard normal prior about zero
-    linear = LinearGeometry(centre, rows, np.eye(4), -centre, lambda zeta: float(-0.5 * zeta @ zeta))
+    linear = LinearGeometry(centre, rows, np.eye(4), -centre, lambda zeta: float(-0.5 * zeta @ zeta), np.exp)
     masses, expected = [], []
     for zeta in (np.zeros(3), np.array([0.5, -1.0, 0.2])):
         given, noise = linear.given(zeta), plain(components, np.exp(zeta) * VARIANCES)

@@ -6,11 +6,12 @@ import telescope_machines as machines
 from scipy.stats import multivariate_normal
 
 from bayescal.data.instruments.readings import PoseReadings
-from bayescal.density.errors import FunctionScales, ModelError
+from bayescal.density.errors import FunctionScales, LegErrors, ModelError
 from bayescal.density.functions import SORTS, FunctionLikelihood
 from bayescal.density.instruments import InstrumentLikelihood
 from bayescal.density.legs import build_leg_posterior
 from bayescal.density.pose_likelihood import PoseLikelihood
+from bayescal.density.prediction import predict_given
 from bayescal.density.priors import HalfCauchyPrior, NormalPrior
 from bayescal.errors import InputError
 from bayescal.numerics.geometry import rotation_vector_from_matrix
@@ -126,19 +127,104 @@ def test_held_back_poses_given_calibration(two):
     given = covariance[np.ix_(other, known)] @ np.linalg.inv(covariance[np.ix_(known, known)])
     mean = given @ rows[known]
     left = covariance[np.ix_(other, other)] - given @ covariance[np.ix_(known, other)]
-    found = likelihood.condition(held, theta[None], AMPLITUDES[None])
-    shown = held.rows_of_legs
-    assert (shown @ found.mean[0][..., None]).ravel() == pytest.approx(mean, abs=1e-9)
-    predicted = shown @ found.covariance[0] @ shown.swapaxes(-1, -2) + held.error_covariance(AMPLITUDES[:6])
-    expected = np.einsum("qkql->qkl", left.reshape(N_HELD, k, N_HELD, k))
-    assert predicted == pytest.approx(expected, rel=1e-6, abs=1e-12)
-    joint = multivariate_normal.logpdf(rows[other], mean, left)
-    alone = held.pointwise(theta[None], np.zeros(6))[0].sum()
-    plain = sum(
+    deviation, predicted = likelihood.predict(held, theta[None], AMPLITUDES[None])
+    assert deviation[0].ravel() == pytest.approx(rows[other] - mean, abs=1e-9)
+    assert predicted[0].reshape(left.shape) == pytest.approx(left, rel=1e-6, abs=1e-12)
+    # constants of single poses are those of their own density without functions
+    known_noise = held.error_covariance(np.zeros(6))
+    alone = held.pointwise(theta[None], np.zeros(6))[0]
+    plain = [
         multivariate_normal.logpdf(one, cov=noise)
-        for one, noise in zip(held.errors(theta[None])[0], held.error_covariance(np.zeros(6)), strict=True)
+        for one, noise in zip(held.errors(theta[None])[0], known_noise, strict=True)
+    ]
+    twice, both = np.array([theta, theta]), np.array([AMPLITUDES, AMPLITUDES])
+    found = predict_given(likelihood, held, twice, both, np.array([1]), np.random.default_rng(5))
+    joint = multivariate_normal.logpdf(rows[other], mean, left) + np.sum(alone - plain)
+    assert found.together == pytest.approx(np.full(2, joint), abs=1e-6)
+    for pose in range(N_HELD):
+        mine = slice(pose * k, (pose + 1) * k)
+        single = multivariate_normal.logpdf((rows[other] - mean)[mine], cov=left[mine, mine])
+        assert found.pointwise[:, pose] == pytest.approx(np.full(2, single + alone[pose] - plain[pose]), abs=1e-6)
+    assert found.replicates.errors.shape == (1, N_HELD, 6)
+    seen = held.gain @ (rows[other] - mean).reshape(N_HELD, k, 1)
+    known_part = np.isfinite(found.replicates.errors[0])
+    assert found.replicates.errors[0][known_part] == pytest.approx(seen[..., 0][known_part], abs=1e-9)
+    assert known_part.all() == (calibration.of_poses is not None)
+
+
+def test_calibration_poses_are_predicted_without_themselves(two):
+    calibration, held, theta = two
+    likelihood = build(calibration, held)
+    rows, covariance, k = plain_normal(likelihood.base, held, theta, AMPLITUDES)
+    deviation, left = likelihood.leave_out(theta[None], AMPLITUDES[None])
+    own = N_POSES * k
+    for pose in (0, 5):
+        mine = np.arange(pose * k, (pose + 1) * k)
+        rest = np.setdiff1d(np.arange(own), mine)
+        given = covariance[np.ix_(mine, rest)] @ np.linalg.inv(covariance[np.ix_(rest, rest)])
+        assert deviation[0, pose] == pytest.approx(rows[mine] - given @ rows[rest], abs=1e-9)
+        expected = covariance[np.ix_(mine, mine)] - given @ covariance[np.ix_(rest, mine)]
+        assert left[0, pose] == pytest.approx(expected, rel=1e-6, abs=1e-12)
+    found = predict_given(likelihood, None, theta[None], AMPLITUDES[None], np.array([0]), np.random.default_rng(5))
+    assert found.pointwise == pytest.approx(likelihood.pointwise(theta[None], AMPLITUDES[None]), abs=1e-7)
+    assert found.together is None
+
+
+def test_white_rows_have_the_square_of_all_rows_together(two):
+    calibration, held, theta = two
+    likelihood = build(calibration, held)
+    rows, covariance, k = plain_normal(likelihood.base, held, theta, AMPLITUDES)
+    own = slice(0, N_POSES * k)
+    slope = np.random.default_rng(2).standard_normal((N_POSES, k, 3))
+    white = likelihood.whiten(AMPLITUDES)(np.concatenate([rows[own].reshape(N_POSES, k, 1), slope], axis=-1))
+    both = np.concatenate([rows[own, None], slope.reshape(-1, 3)], axis=1)
+    expected = both.T @ np.linalg.solve(covariance[own, own], both)
+    assert white.shape == (N_POSES, k, 4)
+    assert np.einsum("pki,pkj->ij", white, white) == pytest.approx(expected, rel=1e-6)
+
+
+def test_functions_drawn_given_the_data(two):
+    calibration, held, theta = two
+    likelihood = build(calibration, held)
+    rows, covariance, k = plain_normal(likelihood.base, held, theta, AMPLITUDES)
+    own = N_POSES * k
+    n_draws = 4000
+    machines_, scales = np.tile(theta, (n_draws, 1)), np.tile(AMPLITUDES, (n_draws, 1))
+    mean, drawn = likelihood.draw(held, machines_, scales, np.random.default_rng(7))
+    assert mean.shape == drawn.shape == (n_draws, 4, N_POSES + N_HELD, 6)
+    # the plain normal of leg 3's linear function at all poses together with the rows
+    both = (likelihood.base, held)
+    z = np.concatenate([one.actuators for one in both]) - machines.INITIAL_POSITION
+    z, t = z / machines.ACTUATOR_RANGE, np.arange(N_POSES + N_HELD) / 12
+    shown = likelihood.base.rows_of_legs * np.sqrt(likelihood.base.actuator_weight)[:, None]
+    for sort, leg in ((0, 2), (1, 4), (3, 0)):
+        norm = np.mean([np.diag(plain_kernel(z, t, sort, one))[:N_POSES] for one in range(6)])
+        kernel = AMPLITUDES[6 + sort] ** 2 * plain_kernel(z, t, sort, leg) / norm
+        across = np.einsum("qp,pk->qpk", kernel[:, :N_POSES], shown[:, :, leg]).reshape(len(z), -1)
+        given = across @ np.linalg.inv(covariance[:own, :own])
+        expected = given @ rows[:own]
+        assert mean[0, sort, :, leg] == pytest.approx(expected, rel=1e-6, abs=1e-9)
+        left = np.sqrt(np.maximum(np.diag(kernel - given @ across.T), 0.0))
+        away = drawn[:, sort, :, leg] - expected
+        assert np.abs(away.mean(axis=0)).max() < 4.5 * left.max() / np.sqrt(n_draws)
+        assert away.std(axis=0) == pytest.approx(left, rel=0.06, abs=1e-9)
+
+
+@pytest.mark.parametrize("floors", [{}, {"linear": 0.01, "smooth": 0.003}])
+def test_amplitudes_are_never_below_their_floors(floors):
+    terms = [ModelError(0.01, True, 0.004), FunctionScales(tuple(SORTS), 0.02, floors)]
+    errors = LegErrors.of_legs(2, terms)
+    zeta = np.array([-30.0, -30.0, 0.3, -0.5, 0.1])
+    found = errors.amplitudes(zeta)
+    assert found[[0, 2, 4]] == pytest.approx(
+        [0.004, floors.get("linear", 0.0), np.hypot(errors.natural(zeta)[3], floors.get("smooth", 0.0))], abs=1e-12
     )
-    assert likelihood.joint(held, theta[None], AMPLITUDES[None])[0] == pytest.approx(joint + alone - plain, abs=1e-6)
+    assert errors.amplitudes_of(errors.natural(zeta[None]))[0] == pytest.approx(found)
+    zeta, step = np.array([0.2, -0.4, 0.3, -0.5, 0.1]), 1e-5
+    ahead, behind = (np.array([errors.amplitudes(zeta + sign * one) for one in step * np.eye(5)]) for sign in (1, -1))
+    assert errors.slopes_of_amplitudes(zeta) == pytest.approx((ahead - behind) / (2 * step), rel=1e-6, abs=1e-10)
+    second = (ahead - 2 * errors.amplitudes(zeta) + behind) / step**2
+    assert errors.curvatures_of_amplitudes(zeta) == pytest.approx(second, rel=1e-3, abs=1e-6)
 
 
 def build_posterior(likelihood, shared=True):
@@ -183,7 +269,7 @@ def test_poses_at_home_have_no_functions(two):
     home = np.broadcast_to(machines.INITIAL_POSITION, calibration.actuators.shape)
     likelihood = build(calibration)
     functions = type(likelihood.functions)(
-        likelihood.functions.sorts, likelihood.functions.place._replace(travel=0.0 * home)
+        likelihood.functions.sorts, likelihood.place._replace(travel=0.0 * home)
     )
     with pytest.raises(InputError, match="at home"):
         functions.between(functions.place, functions.place)

@@ -94,7 +94,8 @@ class MeasuredVariant:
     def with_poses(self, poses: MeasuredPoses) -> MeasuredVariant:
         """Return the variant as if other poses had been measured."""
         likelihood = PoseLikelihood(self.machine, poses, self.actuator_noise, self.actuator_variance)
-        return replace(self, poses=poses, posterior=replace(self.posterior, likelihood=likelihood))
+        dependent = self.posterior.likelihood.of_errors_at(likelihood)
+        return replace(self, poses=poses, posterior=replace(self.posterior, likelihood=dependent))
 
 
 @dataclass(frozen=True)

@@ -69,23 +69,21 @@ def find_misfit(
     """
     theta = posterior.theta(mode[None])[0]
     amplitudes = posterior.errors.amplitudes(posterior.zeta(mode[None]))
-    model_error = np.broadcast_to(amplitudes, (1, likelihood.n_model_errors))[0]
-    whitening = np.linalg.inv(np.linalg.cholesky(likelihood.error_covariance(model_error)))
+    whiten = likelihood.whiten(np.broadcast_to(amplitudes, (1, likelihood.n_model_errors))[0])
     errors = likelihood.errors(theta[None])[0]
     change = posterior.sampling.jacobian(theta)
     by_machine = turn_to_coordinates(likelihood.error_jacobian(theta)[1], change)
     prior_slope = posterior.sampling.prior_slope(change)
     extra = np.empty((*errors.shape, 0)) if shared is None else shared
+    white = whiten(np.concatenate([errors[..., None], by_machine, extra], axis=-1))
     if counted is not None:
-        errors, whitening = errors[counted], whitening[counted]
-        by_machine, extra = by_machine[counted], extra[counted]
-    slope = whitening @ np.concatenate([by_machine, extra], axis=-1)
+        errors, white = errors[counted], white[counted]
     n_extra = extra.shape[-1]
     prior = np.concatenate([posterior.sampling.prior_residual(mode[: posterior.n_geometry], theta), np.zeros(n_extra)])
     # rows beyond what was measured at a pose are exactly zero
     return fit_rows(
-        (whitening @ errors[..., None])[..., 0],
-        slope,
+        white[..., 0],
+        white[..., 1:],
         prior,
         block_diag(prior_slope, np.eye(n_extra)),
         int(np.count_nonzero(errors)),

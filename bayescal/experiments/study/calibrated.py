@@ -52,10 +52,12 @@ from bayescal.experiments.shared.readings.workspace import build_workspace
 from bayescal.experiments.shared.study_inputs import Inputs
 from bayescal.experiments.shared.study_schema import StudyConfig, VariantConfig, stem_of
 from bayescal.experiments.study.inputs import StudyInputs, load_inputs
+from bayescal.experiments.study.model_error import BY_LEG
 from bayescal.files.csv_tables import format_table, read_table
 from bayescal.machines.read import list_machine_sources
 from bayescal.machines.readings import Legs, ReadingModel
 from bayescal.numerics.geometry import Array
+from bayescal.numerics.units import MICROMETRE
 
 COMMANDS = "commands.csv"
 """Of all variants, where all take in the same poses."""
@@ -110,14 +112,21 @@ def _write_commands(poses: Sequence[str], columns: Mapping[str, Array]) -> str:
 
 
 def tabulate_leg_errors(inputs: StudyInputs, fits: Mapping[str, Fit]) -> pd.DataFrame:
-    """Return by what each actuator errs, of every variant with its model error: σ_ρ, and the root mean square of τ."""
-    rows = []
+    """Return by what each actuator errs, of every variant with its model error, root mean squares, mm.
+
+    That is σ_ρ as noise; as model error τ, and errors that are functions of the pose as large as they are at the
+    calibration poses.
+    """
+    rows, floor = [], inputs.config.leg_error.floors().get("independent", 0.0) * MICROMETRE
     for name, fit in fits.items():
         square = dict(zip(fit.names, fit.mean**2 + fit.sd**2, strict=True))
+        by_leg = fit.evaluated.get(BY_LEG, np.zeros((1, inputs.mechanism.n_legs)))
+        functions = np.mean(by_leg**2, axis=0)
         for leg, channel in enumerate(Legs(inputs.machine(inputs.variant(name))).names[: inputs.mechanism.n_legs], 1):
-            tau = float(np.sqrt(square.get(TAU, square.get(f"{TAU}[{leg}]", 0.0))))
+            tau = square.get(TAU, square.get(f"{TAU}[{leg}]"))
+            variance = functions[leg - 1] + (0.0 if tau is None else tau + floor**2)
             own = {"variant": name, "channel": channel, "unit": "mm"}
-            rows.append({**own, "noise": inputs.actuator_noise, "model_error": tau})
+            rows.append({**own, "noise": inputs.actuator_noise, "model_error": float(np.sqrt(variance))})
     return pd.DataFrame(rows)
 
 

@@ -36,12 +36,11 @@ def list_outlooks(inputs: StudyInputs) -> list[str]:
         likelihood, known = posterior.likelihood, posterior.sampling.coordinates
         errors, slope = likelihood.error_jacobian(known.start)
         tau = np.full(likelihood.n_model_errors, inputs.config.leg_error.scale_um * MICROMETRE)
-        white = np.linalg.inv(np.linalg.cholesky(likelihood.error_covariance(tau)))
-        rows = white @ slope[..., known.free] * known.scale
+        rows = likelihood.whiten(tau)(slope[..., known.free]) * known.scale
         names, counted = posterior.names[: posterior.n_geometry], np.count_nonzero(errors)
         of = f"{counted} equations of legs at {len(errors)} poses for {len(names)} unknowns"
         found[variant.name] = tell_outlook(of, np.nan_to_num(rows), names)
-    return join_outlooks(found)
+    return [*join_outlooks(found), *filter(None, [inputs.unused])]
 
 
 def find_study_slip(inputs: StudyInputs) -> FoundSlip | None:

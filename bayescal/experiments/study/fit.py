@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from bayescal.density.errors import TAU
 from bayescal.density.exact import ExactDensity
+from bayescal.density.functions import FunctionLikelihood
 from bayescal.density.legs import LegPosterior, Likelihood
 from bayescal.density.prediction import Prediction, replicate
 from bayescal.experiments.frame.memory import Need, estimate_arrays
@@ -30,6 +30,7 @@ from bayescal.experiments.shared.trees import (
     spread,
 )
 from bayescal.experiments.study.inputs import StudyInputs
+from bayescal.experiments.study.model_error import evaluate_functions
 from bayescal.experiments.study.structured import evaluate_structured
 from bayescal.inference.correction import CostlyDensity, pull_back
 from bayescal.inference.exploration import Exploration, count_walkers
@@ -46,6 +47,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 KEPT_DRAWS = 1920  # of each ensemble, for everything after the diagnostics
+DEPENDENT_DRAWS = 250  # where poses depend on each other, whose densities given the others take long
 POSE_NUMBERS = 6
 ONLY_SAVED = ("prior", "prior_misfit")
 """Arrays of a posterior that nothing but its tree has."""
@@ -92,7 +94,9 @@ class Legs(Subject):
 
     def choose(self, shape: tuple[int, int, int]) -> np.ndarray:
         """Thin in time: the same steps of every walker, in order walker by walker."""
-        most = limit_draws(KEPT_DRAWS, shape[0] * len(self.inputs.verification))
+        dependent = isinstance(self.posterior.likelihood, FunctionLikelihood)
+        wanted = DEPENDENT_DRAWS if dependent else KEPT_DRAWS
+        most = limit_draws(wanted, shape[0] * len(self.inputs.verification))
         keep = max(1, -(-shape[1] * shape[2] // most))
         return np.arange(np.prod(shape)).reshape(shape)[:, :, ::keep].reshape(shape[0], -1)
 
@@ -113,10 +117,9 @@ class Legs(Subject):
         That is ``prior_misfit`` (T, P, 6), measured minus replicated poses.
         """
         rng, own = np.random.default_rng(seed), cast("LegPosterior", posterior)
-        likelihood, n_legs = own.likelihood, own.likelihood.n_legs
+        likelihood = own.likelihood
         values, theta = _draw_prior(own, rng, limit_draws(PRIOR_DRAWS, POSE_NUMBERS * likelihood.n_poses))
-        tau = own.zeta(values)[:, own.errors.place(TAU)]
-        errors = np.broadcast_to(tau, (len(tau), n_legs)) if tau.shape[1] else np.zeros(n_legs)
+        errors = own.errors.amplitudes_of(own.zeta(values))
         with np.errstate(all="ignore"):
             made = [replicate(part, theta, errors, rng).misfit for _, part in likelihood.parts()]
         return {"prior": values, "prior_misfit": np.concatenate([one.astype(np.float32) for one in made], axis=1)}
@@ -126,10 +129,13 @@ class Legs(Subject):
         legs, clean = cast("LegPosterior", posterior), None
         if legs.likelihood.structured is not None:
             return find_misfit(legs, mode, legs.likelihood).chi_square
+        likelihood, shared = self.inputs.without_shared_errors(self.task.variant)
+        if isinstance(legs.likelihood, FunctionLikelihood):
+            likelihood = self.inputs.give_functions(likelihood, self.inputs.variant(self.task.variant))
         if legs.errors.outliers.expected:
             at = legs.theta(mode[None]), legs.errors, legs.zeta(mode[None])
             clean = legs.likelihood.outlier_probabilities(*at)[0] < BLUNDER
-        return find_misfit(legs, mode, *self.inputs.without_shared_errors(self.task.variant), clean).chi_square
+        return find_misfit(legs, mode, likelihood, shared, clean).chi_square
 
     def evaluate(self, posterior: Fittable, y: Array, seed: np.random.SeedSequence) -> Arrays:
         """Return pointwise densities and predictions of all poses, in the survey's order, from draws (E, S, n).
@@ -139,13 +145,16 @@ class Legs(Subject):
         own, held, flat = cast("LegPosterior", posterior), self.inputs.verification, y.reshape(-1, y.shape[-1])
         chosen = spread(len(flat), limit_draws(SAVED_DRAWS, POSE_NUMBERS * len(held)))
         structured, pieces = own.likelihood.structured, dict[str, list[Array]]()
+        if isinstance(own.likelihood, FunctionLikelihood):
+            others = self._predict_from(own.likelihood, verification=True) if held.any() else None
+            return evaluate_functions(own, others, held, y, chosen, seed)
         together: Arrays = {}
         for use, rng_seed in zip((False, True), seed.spawn(2), strict=True):
             if not np.any(held == use):
                 continue
             likelihood, rng = own.likelihood, np.random.default_rng(rng_seed)
             if use or structured is not None:  # otherwise that of the same poses is at hand
-                likelihood = likelihood.like(self.inputs.likelihood(self.inputs.variant(self.task.variant), use))
+                likelihood = self._predict_from(likelihood, use)
             if structured is not None and likelihood.of_poses is not None:
                 theta, errors = own.theta(flat), own.errors.amplitudes(own.zeta(flat))
                 found, more = evaluate_structured(structured, likelihood.of_poses, theta, errors, chosen, use, rng)
@@ -158,6 +167,10 @@ class Legs(Subject):
         arrays = {name: np.concatenate(parts)[back] for name, parts in pieces.items()}
         arrays["log_likelihood"] = arrays["log_likelihood"].T.reshape(*y.shape[:2], -1)
         return arrays | together
+
+    def _predict_from(self, likelihood: Likelihood, verification: bool) -> Likelihood:
+        """Return the density of the poses of one use that leaves out as much as another one does."""
+        return likelihood.like(self.inputs.likelihood(self.inputs.variant(self.task.variant), verification))
 
 
 def _evaluate_poses(

@@ -18,16 +18,21 @@ from bayescal.config.registry import find_class
 from bayescal.data.actuators import check_moves, check_range
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.data.photogrammetry.joint_deflection import JointDeflection, KappaEstimate, MatrixEstimate
-from bayescal.density.errors import KernelLength, KernelScale, LegTerm, ModelError
+from bayescal.density.errors import FunctionScales, KernelLength, KernelScale, LegTerm, ModelError
 from bayescal.density.exact import CommonErrors, ExactDensity
+from bayescal.density.functions import FEWEST_POSES, SORTS, FunctionLikelihood
+from bayescal.density.instruments import InstrumentLikelihood
 from bayescal.density.legs import BATCH, LegPosterior, Likelihood, build_leg_posterior, check_machine
 from bayescal.density.outliers import NORMAL, Contaminated
+from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.priors import INDEPENDENT, Prior, SharePrior, build_kernel
+from bayescal.density.schema import TERMS
 from bayescal.density.structured import StructuredLikelihood, count_nodes
 from bayescal.errors import InputError, PoseInputError, name_faults
 from bayescal.experiments.frame.memory import Need, check_arrays
 from bayescal.experiments.shared.measured import MeasuredReadings, MeasuredVariant, see_legs
 from bayescal.experiments.shared.origin import name_origin
+from bayescal.experiments.shared.readings.errors import check_floors
 from bayescal.experiments.shared.readings.instruments import keep_files
 from bayescal.experiments.shared.readings.priors import choose_priors, widen
 from bayescal.experiments.shared.search_memory import check_poses
@@ -58,6 +63,11 @@ if TYPE_CHECKING:
     from bayescal.experiments.frame.parallel import Run
     from bayescal.experiments.shared.estimate import Fit, Subject
     from bayescal.experiments.study.claims import Claims
+
+FEW_POSES = f"fewer than {FEWEST_POSES} poses calibrate the machine"
+MOST_POSES = 150
+"""Calibration poses with errors that are functions of the pose, beyond which their covariance takes too long."""
+ALONE_STATED = 'terms = ["independent"]'
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,10 +205,12 @@ class StudyInputs(Inputs):
     def exact_density(self, variant: VariantConfig, posterior: LegPosterior) -> ExactDensity | None:
         """Return the exact density beside a variant's at the calibration poses.
 
-        None where these are not measured, and where they may be blunders: to these it hardly matters.
+        None where these are not measured, where they may be blunders, to which it hardly matters, and where errors are
+        functions of the pose of several sorts: what the exact density corrects is small beside these.
         """
         poses, structured = posterior.likelihood.of_poses, posterior.likelihood.structured
-        if poses is None or posterior.errors.outliers.expected:
+        of_functions = isinstance(posterior.likelihood, FunctionLikelihood)
+        if poses is None or posterior.errors.outliers.expected or of_functions:
             return None
         errors = self.matrix_errors(variant, verification=False)
         return ExactDensity(poses, self.actuator_noise, errors, structured=structured)
@@ -238,13 +250,17 @@ class StudyInputs(Inputs):
     def posterior(self, variant: VariantConfig, with_model_error: bool, factor: float = 1.0) -> LegPosterior:
         """Return the posterior of a variant; ``factor`` multiplies the widths of all parameters' priors."""
         priors, fixed = self.priors(variant, factor)
-        error = ModelError(None)
-        if with_model_error:
-            scale = self.config.leg_error.scale_um * MICROMETRE
-            error = ModelError(scale, shared=not self.config.leg_error.per_leg)
+        error, known = ModelError(None), self.config.leg_error
         likelihood, terms = self.likelihood(variant, verification=False), list[LegTerm]()
+        if with_model_error and "independent" in known.terms_for(variant):
+            floor = known.floors().get("independent", 0.0) * MICROMETRE
+            error = ModelError(known.scale_um * MICROMETRE, not known.per_leg, floor)
         if with_model_error and self.name_kernel(variant) != INDEPENDENT:
             likelihood, terms = _give_kernel(likelihood, self.config, variant, self.mechanism.actuator_range)
+        elif with_model_error and (sorts := self.list_sorts(variant)):
+            likelihood = self.give_functions(likelihood, variant)
+            floors: dict[str, float] = {name: one * MICROMETRE for name, one in known.floors().items()}
+            terms = [FunctionScales(sorts, known.functions_um * MICROMETRE, floors)]
         blunders = self.config.blunders
         outliers = NORMAL if blunders is None else Contaminated(SharePrior(blunders.expected_share))
         return build_leg_posterior(likelihood, priors, error, fixed, terms, outliers)
@@ -270,6 +286,47 @@ class StudyInputs(Inputs):
         """Return the kernel of a variant's model error: its own, or that of all."""
         return self.config.leg_error.name_for(variant)
 
+    def list_sorts(self, variant: VariantConfig) -> tuple[str, ...]:
+        """Return the terms of a variant's model error that are functions of the pose, none with too few poses."""
+        few = np.count_nonzero(~self.verification) < FEWEST_POSES
+        return () if few else self._want_sorts(variant)
+
+    def _want_sorts(self, variant: VariantConfig) -> tuple[str, ...]:
+        return tuple(name for name in self.config.leg_error.terms_for(variant) if name in SORTS)
+
+    def has_model_error(self, variant: VariantConfig) -> bool:
+        """Whether a variant has a model error, of any kind."""
+        return bool(self.config.leg_error.terms_for(variant)) or self.name_kernel(variant) != INDEPENDENT
+
+    @property
+    def unused(self) -> str:
+        """Which terms of the model error are left out, in words; empty where none is."""
+        wanted = dict.fromkeys(name for one in self.config.variants for name in self._want_sorts(one))
+        if not wanted or any(self.list_sorts(one) for one in self.config.variants):
+            return ""
+        return f"the model error has no terms {', '.join(wanted)}, as {FEW_POSES}"
+
+    def give_functions(self, base: Likelihood, variant: VariantConfig) -> FunctionLikelihood:
+        """Return a density of the calibration poses with the errors of a variant that are functions of the pose.
+
+        Raises
+        ------
+        InputError
+            Beside blunders, and for more poses than the dense covariance of all rows is made for.
+        """
+        sorts, n_poses = self.list_sorts(variant), base.n_poses
+        terms = f"the terms {', '.join(sorts)} of the model error, by which poses depend on each other"
+        if self.config.blunders is not None:
+            raise InputError(f"blunders: found them beside {terms}, expected [model_error] with {ALONE_STATED}")
+        if n_poses > MOST_POSES:
+            raise InputError(
+                f"model_error: found {n_poses} calibration poses with {terms}, expected at most {MOST_POSES}, "
+                f"or {ALONE_STATED}"
+            )
+        assert isinstance(base, PoseLikelihood | InstrumentLikelihood)
+        order = {name: k / len(self.names) for k, name in enumerate(self.names)}
+        return FunctionLikelihood(base, sorts, self.mechanism.actuator_range, order)
+
     # --- what a study is asked -----------------------------------------------------------------------------------
 
     @property
@@ -291,8 +348,9 @@ class StudyInputs(Inputs):
         return format_actuators(self)
 
     def list_tasks(self) -> list[Task]:
-        """Return a task for every variant with its model error, then without."""
-        return [Task(one.name, free) for free in (True, False) for one in self.config.variants]
+        """Return a task for every variant with its model error, then without, where it has one."""
+        own = {one.name: self.has_model_error(one) for one in self.config.variants}
+        return [Task(name) for name in own] + [Task(name, False) for name, there in own.items() if there]
 
     def name_task(self, task: Task) -> str:
         """Return a task's name, from which its random numbers come."""
@@ -424,7 +482,9 @@ def load_inputs(config: StudyConfig, folder: Path) -> StudyInputs:
         check_poses(len(measured.names), mechanism.n_legs, machine.layout.size)
         check_measurement(inputs.measured, machine, config.measured, folder)
         with name_faults(f"variant {variant.name!r}"):
-            check_machine(inputs.posterior(variant, with_model_error=True))
+            posterior = inputs.posterior(variant, with_model_error=True)
+            check_machine(posterior)
+            _check_terms(inputs, variant, posterior)
             for factor in config.sensitivity.factor:
                 with name_faults(f"sensitivity.factor {factor:g}"):
                     check_machine(inputs.posterior(variant, True, factor))
@@ -435,6 +495,17 @@ def load_inputs(config: StudyConfig, folder: Path) -> StudyInputs:
         if symbol not in known:
             look_up(dict.fromkeys(known), symbol, "parameters", folder)
     return inputs
+
+
+def _check_terms(inputs: StudyInputs, variant: VariantConfig, posterior: LegPosterior) -> None:
+    """Raise InputError for terms asked for by name that there cannot be, and for a floor beyond all tolerances."""
+    terms, units = inputs.config.leg_error.terms_for(variant), dict(zip(posterior.names, posterior.units, strict=True))
+    missing = [name for name in terms if name in SORTS and name not in inputs.list_sorts(variant)]
+    if missing and terms != list(TERMS):
+        raise InputError(f"model_error: found term {missing[0]!r}, but {FEW_POSES}, expected other terms")
+    check_floors(
+        inputs.config.leg_error.floors(), [one.sd for name, one in posterior.priors.items() if units[name] == "mm"]
+    )
 
 
 def _give_kernel(

@@ -10,6 +10,7 @@ import pandas as pd
 from scipy.special import logsumexp
 
 from bayescal.config.classes import label_class
+from bayescal.density.errors import TAU
 from bayescal.density.least_squares import LeastSquaresFit, identify, list_identified
 from bayescal.density.legs import POSES
 from bayescal.density.prediction import Prediction, compute_elpd, compute_joint_elpd, measure_length, summarise_misfit
@@ -35,6 +36,7 @@ from bayescal.experiments.study.calibrated import ERRORS, tabulate_leg_errors
 from bayescal.experiments.study.claims import Claims
 from bayescal.experiments.study.fit import read_prediction
 from bayescal.experiments.study.inputs import StudyInputs
+from bayescal.experiments.study.model_error import tabulate_model_error
 from bayescal.experiments.study.published import read_published
 from bayescal.experiments.study.structured import describe_structured, tabulate_structured
 from bayescal.files.csv_tables import format_table
@@ -58,6 +60,7 @@ TINY = 1e-300
 def describe_poses(inputs: StudyInputs, fits: Mapping[Task, Fit], run: Run) -> Described:
     """Return variants, parameters, errors of poses, and what the targets on the pads show of the joints."""
     del run
+    fits = _give_both_settings(fits)
     tables, variants = _summarise_variants(inputs, fits)
     tables |= {
         "parameters": _tabulate_all_parameters(inputs, fits),
@@ -70,9 +73,19 @@ def describe_poses(inputs: StudyInputs, fits: Mapping[Task, Fit], run: Run) -> D
         ERRORS: tabulate_leg_errors(inputs, {task.variant: fit for task, fit in fits.items() if task.with_model_error}),
         "joints": tabulate_joints(inputs.mechanism, inputs.measured.actuators, inputs.names),
     }
+    tables |= tabulate_model_error(inputs, fits)
     if any("structured_mean" in fit.evaluated for fit in fits.values()):
         tables["structured"] = tabulate_structured(inputs, fits)
     return Described(variants, tables, _summarise(inputs, fits))
+
+
+def _give_both_settings(fits: Mapping[Task, Fit]) -> dict[Task, Fit]:
+    """Return fits by task; where some variants have no model error, their only fit stands for both settings."""
+    if all(task.with_model_error for task in fits):
+        return dict(fits)
+    names = [task.variant for task in fits if task.with_model_error]
+    both = [Task(name, with_model_error) for with_model_error in (True, False) for name in names]
+    return {task: fits.get(task, fits[Task(task.variant)]) for task in both}
 
 
 def put_to_claims(inputs: StudyInputs, summary: Mapping[str, Any], run: Run) -> dict[str, pd.DataFrame]:
@@ -111,6 +124,7 @@ def _summarise(inputs: StudyInputs, fits: Mapping[Task, Fit]) -> dict[str, Any]:
         "not_free": {name: symbols for name, symbols in held.items() if symbols},
         "stacked": describe_stacking(inputs, chosen) if len(chosen) > 1 else None,
         "publication": None if inputs.claims is None else inputs.claims.describe(),
+        "unused": inputs.unused,
     }
     return {
         "models": {label_class(variant.seen[0]): seen[variant.name].model.title for variant in config.variants},
@@ -129,6 +143,8 @@ def _summarise_variants(
     """
     tables, nested = {}, {}
     for setting, name in SETTINGS.items():
+        if not any(task.setting == setting for task in posteriors):
+            continue
         fits = {task.variant: fit for task, fit in posteriors.items() if task.setting == setting}
         found = {variant: _describe(inputs, variant, fit) for variant, fit in fits.items()}
         rows = pd.DataFrame([{"variant": variant, **row} for variant, (row, _) in found.items()])
@@ -136,8 +152,8 @@ def _summarise_variants(
         own = {str(row.pop("variant")): plain(row) for row in table.to_dict("records")}
         tables[name] = table
         nested[setting] = {variant: own[variant] | more for variant, (_, more) in found.items()}
-    variants = {name: {**one, SETTINGS[ZERO]: nested[ZERO][name]} for name, one in nested[FREE].items()}
-    return tables, variants
+    also = {name: {SETTINGS[ZERO]: one} for name, one in nested.get(ZERO, {}).items()}
+    return tables, {name: one | also.get(name, {}) for name, one in nested[FREE].items()}
 
 
 def _describe(inputs: StudyInputs, variant: str, fit: Fit) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -296,6 +312,7 @@ def _take(misfit: Array, n: int) -> Array:
 
 def _joint_density(fit: Fit, held: np.ndarray) -> float:
     joint = fit.evaluated["log_likelihood"][..., held].sum(axis=-1)
+    joint = fit.evaluated.get("joint_density", joint)
     return float(logsumexp(joint) - np.log(joint.size))
 
 
@@ -313,7 +330,9 @@ def _tabulate_tau_scale(inputs: StudyInputs, posteriors: Mapping[Task, Fit]) -> 
     for task, fit in posteriors.items():
         if not task.with_model_error:
             continue
-        tau = fit.draws[..., [name.startswith("tau") for name in fit.names]]
+        tau = fit.draws[..., [name.partition("[")[0] == TAU for name in fit.names]]
+        if not tau.shape[-1]:
+            continue
         square = np.sum((tau / MICROMETRE) ** 2, axis=-1).ravel()
         for scale in inputs.config.sensitivity.tau_scale_um:
             log_weights = tau.shape[-1] * np.log(own / scale) + 0.5 * square * (own**-2 - scale**-2)
@@ -331,7 +350,8 @@ def _tabulate_tau_scale(inputs: StudyInputs, posteriors: Mapping[Task, Fit]) -> 
                 }
             )
     table = pd.DataFrame(rows)
-    return table.sort_values(["tau_scale_um", "log_evidence"], ascending=[True, False], ignore_index=True)
+    by = ["tau_scale_um", "log_evidence"]
+    return table.sort_values(by, ascending=[True, False], ignore_index=True) if rows else table
 
 
 def _tabulate_all_parameters(inputs: StudyInputs, fits: Mapping[Task, Fit]) -> pd.DataFrame:

@@ -208,7 +208,7 @@ def test_gradient_of_a_posterior_is_that_of_differences(arm, used):
     priors = {name: NormalPrior(float(x), 0.5) for name, x in zip(layout.names, layout.nominal, strict=True)}
     priors = {name: one for name, one in priors.items() if not name.startswith("o")}
     likelihood = CalibrationLikelihood(model, data.pick(used), 1.0, pose[used])
-    posterior = Posterior(likelihood, priors, Errors(terms_of(own))).anchored()
+    posterior = Posterior(likelihood, priors, Errors(terms_of(own)))  # not anchored: by columns
     y = posterior.polish(np.zeros(posterior.n_parameters))
     y[posterior.n_geometry :] += [0.4, -0.6, 0.1, -0.3, 0.2]
     y[: posterior.n_geometry] += 1e-3

@@ -1,0 +1,143 @@
+"""The model error of a study of legs, term by term: what is kept of its posteriors, and the tables that say how large.
+
+Its terms are what all poses have alike, drawn anew at every pose (τ), and functions of the pose of several sorts
+(`bayescal.density.functions`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
+import pandas as pd
+
+from bayescal.density.errors import TAU
+from bayescal.density.functions import FunctionLikelihood, LegRows
+from bayescal.density.legs import LegPosterior, Likelihood
+from bayescal.density.prediction import FUNCTION_DRAWS, draw_functions, predict_given
+from bayescal.density.schema import TERMS
+from bayescal.experiments.shared.estimate import Arrays, Fit
+from bayescal.experiments.shared.trees import spread
+from bayescal.numerics.geometry import Array
+from bayescal.numerics.units import MICROMETRE
+
+if TYPE_CHECKING:
+    from bayescal.experiments.shared.study_inputs import Task
+    from bayescal.experiments.study.inputs import StudyInputs
+
+OF_FUNCTIONS = "function_"
+"""Before the names of arrays of the functions: fields of `FunctionDraws`."""
+BY_LEG = "function_by_leg"
+BY_POSE = ("mean", "low", "high")
+
+
+def evaluate_functions(
+    posterior: LegPosterior,
+    others: Likelihood | None,
+    held: np.ndarray,
+    y: Array,
+    chosen: np.ndarray,
+    seed: np.random.SeedSequence,
+) -> Arrays:
+    """Return densities, predictions and the functions at all poses, from draws (E, S, n).
+
+    The density of a calibration pose is that given all other ones, that of a held-back pose given the calibration
+    poses; so are they predicted.
+
+    Parameters
+    ----------
+    posterior : LegPosterior
+        Of the calibration poses, by a `FunctionLikelihood`.
+    others : Likelihood or None
+        Density of the held-back poses by themselves.
+    held : ndarray of bool, shape (P,)
+        Which poses are held back.
+    y : ndarray, shape (E, S, n)
+    chosen : ndarray of int, shape (T,)
+        Draws, chains laid end to end, whose replicates are kept.
+    seed : SeedSequence
+    """
+    likelihood, flat = cast("FunctionLikelihood", posterior.likelihood), y.reshape(-1, y.shape[-1])
+    rngs = [np.random.default_rng(one) for one in seed.spawn(3)]
+    theta, errors = posterior.theta(flat), posterior.errors.amplitudes(posterior.zeta(flat))
+    rows = cast("LegRows | None", others)
+    given = [predict_given(likelihood, None, theta, errors, chosen, rngs[0])]
+    together = {"calibration_density": likelihood(theta, errors)}
+    if rows is not None:
+        given.append(predict_given(likelihood, rows, theta, errors, chosen, rngs[1]))
+        assert given[1].together is not None
+        together["joint_density"] = given[1].together
+    few = spread(len(flat), FUNCTION_DRAWS)
+    functions = vars(draw_functions(likelihood, rows, theta[few], errors[few], rngs[2]))
+    back = np.argsort(np.concatenate([np.flatnonzero(held == use) for use in (False, True)]))
+    summaries = [vars(one.replicates.summarise()) for one in given]
+    misfits = [one.replicates.misfit.astype(np.float32).swapaxes(0, 1) for one in given]
+    by_pose = {name: np.concatenate([one[name] for one in summaries]) for name in summaries[0]}
+    by_pose |= {"misfit": np.concatenate(misfits)} | {OF_FUNCTIONS + name: functions.pop(name) for name in BY_POSE}
+    pointwise = np.concatenate([one.pointwise for one in given], axis=1)[:, back]
+    return {
+        "log_likelihood": pointwise.reshape(*y.shape[:2], -1),
+        **{name: one[back] for name, one in by_pose.items()},
+        **{OF_FUNCTIONS + name: one for name, one in functions.items()},
+        **together,
+    }
+
+
+def tabulate_model_error(inputs: StudyInputs, fits: Mapping[Task, Fit]) -> dict[str, pd.DataFrame]:
+    """Return what each term of the model error contributes, µm along the legs, as tables by name; some may be empty.
+
+    ``model_error`` has root mean squares over calibration poses and legs, ``model_error_members`` those of each leg, of
+    the posterior mean of each term, and ``model_error_poses`` all functions together at every pose.
+    """
+    terms, members, poses = list[pd.DataFrame](), list[pd.DataFrame](), list[pd.DataFrame]()
+    for task, fit in fits.items():
+        if not task.with_model_error:
+            continue
+        sorts, of = inputs.list_sorts(inputs.variant(task.variant)), fit.evaluated
+        by_term = {"independent": _find_tau(inputs, fit)} if _find_tau(inputs, fit).size else {}
+        by_term |= {name: of[f"{OF_FUNCTIONS}size"][:, k] for k, name in enumerate(sorts)}
+        terms += [_summarise(task.variant, name, by_term[name]) for name in TERMS if name in by_term]
+        if sorts:
+            members.append(_tabulate_members(task.variant, sorts, of[f"{OF_FUNCTIONS}mean_by_leg"]))
+            poses.append(_tabulate_poses(inputs, task.variant, of))
+    found = {"model_error": terms, "model_error_members": members, "model_error_poses": poses}
+    return {name: pd.concat(frames, ignore_index=True) for name, frames in found.items() if frames}
+
+
+def _find_tau(inputs: StudyInputs, fit: Fit) -> Array:
+    """Return draws of τ, mm, root mean square over legs where each has one; empty where there is none."""
+    tau = fit.draws[..., [name.partition("[")[0] == TAU for name in fit.names]].reshape(fit.draws[..., 0].size, -1)
+    floor = inputs.config.leg_error.floors().get("independent", 0.0) * MICROMETRE
+    return np.sqrt(np.mean(tau**2, axis=1) + floor**2) if tau.shape[1] else np.empty(0)
+
+
+def _summarise(variant: str, term: str, draws: Array) -> pd.DataFrame:
+    low, middle, high = np.quantile(draws / MICROMETRE, [0.05, 0.5, 0.95])
+    return pd.DataFrame([{"variant": variant, "term": term, "median_um": middle, "q05_um": low, "q95_um": high}])
+
+
+def _tabulate_members(variant: str, sorts: tuple[str, ...], size: Array) -> pd.DataFrame:
+    """Return root mean squares over calibration poses of posterior means, (C, N), in mm, as rows."""
+    legs = [f"leg {leg}" for leg in range(1, size.shape[1] + 1)]
+    return pd.DataFrame(
+        {
+            "variant": variant,
+            "member": np.repeat(legs, len(sorts)),
+            "term": np.tile(sorts, len(legs)),
+            "rms_um": (size.T / MICROMETRE).ravel(),
+        }
+    )
+
+
+def _tabulate_poses(inputs: StudyInputs, variant: str, arrays: Arrays) -> pd.DataFrame:
+    n_poses, n_legs = inputs.displacement.shape
+    return pd.DataFrame(
+        {
+            "variant": variant,
+            "pose": np.repeat(inputs.names, n_legs),
+            "use": np.repeat(np.where(inputs.verification, "verification", "calibration"), n_legs),
+            "member": np.tile([f"leg {leg}" for leg in range(1, n_legs + 1)], n_poses),
+            **{f"{name}_um": (arrays[f"{OF_FUNCTIONS}{name}"] / MICROMETRE).ravel() for name in BY_POSE},
+        }
+    )
