@@ -108,6 +108,10 @@ class CalibrationLikelihood(PoseElimination, Elimination[AffineSampling, Errors]
         """Return the log-density of each of Q other poses' readings given these, shape (B, Q)."""
         if not errors.has_columns:
             return other.density_by_row(theta, errors, zeta)
+        if self.frozen is not None:
+            found = self.frozen.density_of_others(self, other, theta, errors, zeta)
+            if found is not None:
+                return found
         result = np.empty((len(theta), other.data.n_poses))
         for part, white, at in self._explain_in_parts(theta, errors, zeta):
             for some, found in self._absorb(errors, zeta[part], white, at):
@@ -152,6 +156,8 @@ class CalibrationLikelihood(PoseElimination, Elimination[AffineSampling, Errors]
         """Return draws of the errors common to all rows, one for each machine."""
         if not errors.has_columns:
             return CommonDraws(errors, ())
+        if self.frozen is not None:
+            return CommonDraws(errors, ((zeta, self.frozen.draw(self, theta, errors, zeta, rng)),))
         white, at = self.explain(theta, errors, zeta)
         parts = [(zeta[some], found.draw(rng)) for some, found in self._absorb(errors, zeta, white, at)]
         return CommonDraws(errors, tuple(parts))
