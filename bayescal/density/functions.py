@@ -454,6 +454,14 @@ class FunctionLikelihood(Likelihood):
 
     # --- the functions -------------------------------------------------------------------------------------------
 
+    def factor_functions(self, model_error: Array) -> Array:
+        """Return F_i with F_i F_iᵀ the covariance of leg i's functions over the poses, mm along the actuators.
+
+        Shape (B, N, P, P), of amplitudes (B, N + C).
+        """
+        kernels = [_for_legs(one, self.n_legs) for one in self.functions.between(self.place, self.place)]
+        return _root(np.einsum("bt,tipq->bipq", model_error[:, self.n_legs :] ** 2, np.stack(kernels)))
+
     def draw_prior(self, place: Place, model_error: Array, rng: np.random.Generator) -> Array:
         """Return draws of the functions before any data, one of each of amplitudes (B, N + C), at Q poses.
 
@@ -461,9 +469,7 @@ class FunctionLikelihood(Likelihood):
         """
         scales, found = model_error[:, self.n_legs :], []
         for k, kernel in enumerate(self.functions.between(place, place)):
-            values, vectors = np.linalg.eigh(kernel)
-            root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
-            normal = rng.standard_normal((len(scales), self.n_legs, kernel.shape[-1]))
+            root, normal = _root(kernel), rng.standard_normal((len(scales), self.n_legs, kernel.shape[-1]))
             found.append(scales[:, k, None, None] * np.einsum("iqr,bir->bqi", _for_legs(root, self.n_legs), normal))
         return np.stack(found, axis=1)
 
@@ -492,6 +498,12 @@ class FunctionLikelihood(Likelihood):
                 mean[k, c] = amplitudes[n + c] ** 2 * moves[0]
                 drawn[k, c] += amplitudes[n + c] ** 2 * moves[1]
         return mean, drawn
+
+
+def _root(kernel: Array) -> Array:
+    """Return F with F Fᵀ a matrix without negative eigenvalues, (..., Q, Q)."""
+    values, vectors = np.linalg.eigh(kernel)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :])
 
 
 def _for_legs(kernel: Array, n_legs: int) -> Array:
