@@ -432,6 +432,7 @@ type CalibrationPosterior = Posterior[CalibrationLikelihood, AffineSampling, Err
 """The posterior of any machine, from its readings."""
 
 
+SMALLEST = 1e-12  # of the largest eigenvalue of columns' covariance, below which directions are left out
 DAMPING, LARGEST_DAMPING = 1e-3, 1e12
 GAIN = 1e-12  # of the squares, below which the search has arrived
 STILL = 1e-8  # of a coordinate, below which a step that leads nowhere is the last: shorter ones lead nowhere, too
@@ -465,7 +466,7 @@ class JointFit:
         """
         zeta, damping = self.zeta[None], DAMPING
         white = self.likelihood.whiten(*self.likelihood.noise(self.errors, zeta))
-        columns = self.likelihood.white_columns(self.errors, zeta, white)
+        columns = _gather(self.likelihood.white_columns(self.errors, zeta, white))
         pose = np.broadcast_to(pose, (1, *pose.shape[-2:]))
         here = self._rows(y, white, pose)
         residual, cost = self._cost(y, here[0], columns)
@@ -536,3 +537,15 @@ class JointFit:
         move = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), side)
         common = columns @ np.linalg.solve(inner, shown - across @ move)
         return move, left_of(stiff, error - by_parameters @ move - common)
+
+
+def _gather(columns: Array) -> Array:
+    """Return columns (1, P, K, N') of the same covariance as others (1, P, K, N), where these are more than rows."""
+    shape = columns.shape[:-1]
+    n_rows = int(np.prod(shape))
+    if columns.shape[-1] <= n_rows:
+        return columns
+    flat = columns.reshape(n_rows, -1)
+    values, vectors = np.linalg.eigh(flat @ flat.T)
+    there = values > SMALLEST * values[-1]
+    return np.asarray((vectors[:, there] * np.sqrt(values[there])).reshape(*shape, -1))
