@@ -29,17 +29,10 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
 from bayescal.data.measured_poses import MeasuredPoses
-from bayescal.density.components import (
-    MOST_ROWS,
-    Components,
-    LinearRows,
-    LowRankComponents,
-    batches,
-    list_gram_arrays,
-    spread_at_poses,
-)
+from bayescal.density.components import MOST_ROWS, Components, LinearRows, batches
 from bayescal.density.elimination import whiten_covariance
 from bayescal.density.errors import LegErrors
+from bayescal.density.few_columns import LowRankComponents, list_gram_arrays, spread_at_poses
 from bayescal.density.instruments import InstrumentLikelihood
 from bayescal.density.legs import Likelihood, turn_to_coordinates
 from bayescal.density.pose_likelihood import PoseLikelihood
@@ -191,10 +184,10 @@ class FunctionLikelihood(Likelihood):
 
     def pose_covariance(self, model_error: Array) -> Array:
         """Return the covariance of a pose but for the functions, (..., P, 6, 6), for amplitudes (..., N + C)."""
-        return self.base.pose_covariance(self._alone(model_error))
+        return self.base.pose_covariance(self.of_single_poses(model_error))
 
-    def _alone(self, model_error: Array) -> Array:
-        """Return errors of single poses, (..., N + C) to (..., N), with what functions of few columns leave out."""
+    def of_single_poses(self, model_error: Array) -> Array:
+        """Return errors of single poses, (..., N + C) to (..., N): τ, and what functions of few columns leave out."""
         left = model_error[..., self.n_legs :] ** 2 @ self.functions.left
         return np.sqrt(model_error[..., : self.n_legs] ** 2 + left[..., None])
 
@@ -203,7 +196,7 @@ class FunctionLikelihood(Likelihood):
         own = self.functions.variances(self.place)
         square = sum(s**2 * one for s, one in zip(model_error[self.n_legs :], own, strict=True))  # (N or 1, P)
         shown = self.base.rows_of_legs * np.sqrt(self.actuator_weight * np.asarray(square).T)[:, None, :]
-        return self.base.error_covariance(self._alone(model_error)) + shown @ np.swapaxes(shown, -1, -2)
+        return self.base.error_covariance(self.of_single_poses(model_error)) + shown @ np.swapaxes(shown, -1, -2)
 
     # --- covariance of all rows ----------------------------------------------------------------------------------
 
@@ -339,13 +332,9 @@ class FunctionLikelihood(Likelihood):
         rows, slope = self.error_jacobian(theta)
         seen, unseen = self._split(rows)
         by_seen, by_unseen = self._split_slopes(turn_to_coordinates(slope, change))
-        return LinearRows(
-            seen,
-            by_seen,
-            by_unseen.T @ by_unseen,
-            -by_unseen.T @ unseen.ravel(),
-            lambda zeta: self.components.factorise(errors.amplitudes(zeta) ** 2),
-        )
+        square = self.components.square(np.column_stack([by_seen, seen]))
+        pull = -by_unseen.T @ unseen.ravel()
+        return LinearRows(by_unseen.T @ by_unseen, pull, lambda zeta: square(errors.amplitudes(zeta) ** 2))
 
     def _around(self, sampling: LegSampling, y: Array) -> tuple[Array, Array]:
         theta = sampling.theta_from_y(y[None, : sampling.size])[0]
@@ -430,7 +419,7 @@ class FunctionLikelihood(Likelihood):
         shown = poses.rows_of_legs * np.sqrt(poses.actuator_weight)[:, None, :]
         values = (basis @ white.expect(known[:, None]).reshape(len(basis), -1, 1))[..., 0]
         deviation = rows - np.einsum("qki,iq->qk", shown, values)
-        noise = poses.error_covariance(self._alone(amplitudes))
+        noise = poses.error_covariance(self.of_single_poses(amplitudes))
         own = noise + shown @ spread_at_poses(basis, white.root @ white.root.T) @ np.swapaxes(shown, -1, -2)
         others = LowRankComponents(
             noise, np.zeros((0, *noise.shape)), shown, basis, self.components.sorts, self.functions.left
@@ -438,6 +427,17 @@ class FunctionLikelihood(Likelihood):
         return deviation, own, others.weigh_given(white.root, deviation.ravel())
 
     # --- the functions -------------------------------------------------------------------------------------------
+
+    def factor_functions(self, model_error: Array) -> Array:
+        """Return F_i with F_i F_iᵀ the covariance of leg i's functions over the poses, mm along the actuators.
+
+        Shape (B, N, P, R), of amplitudes (B, N + C).
+        """
+        if isinstance(self.components, LowRankComponents):
+            scales = model_error[:, self.n_legs + self.components.sorts]
+            return self.components.basis * scales[:, None, None]
+        kernels = [_for_legs(one, self.n_legs) for one in self.functions.between(self.place, self.place)]
+        return _root(np.einsum("bt,tipq->bipq", model_error[:, self.n_legs :] ** 2, np.stack(kernels)))
 
     def draw_prior(self, place: Place, model_error: Array, rng: np.random.Generator) -> Array:
         """Return draws of the functions before any data, one of each of amplitudes (B, N + C), at Q poses.
@@ -452,9 +452,7 @@ class FunctionLikelihood(Likelihood):
                 found.append(scales[:, k, None, None] * values)
             return np.stack(found, axis=1)
         for k, kernel in enumerate(self.functions.between(place, place)):
-            values, vectors = np.linalg.eigh(kernel)
-            root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
-            normal = rng.standard_normal((len(scales), self.n_legs, kernel.shape[-1]))
+            root, normal = _root(kernel), rng.standard_normal((len(scales), self.n_legs, kernel.shape[-1]))
             found.append(scales[:, k, None, None] * np.einsum("iqr,bir->bqi", _for_legs(root, self.n_legs), normal))
         return np.stack(found, axis=1)
 
@@ -513,6 +511,12 @@ def list_arrays(n_poses: int, n_legs: int) -> list[tuple[float, ...]]:
     a = n_legs + 1 + MOST_SMOOTH + MOST_DRIFT
     columns = [(1.0, m, a), (2.0, n_poses, MOST_CHOSEN), (4.0, m, n_legs)]
     return [*columns, *list_gram_arrays(m, n_legs * a)]
+
+
+def _root(kernel: Array) -> Array:
+    """Return F with F Fᵀ a matrix without negative eigenvalues, (..., Q, Q)."""
+    values, vectors = np.linalg.eigh(kernel)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :])
 
 
 def _for_legs(kernel: Array, n_legs: int) -> Array:

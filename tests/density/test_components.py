@@ -60,9 +60,8 @@ def test_what_a_variance_adds_is_the_slope_of_the_covariance(components):
 def test_geometry_given_the_errors_is_that_of_the_joint_normal(components):
     rng = np.random.default_rng(5)
     residual, slope, centre = rng.standard_normal(P * N), rng.standard_normal((P * N, M_GEOMETRY)), np.arange(4.0)
-    rows = LinearRows(
-        residual, slope, np.zeros((4, 4)), np.zeros(4), lambda zeta: components.factorise(np.exp(zeta) * VARIANCES)
-    )
+    square = components.square(np.column_stack([slope, residual]))
+    rows = LinearRows(np.zeros((4, 4)), np.zeros(4), lambda zeta: square(np.exp(zeta) * VARIANCES))
     # a standard normal prior about zero
     linear = LinearGeometry(centre, rows, np.eye(4), -centre, lambda zeta: float(-0.5 * zeta @ zeta), np.exp)
     masses, expected = [], []

@@ -8,11 +8,16 @@ columns that span what H leaves of a pose's white readings there, and poses flat
 whatever the errors are that R and D stand for: rows Zᵀ e are free of the poses, and functions of one amplitude s add s²
 times a matrix that is known beforehand (`bayescal.density.components`). That costs one factorisation of all rows, where
 columns cost those of all coefficients, which are more wherever smooth functions are allowed for.
+
+Coefficients u of the errors given the rows are drawn by Matheron's rule: with u' and rows e' = A u' + ε' of the prior,
+
+    u = u' + Aᵀ S⁻¹ (e - e'),    S = Zᵀ R Z + A Aᵀ.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -35,17 +40,25 @@ class FrozenRows:
 
     Attributes
     ----------
+    anchor : ndarray, shape (D,)
+        The machine.
     white : Whitening
         By the stated noise, (1, P, K).
     left : ndarray, shape (P, K, m)
         Z.
-    parts : ndarray, shape (C, P m, P m)
-        What functions of an amplitude of one add.
+    shown : tuple of ndarray, shapes (P m, N)
+        What coefficients of each of C errors do to the rows at an amplitude of one.
     """
 
+    anchor: Array
     white: Whitening
     left: Array
-    parts: Array
+    shown: tuple[Array, ...]
+
+    @cached_property
+    def parts(self) -> Array:
+        """What errors of an amplitude of one add to the rows' covariance, (C, P m, P m)."""
+        return np.stack([one @ one.T for one in self.shown])
 
     @classmethod
     def build(cls, likelihood: CalibrationLikelihood, errors: Errors, theta: Array) -> FrozenRows | None:
@@ -60,18 +73,15 @@ class FrozenRows:
         if not acts or errors.outliers.expected or m < 1 or n_poses * m > MOST_ROWS:
             return None
         white = likelihood.whiten(likelihood.sd[None], np.zeros((1, 1, n)))
-        slope = likelihood.linearise(theta[None], likelihood.start[None], white)[1][0]
+        slope = likelihood.stand(theta[None], white).slope[0]
         if not np.isfinite(slope).all():
             return None
         size = np.linalg.norm(slope, axis=1, keepdims=True)
         axes, _ = np.linalg.qr(slope / np.where(size > 0.0, size, 1.0), mode="complete")
         left = np.ascontiguousarray(axes[..., slope.shape[-1] :])
-        parts = np.empty((len(acts), n_poses * m, n_poses * m))
-        for part, act in zip(parts, acts, strict=True):
-            shown = white.rows(np.where(data.present[..., None], act, 0.0)[None])[0]
-            flat = (np.swapaxes(left, -1, -2) @ shown).reshape(n_poses * m, -1)
-            part[:] = flat @ flat.T
-        return cls(white, left, parts)
+        turned = np.swapaxes(left, -1, -2)
+        seen = (white.rows(np.where(data.present[..., None], act, 0.0)[None])[0] for act in acts)
+        return cls(theta, white, left, tuple((turned @ one).reshape(n_poses * m, -1) for one in seen))
 
     def density(self, likelihood: CalibrationLikelihood, theta: Array, errors: Errors, zeta: Array) -> Array:
         """Return the log-likelihood, shape (B,), for machines (B, D) and coordinates of errors (B, k)."""
@@ -79,7 +89,7 @@ class FrozenRows:
         total = rest.sum(axis=1)
         for part in batches(len(theta), rows.shape[1]):
             own, weights = self._blocks(likelihood, errors, zeta[part]), errors.amplitudes(zeta[part]) ** 2
-            total[part] += weigh(assemble(own, self.parts, weights, 1), rows[part])
+            total[part] += weigh(assemble(own, self.parts, weights), rows[part])
         return np.where(np.isfinite(total), total, -np.inf)
 
     def density_by_row(self, likelihood: CalibrationLikelihood, theta: Array, errors: Errors, zeta: Array) -> Array:
@@ -90,6 +100,60 @@ class FrozenRows:
             total = assemble(own, self.parts, weights)
             found[part] += weigh_left_out(*leave_out(total, rows[part], len(self.left)))[0]
         return np.where(np.isfinite(found), found, -np.inf)
+
+    def density_of_others(
+        self, likelihood: CalibrationLikelihood, other: CalibrationLikelihood, theta: Array, errors: Errors, zeta: Array
+    ) -> Array | None:
+        """Return the log-density of each of Q other poses' readings given these, (B, Q); None where it cannot.
+
+        Given the rows others are normal about C S⁻¹ e with the covariance that they have less C S⁻¹ Cᵀ.
+        """
+        beyond = FrozenRows.build(other, errors, self.anchor)
+        if beyond is None:
+            return None
+        rows, rest = self._find_rows(likelihood, theta)
+        there, found = beyond._find_rows(other, theta)
+        found[~np.isfinite(rest).all(axis=1)] = -np.inf
+        n_poses, m = other.data.n_poses, beyond.left.shape[-1]
+        across = np.stack([one @ two.T for one, two in zip(beyond.shown, self.shown, strict=True)])
+        by_pose = [one.reshape(n_poses, m, -1) for one in beyond.shown]
+        inner = np.stack([one @ np.swapaxes(one, -1, -2) for one in by_pose])
+        for part in batches(len(theta), rows.shape[1] + there.shape[1]):
+            weights = errors.amplitudes(zeta[part]) ** 2
+            total = assemble(self._blocks(likelihood, errors, zeta[part]), self.parts, weights)
+            shared = np.tensordot(weights, across, 1)
+            solved = np.linalg.solve(total, np.concatenate([np.swapaxes(shared, -1, -2), rows[part, :, None]], axis=-1))
+            left = (there[part, :, None] - shared @ solved[..., -1:]).reshape(len(weights), n_poses, m)
+            told = shared.reshape(len(weights), n_poses, m, -1) @ np.moveaxis(
+                solved[..., :-1].reshape(*solved.shape[:2], n_poses, m), 1, 2
+            )
+            own = beyond._blocks(other, errors, zeta[part]) + np.tensordot(weights, inner, 1) - told
+            square = np.einsum("bpi,bpi->bp", left, np.linalg.solve(own, left[..., None])[..., 0])
+            found[part] -= 0.5 * (np.linalg.slogdet(own)[1] + square)
+        return np.where(np.isfinite(found), found, -np.inf)
+
+    def draw(
+        self,
+        likelihood: CalibrationLikelihood,
+        theta: Array,
+        errors: Errors,
+        zeta: Array,
+        rng: np.random.Generator,
+    ) -> Array:
+        """Return draws of the coefficients of all errors given the rows, one for each machine, shape (B, N)."""
+        rows, _ = self._find_rows(likelihood, theta)
+        ends = np.cumsum([one.shape[1] for one in self.shown])
+        drawn, noise = rng.standard_normal((len(theta), ends[-1])), rng.standard_normal(rows.shape)
+        for part in batches(len(theta), rows.shape[1]):
+            own, amplitudes = self._blocks(likelihood, errors, zeta[part]), errors.amplitudes(zeta[part])
+            apart = np.linalg.cholesky(own) @ noise[part].reshape(*own.shape[:3], 1)
+            left, each = rows[part] - apart.reshape(len(own), -1), np.split(drawn[part], ends[:-1], axis=1)
+            for one, shown, size in zip(each, self.shown, amplitudes.T, strict=True):
+                left -= size[:, None] * (one @ shown.T)
+            told = np.linalg.solve(assemble(own, self.parts, amplitudes**2), left[..., None])[..., 0]
+            for one, shown, size in zip(each, self.shown, amplitudes.T, strict=True):
+                one += size[:, None] * (told @ shown)  # a view of ``drawn``
+        return drawn
 
     def _find_rows(self, likelihood: CalibrationLikelihood, theta: Array) -> tuple[Array, Array]:
         """Return rows (B, P m), and what log-densities have beside theirs, (B, P); -inf where there is no machine."""
@@ -109,12 +173,13 @@ class FrozenRows:
         slope = -(left @ by_parameters).reshape(len(residual), -1)
         m = slope.shape[1]
 
-        def factorise(one: Array) -> White:
+        def square(one: Array) -> tuple[Array, float]:
             own = self._blocks(likelihood, errors, one[None])
             total = assemble(own, self.parts, errors.amplitudes(one[None]) ** 2)[0]
-            return White(cholesky(total, lower=True, check_finite=False))
+            white = White(cholesky(total, lower=True, check_finite=False))
+            return white.square(np.column_stack([slope, residual])), white.half_log_det
 
-        return LinearRows(residual, slope, np.zeros((m, m)), np.zeros(m), factorise)
+        return LinearRows(np.zeros((m, m)), np.zeros(m), square)
 
     def _blocks(self, likelihood: CalibrationLikelihood, errors: Errors, zeta: Array) -> Array:
         """Return Zᵀ R Z of coordinates (B, k), shape (B, P, m, m)."""

@@ -108,6 +108,10 @@ class CalibrationLikelihood(PoseElimination, Elimination[AffineSampling, Errors]
         """Return the log-density of each of Q other poses' readings given these, shape (B, Q)."""
         if not errors.has_columns:
             return other.density_by_row(theta, errors, zeta)
+        if self.frozen is not None:
+            known = self.frozen.density_of_others(self, other, theta, errors, zeta)
+            if known is not None:
+                return known
         result = np.empty((len(theta), other.data.n_poses))
         for part, white, at in self._explain_in_parts(theta, errors, zeta):
             for some, found in self._absorb(errors, zeta[part], white, at):
@@ -152,6 +156,8 @@ class CalibrationLikelihood(PoseElimination, Elimination[AffineSampling, Errors]
         """Return draws of the errors common to all rows, one for each machine."""
         if not errors.has_columns:
             return CommonDraws(errors, ())
+        if self.frozen is not None:
+            return CommonDraws(errors, ((zeta, self.frozen.draw(self, theta, errors, zeta, rng)),))
         white, at = self.explain(theta, errors, zeta)
         parts = [(zeta[some], found.draw(rng)) for some, found in self._absorb(errors, zeta, white, at)]
         return CommonDraws(errors, tuple(parts))
@@ -426,6 +432,7 @@ type CalibrationPosterior = Posterior[CalibrationLikelihood, AffineSampling, Err
 """The posterior of any machine, from its readings."""
 
 
+SMALLEST = 1e-12  # of the largest eigenvalue of columns' covariance, below which directions are left out
 DAMPING, LARGEST_DAMPING = 1e-3, 1e12
 GAIN = 1e-12  # of the squares, below which the search has arrived
 STILL = 1e-8  # of a coordinate, below which a step that leads nowhere is the last: shorter ones lead nowhere, too
@@ -459,7 +466,7 @@ class JointFit:
         """
         zeta, damping = self.zeta[None], DAMPING
         white = self.likelihood.whiten(*self.likelihood.noise(self.errors, zeta))
-        columns = self.likelihood.white_columns(self.errors, zeta, white)
+        columns = _gather(self.likelihood.white_columns(self.errors, zeta, white))
         pose = np.broadcast_to(pose, (1, *pose.shape[-2:]))
         here = self._rows(y, white, pose)
         residual, cost = self._cost(y, here[0], columns)
@@ -530,3 +537,15 @@ class JointFit:
         move = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), side)
         common = columns @ np.linalg.solve(inner, shown - across @ move)
         return move, left_of(stiff, error - by_parameters @ move - common)
+
+
+def _gather(columns: Array) -> Array:
+    """Return columns (1, P, K, N') of the same covariance as others (1, P, K, N), where these are more than rows."""
+    shape = columns.shape[:-1]
+    n_rows = int(np.prod(shape))
+    if columns.shape[-1] <= n_rows:
+        return columns
+    flat = columns.reshape(n_rows, -1)
+    values, vectors = np.linalg.eigh(flat @ flat.T)
+    there = values > SMALLEST * values[-1]
+    return np.asarray((vectors[:, there] * np.sqrt(values[there])).reshape(*shape, -1))

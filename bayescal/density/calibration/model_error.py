@@ -33,6 +33,7 @@ from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import MICROMETRE
 
 SMALLEST = 1e-9  # of a kernel's largest eigenvalue, below which directions are left out
+BY_ROW = ("smooth", "drift")  # sorts with as many coefficients as there are rows
 STILL = 1e-6  # mm over its range, by which a channel moves the tool, below which it does not
 OF_NOISE = 10.0 * MICROMETRE
 """What one standard deviation of the noise counts at the tool of a channel that does not move it, mm."""
@@ -136,8 +137,11 @@ class OwnChannels:
         expected = np.where(rows[:, None] >= 0, self.expected[rows], self.home)
         return self._locate(data.values[:, self.places], expected, data.order)
 
-    def find_missing(self, terms: Sequence[str]) -> dict[str, str]:
-        """Return which sorts of errors there cannot be, each with the reason."""
+    def find_missing(self, terms: Sequence[str], costly: str = "") -> dict[str, str]:
+        """Return which sorts of errors there cannot be, each with the reason.
+
+        ``costly`` says why there are none with as many coefficients as rows; empty where there may be.
+        """
         n, used = len(self.places), int(self.used.sum())
         found: dict[str, str] = {}
         for name in terms:
@@ -151,6 +155,8 @@ class OwnChannels:
                 found[name] = "no channel of the machine itself moves"
             elif name == "own" and n == 1 and "linear" in terms:
                 found[name] = "of one channel it is the linear one"
+            elif costly and name in BY_ROW:
+                found[name] = costly
         return found
 
 
@@ -218,6 +224,12 @@ class FunctionsOfPose(ErrorTerm):
     def priors(self) -> tuple[Prior, ...]:  # type: ignore[override]
         """Half-Cauchy."""
         return (HalfCauchyPrior(self.scale),)
+
+    @property
+    def most_columns(self) -> int:
+        """At most how many columns it has."""
+        n, n_rows = self.own.readings.shape[1], len(self.own.used)
+        return n * {"linear": n, "own": 1}.get(self.sort, n_rows)
 
     @cached_property
     def functions(self) -> PoseFunctions:

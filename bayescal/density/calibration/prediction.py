@@ -67,6 +67,9 @@ def predict_readings(
     """
     q, parts, lost = len(held.model.coordinates), [], list[tuple[int, int, str]]()
     predicted = held.data.present.any(axis=0) & (True if by is None else ~by)
+    common = np.zeros((len(y), *held.data.sd.shape))
+    if posterior.errors.has_columns:
+        common = posterior.likelihood.draw_common(*posterior.at(y), rng).at(held.data, held.error_gain)
     for channel in np.flatnonzero(predicted):
         others = _apart(held, int(channel)) & (True if by is None else by)
         there = held.data.present[:, others].sum(axis=1)
@@ -75,7 +78,7 @@ def predict_readings(
             lost.append((int(pose), int(channel), f"{there[pose]} other readings for {q} coordinates"))
         if enough.any():
             where = np.flatnonzero(enough)
-            mean, spread = _predict(posterior, held.pick(where), int(channel), others, y, rng)
+            mean, spread = _predict(posterior, held.pick(where), int(channel), others, y, common[:, where], rng)
             told = np.isfinite(mean).all(axis=0) & np.isfinite(spread).all(axis=0)
             lost += [(int(pose), int(channel), NOT_DETERMINED) for pose in where[~told]]
             if told.any():
@@ -107,8 +110,7 @@ def replicate_readings(
         else:
             places = np.broadcast_to(pose, (len(theta), *pose.shape))
             if errors.has_columns:
-                columns = errors.columns(posterior.zeta(own), data, likelihood.error_gain)
-                common = np.einsum("bpkn,bn->bpk", columns, rng.standard_normal((len(own), columns.shape[-1])))
+                common = errors.draw_prior(posterior.zeta(own), data, rng).at(data, likelihood.error_gain)
         read = likelihood.model.read(theta[:, None], places, given)
         noise = wider * rng.standard_normal((len(theta), *data.values.shape))
         error = white.colour(np.where(data.present, noise, 0.0)) + common
@@ -135,9 +137,10 @@ def _predict(
     channel: int,
     others: np.ndarray,
     y: Array,
+    common: Array,
     rng: np.random.Generator,
 ) -> tuple[Array, Array]:
-    """Return predicted means and noisy values of a channel, both (T, P)."""
+    """Return predicted means and noisy values of a channel, both (T, P), by draws (T, P, K) of common errors."""
     rest = replace(held, data=held.data.only(others), expansion=None)
     theta, tails = posterior.theta(y), posterior.errors.tails(posterior.zeta(y))
     own, tau = held.noise(posterior.errors, posterior.zeta(y))
@@ -151,10 +154,9 @@ def _predict(
         slope = held.comparison.pull_back(error, here.values, here.by_pose)[..., channel, :]
         error_left, shift = at.error, np.zeros(error.shape[:-1])
         if posterior.errors.has_columns:  # what errors common to all rows make of the pose, to first order
-            common = posterior.likelihood.draw_common(*posterior.at(y[part]), rng).at(held.data, held.error_gain)
-            moved, left = find_step(at.slope, white.vector(np.where(rest.data.present, common, 0.0)))
+            moved, left = find_step(at.slope, white.vector(np.where(rest.data.present, common[part], 0.0)))
             error_left = at.error - left
-            shift = common[..., channel] - np.einsum("tpq,tpq->tp", slope, moved)
+            shift = common[part][..., channel] - np.einsum("tpq,tpq->tp", slope, moved)
         # what the others' noise tells of this reading's, as in Gaussian regression
         told_by = white.vector(_covary(held, own[part], channel, rest.data.present))
         slope = slope - np.einsum("tpk,tpkq->tpq", told_by, at.slope)

@@ -411,14 +411,23 @@ class Errors:
         found: list[Array | None] = []
         start = 0
         for term, part in self.of(zeta):
-            own = _show(term, term.columns(part, data), gain)
+            alike = _show(term, term.act(data), gain)
+            own = _show(term, term.columns(part, data), gain) if alike is None else alike
             if own is None:
                 found.append(None)
                 continue
             some = coefficients[:, start : start + own.shape[-1]]
-            found.append(np.asarray((own @ some[:, None, :, None])[..., 0]))
+            if alike is None:
+                found.append(np.asarray((own @ some[:, None, :, None])[..., 0]))
+            else:
+                found.append(term.amplitude(part)[:, None, None] * np.tensordot(some, alike, axes=(1, 2)))
             start += own.shape[-1]
         return found
+
+    def draw_prior(self, zeta: Array, data: Measurements, rng: np.random.Generator) -> CommonDraws:
+        """Return draws of the errors common to all rows before anything is read, one for each of (B, n)."""
+        n = self.columns(zeta[:1], data).shape[-1]
+        return CommonDraws(self, ((zeta, rng.standard_normal((len(zeta), n))),))
 
     def slopes(self, zeta: Array, data: Measurements) -> list[Slopes]:
         """Return the derivatives at ζ, shape (n,), of each coordinate, without its axis."""

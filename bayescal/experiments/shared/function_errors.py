@@ -1,4 +1,8 @@
-"""What was found of errors that are functions: whether there are any, how large they are, and how they run."""
+"""What was found of errors that are functions: whether there are any, how large they are, and how they run.
+
+Those of [errors] have tables of their own, in the channels' units; the terms of a model error have those that pages of
+all machines read, in µm at the tool.
+"""
 
 from __future__ import annotations
 
@@ -12,9 +16,11 @@ import pandas as pd
 from bayescal.density.calibration.functions import FunctionErrors
 from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.density.calibration.measurements import Measurements
+from bayescal.density.calibration.model_error import FunctionsOfPose, IndependentErrors
 from bayescal.density.calibration.terms import CommonDraws
 from bayescal.density.low_rank import BUDGET
 from bayescal.density.priors import BORDER
+from bayescal.density.schema import TERMS
 from bayescal.experiments.frame.memory import Need, check_memory
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import ARCSECOND, MICROMETRE
@@ -22,6 +28,8 @@ from bayescal.numerics.units import ARCSECOND, MICROMETRE
 CURVE = 25
 SHOWN = {"mm": (1.0 / MICROMETRE, "um"), "rad": (1.0 / ARCSECOND, "arcsec")}
 INTERVAL = [0.05, 0.95]
+TOGETHER = "together"
+"""All functions of a model error, as its tables call them."""
 REMEDY = "fewer poses, a longer length, or no such errors"
 
 
@@ -48,10 +56,11 @@ def check_functions(term: FunctionErrors, n_poses: int, n_channels: int) -> None
     check_memory(Need(each=8.0 * held, sizes=f"{n_poses} poses with {n} coefficients of functions", remedy=REMEDY), 1)
 
 
-def find_functions(posterior: CalibrationPosterior, y: Array, draws: CommonDraws) -> FoundFunctions | None:
-    """Return what draws (T, n), and of each the errors common to all rows, tell of functions; None without any."""
+def find_functions(posterior: CalibrationPosterior, y: Array, rng: np.random.Generator) -> FoundFunctions | None:
+    """Return what draws (T, n) tell of functions, from errors common to all rows that are drawn; None without any."""
     if not any(isinstance(term, FunctionErrors) for term in posterior.errors.terms):
         return None
+    draws = posterior.likelihood.draw_common(*posterior.at(y), rng)
     data = posterior.likelihood.data
     names = posterior.likelihood.model.names
     grid = _grid(data)
@@ -115,3 +124,70 @@ def tabulate_functions(found: Sequence[tuple[str, FoundFunctions | None]]) -> di
         "functions": pd.DataFrame([{"variant": name, **row} for name, one in there for row in one.rows]),
         "function_curves": pd.DataFrame([{"variant": name, **row} for name, one in there for row in one.curves]),
     }
+
+
+# --- the terms of a model error ------------------------------------------------------------------------------------
+
+
+def tabulate_model_error(
+    variant: str, data: Measurements, held: np.ndarray, posterior: CalibrationPosterior, y: Array, draws: CommonDraws
+) -> dict[str, pd.DataFrame]:
+    """Return what each term of a model error contributes, µm at the tool, as tables by name; none without terms.
+
+    ``model_error`` has root mean squares over calibration rows and own channels, of each term and of all functions
+    together; ``model_error_members`` those of each channel, of the posterior mean of each term; ``model_error_poses``
+    all functions together at every row.
+
+    Parameters
+    ----------
+    variant : str
+    data : Measurements
+        Of all M rows.
+    held : ndarray of bool, shape (M,)
+        Which of them are held back.
+    posterior : CalibrationPosterior
+        Of the others.
+    y : ndarray, shape (T, n)
+        Draws.
+    draws : CommonDraws
+        Of the errors common to all rows, one for each.
+    """
+    sizes, functions, tau = dict[str, Array](), dict[str, Array](), list[Array]()
+    names, terms = list[str](), posterior.errors.of(posterior.zeta(y))
+    common = draws.by_term(data) or [None] * len(terms)
+    for (term, zeta), errors in zip(terms, common, strict=True):
+        if isinstance(term, IndependentErrors):
+            tau.append(term.natural(zeta)[:, 0] ** 2 + term.floor**2)
+        elif isinstance(term, FunctionsOfPose) and errors is not None:
+            names = list(term.own.names)
+            functions[term.sort] = errors[..., term.own.places] * (term.own.levers / MICROMETRE)
+    if tau:
+        sizes[TERMS[0]] = np.sqrt(np.mean(tau, axis=0)) / MICROMETRE
+    together = np.asarray(sum(functions.values()))  # (T, M, N)
+    every = functions | ({TOGETHER: together} if functions else {})
+    sizes |= {name: np.sqrt(np.mean(one[:, ~held] ** 2, axis=(1, 2))) for name, one in every.items()}
+    quantiles = {name: np.quantile(one, [0.5, *INTERVAL]) for name, one in sizes.items()}
+    rows = [(variant, name, *one) for name, one in quantiles.items()]
+    tables = {"model_error": pd.DataFrame(rows, columns=["variant", "term", "median_um", "q05_um", "q95_um"])}
+    if functions:
+        mean, (low, high) = together.mean(axis=0), np.quantile(together, INTERVAL, axis=0)
+        by_member = {name: np.sqrt(np.mean(one.mean(axis=0)[~held] ** 2, axis=0)) for name, one in functions.items()}
+        tables["model_error_members"] = pd.DataFrame(
+            [
+                {"variant": variant, "member": member, "term": name, "rms_um": rms[k]}
+                for k, member in enumerate(names)
+                for name, rms in by_member.items()
+            ]
+        )
+        tables["model_error_poses"] = pd.DataFrame(
+            {
+                "variant": variant,
+                "pose": np.repeat(data.poses, len(names)),
+                "use": np.repeat(np.where(held, "verification", "calibration"), len(names)),
+                "member": np.tile(names, data.n_poses),
+                "mean_um": mean.ravel(),
+                "low_um": low.ravel(),
+                "high_um": high.ravel(),
+            }
+        )
+    return {name: one for name, one in tables.items() if len(one)}

@@ -28,6 +28,8 @@ from bayescal.calibrated.machine import (
 )
 from bayescal.config.registry import list_references, list_sources
 from bayescal.config.trust import check_same, check_trust
+from bayescal.density.calibration.likelihood import CalibrationPosterior
+from bayescal.density.calibration.terms import CommonDraws
 from bayescal.density.errors import TAU
 from bayescal.errors import InputError
 from bayescal.experiments.frame.results import Results, Writer
@@ -61,7 +63,6 @@ COMMANDS = "commands.csv"
 """Of all variants, where all take in the same poses."""
 ERRORS = "errors"
 """Table of the results: by what each commanded channel errs."""
-ERROR_DRAWS = 200
 
 
 # --- writing -------------------------------------------------------------------------------------------------------
@@ -129,7 +130,9 @@ def tabulate_leg_errors(inputs: StudyInputs, fits: Mapping[str, Fit]) -> pd.Data
     return pd.DataFrame(rows)
 
 
-def tabulate_errors(config: StudyConfig, variant: Variant, kept: Array) -> pd.DataFrame:
+def tabulate_errors(
+    config: StudyConfig, variant: Variant, posterior: CalibrationPosterior, y: Array, draws: CommonDraws
+) -> pd.DataFrame:
     """Return by what each commanded channel errs: noise and model error, root mean squares over draws of the posterior.
 
     Errors that are functions count by their mean squares at the calibration poses, with the model error.
@@ -138,16 +141,18 @@ def tabulate_errors(config: StudyConfig, variant: Variant, kept: Array) -> pd.Da
     ----------
     config : StudyConfig
     variant : Variant
-    kept : ndarray, shape (T, n)
-        Draws of the posterior, in its coordinates.
+    posterior : CalibrationPosterior
+        Of its calibration poses.
+    y : ndarray, shape (T, n)
+        Draws, in its coordinates.
+    draws : CommonDraws
+        Of the errors common to all rows, one for each.
     """
-    whole, names, posterior = variant.whole, variant.model.names, variant.posterior().anchored()
-    y = kept[np.linspace(0, len(kept) - 1, min(ERROR_DRAWS, len(kept))).astype(int)]
+    whole, names = variant.whole, variant.model.names
     own, beside = posterior.likelihood.noise(posterior.errors, posterior.zeta(y))
     square = np.broadcast_to(beside**2, own.shape)
     if posterior.errors.has_columns:
-        common = posterior.likelihood.draw_common(*posterior.at(y), np.random.default_rng([config.seed, 12]))
-        square = square + common.at(posterior.likelihood.data) ** 2
+        square = square + draws.at(posterior.likelihood.data) ** 2
     present = posterior.likelihood.data.present
     stated = np.nan_to_num(noise_of_channels(config.sensors, whole))
     rows: list[dict[str, Any]] = []

@@ -204,15 +204,14 @@ class StudyInputs(Inputs):
     def exact_density(self, variant: VariantConfig, posterior: LegPosterior) -> ExactDensity | None:
         """Return the exact density beside a variant's at the calibration poses.
 
-        None where these are not measured, where they may be blunders, to which it hardly matters, and where errors are
-        functions of the pose of several sorts: what the exact density corrects is small beside these.
+        None where these are not measured, and where they may be blunders: to these it hardly matters.
         """
-        poses, structured = posterior.likelihood.of_poses, posterior.likelihood.structured
-        of_functions = isinstance(posterior.likelihood, FunctionLikelihood)
-        if poses is None or posterior.errors.outliers.expected or of_functions:
+        known = posterior.likelihood
+        if known.of_poses is None or posterior.errors.outliers.expected:
             return None
         errors = self.matrix_errors(variant, verification=False)
-        return ExactDensity(poses, self.actuator_noise, errors, structured=structured)
+        functions = known if isinstance(known, FunctionLikelihood) else known.structured
+        return ExactDensity(known.of_poses, self.actuator_noise, errors, functions=functions)
 
     def matrix_variance(self, variant: VariantConfig, verification: bool) -> Array | None:
         """Return v_ni of the poses of one use (P, N) in mm² where a variant's K was measured, otherwise None.

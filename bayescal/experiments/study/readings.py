@@ -17,7 +17,12 @@ from bayescal.density.prediction import compute_elpd
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.shared.chi_square import ChiSquare
 from bayescal.experiments.shared.estimate import Arrays, Fit, Subject, fit_posterior
-from bayescal.experiments.shared.function_errors import FoundFunctions, find_functions, tabulate_functions
+from bayescal.experiments.shared.function_errors import (
+    FoundFunctions,
+    find_functions,
+    tabulate_functions,
+    tabulate_model_error,
+)
 from bayescal.experiments.shared.readings.inputs import ReadingInputs, Variant
 from bayescal.experiments.shared.readings.knowledge import (
     Knowledge,
@@ -31,7 +36,7 @@ from bayescal.experiments.shared.readings.knowledge import (
 from bayescal.experiments.shared.soundness import fit_rows
 from bayescal.experiments.shared.stacking import tabulate_comparison
 from bayescal.experiments.shared.study_inputs import Described, Task
-from bayescal.experiments.shared.trees import Draws, Readings, build_tree, limit_draws
+from bayescal.experiments.shared.trees import Draws, Readings, build_tree, limit_draws, spread
 from bayescal.experiments.shared.variant_tables import NOISE, describe_fit, tabulate_left_out, tabulate_parameters
 from bayescal.experiments.study.calibrated import ERRORS, tabulate_errors
 from bayescal.inference.exploration import explore
@@ -45,6 +50,7 @@ if TYPE_CHECKING:
 
 PRIOR_DRAWS = 300
 ONLY_SAVED = ("log_likelihood", "replicated", "prior", "prior_replicated")
+ERROR_DRAWS = 200  # of the posterior, from which errors common to all rows are drawn for tables
 PROPOSED = 8  # draws of the proposal for each that is used
 IMPROBABLE = 0.01  # probability by the noise, of all poses together, below which a pose's residuals contradict it
 DISTRUSTED = 0.5  # mean of a pose's precision below which a robust density takes it for an outlier
@@ -131,6 +137,8 @@ class ReadingFit(Fit):
         The prediction of poses kept for verification.
     errors : DataFrame
         By what each commanded channel errs.
+    model_error : dict of str to DataFrame
+        What each term of its model error contributes.
     """
 
     functions: FoundFunctions | None
@@ -139,6 +147,7 @@ class ReadingFit(Fit):
     beside: list[Array]
     held: list[Held]
     errors: pd.DataFrame
+    model_error: dict[str, pd.DataFrame]
 
 
 def fit_variant(inputs: ReadingInputs, name: str) -> ReadingFit:
@@ -148,7 +157,10 @@ def fit_variant(inputs: ReadingInputs, name: str) -> ReadingFit:
     posterior = subject.density
     fit = fit_posterior(subject, config.seed, name, config.sampler, config.evidence)
     rng = np.random.default_rng([config.seed, 9, zlib.crc32(name.encode())])
-    functions = find_functions(posterior, fit.kept, posterior.likelihood.draw_common(*posterior.at(fit.kept), rng))
+    functions, some = find_functions(posterior, fit.kept, rng), fit.kept[spread(len(fit.kept), ERROR_DRAWS)]
+    with np.errstate(all="ignore"):
+        drawn = posterior.likelihood.draw_common(*posterior.at(some), rng)
+    found = tabulate_model_error(name, variant.data, variant.verification, posterior, some, drawn)
     packed = fit.pack(subject.build_tree(fit, name), ONLY_SAVED)
     covariance = np.atleast_2d(np.cov(fit.kept[:, : posterior.n_geometry], rowvar=False))
     with stage("held-back poses"):
@@ -161,7 +173,8 @@ def fit_variant(inputs: ReadingInputs, name: str) -> ReadingFit:
             knowledge=assess(config, variant, posterior, fit.kept.mean(axis=0), covariance),
             beside=[one.evaluate(variant.whole, posterior.theta(fit.kept)) for one in inputs.beside],
             held=held,
-            errors=tabulate_errors(config, variant, fit.kept),
+            errors=tabulate_errors(config, variant, posterior, some, drawn),
+            model_error=found,
         )
 
 
@@ -325,6 +338,7 @@ def describe_readings(inputs: ReadingInputs, fits: Mapping[Task, Fit], run: Run)
         "beside": _table(_list_beside(inputs, *one) for one in every),
         **tabulate_functions([(name, fit.functions) for name, fit in found.items()]),
         ERRORS: pd.concat([fit.errors for fit in found.values()], ignore_index=True),
+        **_join(fit.model_error for fit in found.values()),
     }
     known = {str(row.pop("variant")): plain(row) for row in variants.to_dict("records")}
     summary = {
@@ -334,6 +348,13 @@ def describe_readings(inputs: ReadingInputs, fits: Mapping[Task, Fit], run: Run)
         **({"missing_terms": inputs.missing} if inputs.missing else {}),
     }
     return Described(known, {name: table for name, table in tables.items() if not table.empty}, summary)
+
+
+def _join(tables: Iterable[Mapping[str, pd.DataFrame]]) -> dict[str, pd.DataFrame]:
+    """Return tables of several variants below each other, by name."""
+    every = [*tables]
+    names = dict.fromkeys(name for one in every for name in one)
+    return {name: pd.concat([one[name] for one in every if name in one], ignore_index=True) for name in names}
 
 
 def _table(rows: Iterable[Iterable[Mapping[str, Any]]]) -> pd.DataFrame:

@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from bayescal.config.classes import choose, name_failures
+from bayescal.density.calibration.frozen import MOST_ROWS
 from bayescal.density.calibration.functions import FunctionErrors
 from bayescal.density.calibration.measurements import Measurements
-from bayescal.density.calibration.model_error import OwnChannels, build_model_error
-from bayescal.density.calibration.terms import ErrorTerm, TermRows, check_term
+from bayescal.density.calibration.model_error import BY_ROW, OwnChannels, build_model_error
+from bayescal.density.calibration.terms import Errors, ErrorTerm, TermRows, check_term
 from bayescal.density.priors import Prior
-from bayescal.density.schema import TERMS, TermName
+from bayescal.density.schema import ALONE, TERMS, TermName
 from bayescal.errors import InputError, name_faults
 from bayescal.experiments.shared.function_errors import check_functions
 from bayescal.experiments.shared.readings.noise import group_channels
@@ -101,6 +102,7 @@ def build_terms_of_model(
     used: np.ndarray,
     workspace: Workspace,
     tolerances: Mapping[str, Prior],
+    others: Errors,
 ) -> tuple[tuple[ErrorTerm, ...], str]:
     """Return the terms of a variant's model error, and in a line which of them there cannot be; empty for none.
 
@@ -121,12 +123,14 @@ def build_terms_of_model(
     workspace : Workspace
     tolerances : mapping of parameter to Prior
         Of what is free.
+    others : Errors
+        What else the readings err by: beside outliers, and other functions, coefficients are integrated out one by one.
 
     Raises
     ------
     InputError
-        For terms beside errors by channel, terms asked for by name that there cannot be, and a floor beyond all
-        tolerances.
+        For terms beside errors by channel, terms asked for by name that there cannot be, a floor beyond all
+        tolerances, and more rows than the covariance of all is made for.
     """
     error, terms = config.leg_error, config.leg_error.terms_for(section)
     if terms and config.channel_errors:
@@ -134,16 +138,23 @@ def build_terms_of_model(
     if not terms:
         return (), ""
     own = OwnChannels.find(model, data, start, used, *measure_ranges(model, data, workspace))
-    missing = own.find_missing(terms)
+    missing = own.find_missing(terms, _find_costly(others))
     if missing and terms != list(TERMS):  # asked for by name
         name, why = next(iter(missing.items()))
         raise InputError(f"model_error: found term {name!r}, but {why}, expected other terms")
     floors = error.floors()
     check_floors(floors, [prior.sd for name, prior in tolerances.items() if _is_length(model, name)])
+    there = [name for name in terms if name not in missing]
+    n_rows, n_equations = int(used.sum()), len(model.channels) - start.shape[1]
+    if n_rows * n_equations > MOST_ROWS and set(there) & set(BY_ROW):
+        raise InputError(
+            f"model_error: found {n_rows} calibration rows of {len(model.channels)} channels with errors by which rows "
+            f"depend on each other, expected at most {MOST_ROWS // n_equations}, or terms = {ALONE}"
+        )
     left = build_model_error(
         own,
         len(model.channels),
-        [name for name in terms if name not in missing],
+        there,
         (MICROMETRE * error.scale_um, MICROMETRE * error.functions_um),
         {name: MICROMETRE * floor for name, floor in floors.items()},
         error.per_leg,
@@ -151,6 +162,13 @@ def build_terms_of_model(
     without = [([name for name, why in missing.items() if why == one], one) for one in dict.fromkeys(missing.values())]
     said = [f"no term{'s' * (len(names) > 1)} {', '.join(names)}, as {why}" for names, why in without]
     return left, f"the model error has {' and '.join(said)}" if said else ""
+
+
+def _find_costly(others: Errors) -> str:
+    """Return why errors with as many coefficients as rows cost too much beside others; empty where they do not."""
+    if others.outliers.expected:
+        return "single rows may be outliers"
+    return "there are other functions in [errors]" if others.has_columns else ""
 
 
 def _is_length(model: ReadingModel, name: str) -> bool:

@@ -4,15 +4,36 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from bayescal.density.calibration.model_error import FunctionsOfPose
+from bayescal.density.components import AT_ONCE
 from bayescal.experiments.frame.memory import Need, estimate_arrays
 from bayescal.experiments.shared.readings.inputs import ReadingInputs, Variant
 from bayescal.experiments.shared.search_memory import list_readings, list_sampling, list_saved
 
+WHOLE, TOGETHER, ACTED = 4, 6, 3
+"""Covariances of all readings, batches of those of all equations, and what coefficients do to all readings, at once."""
+
 
 def list_variant(variant: Variant) -> list[Sequence[float]]:
     """Return the arrays of a variant's posterior; see `estimate_arrays`."""
-    n_poses, n_coordinates = variant.start.shape
-    return list_readings(n_poses, len(variant.model.channels), len(variant.priors), n_coordinates)
+    (n_poses, n_coordinates), n_channels = variant.start.shape, len(variant.model.channels)
+    return [
+        *list_readings(n_poses, n_channels, len(variant.priors), n_coordinates),
+        *_list_functions(variant, n_poses * n_channels, n_poses * (n_channels - n_coordinates)),
+    ]
+
+
+def _list_functions(variant: Variant, n_readings: int, n_equations: int) -> list[Sequence[float]]:
+    """Return the arrays of errors that are functions of the pose."""
+    widths = [one.most_columns for one in variant.errors.terms if isinstance(one, FunctionsOfPose)]
+    if not widths:
+        return []
+    return [
+        (len(widths), n_equations, n_equations),
+        (WHOLE, n_readings, n_readings),
+        (TOGETHER, max(AT_ONCE, n_equations**2)),
+        (ACTED, n_readings, sum(widths)),
+    ]
 
 
 def find_largest(variants: Mapping[str, Variant]) -> Variant:

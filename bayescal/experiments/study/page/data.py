@@ -73,6 +73,9 @@ def state_data(study: StudyResults) -> list[Statement]:
     found = [] if study.summary.get("states_tool", True) else [Statement(knowledge_page.NO_TOOL, "warning", "Tool")]
     if "unused" in study.summary:
         found.append(Statement(study.summary["unused"], "warning", "Data"))
+    if "missing_terms" in study.summary:
+        text = study.summary["missing_terms"]
+        found.append(Statement(f"{text[:1].upper()}{text[1:]}.", lead="Model error"))
     fit = study.fit(study.chosen)
     if get_number(fit, "n_equations") < fit["n_parameters"]:
         text = f"{fit['n_equations']} equations for {fit['n_parameters']} unknowns: what the readings do not determine"
