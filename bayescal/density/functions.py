@@ -49,6 +49,9 @@ from bayescal.density.sorts import (
 from bayescal.errors import InputError
 from bayescal.numerics.geometry import Array
 
+COVARIANCES = 3.0
+"""Of all rows, for each amplitude: itself, products with an inverse."""
+
 type LegRows = PoseLikelihood | InstrumentLikelihood
 """Densities of poses that are independent of each other."""
 
@@ -507,7 +510,7 @@ def list_arrays(n_poses: int, n_legs: int) -> list[tuple[float, ...]]:
     """Return what a density holds of poses with as many rows as legs: how many arrays alike, then their shape."""
     m = n_poses * n_legs
     if m <= MOST_ROWS:
-        return [(len(SORTS) + 3.0, m, m)]
+        return [(COVARIANCES * (n_legs + len(SORTS)), m, m)]
     a = n_legs + 1 + MOST_SMOOTH + MOST_DRIFT
     columns = [(1.0, m, a), (2.0, n_poses, MOST_CHOSEN), (4.0, m, n_legs)]
     return [*columns, *list_gram_arrays(m, n_legs * a)]

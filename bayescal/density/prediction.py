@@ -239,13 +239,13 @@ def draw_functions(
     likelihood: FunctionLikelihood, others: LegRows | None, theta: Array, model_error: Array, rng: np.random.Generator
 ) -> FunctionDraws:
     """Return the functions at the calibration poses and at others behind them, of draws (T, D) and (T, N + C)."""
-    own, totals, sizes, expected = slice(0, likelihood.n_poses), list[Array](), list[Array](), 0.0
+    own, totals, sizes, expected = slice(0, likelihood.n_poses), list[Array](), list[Array](), list[Array]()
     for part in likelihood.batches(len(theta)):
         mean, drawn = likelihood.draw(others, theta[part], model_error[part], rng)
-        expected = expected + mean.sum(axis=0) / len(theta)
+        expected.append(mean.sum(axis=0))
         totals.append(drawn.sum(axis=1))
         sizes.append(np.sqrt(np.mean(drawn[:, :, own] ** 2, axis=(2, 3))))
-    total, mean = np.concatenate(totals), np.asarray(expected)
+    total, mean = np.concatenate(totals), np.sum(expected, axis=0) / len(theta)
     low, high = np.quantile(total, [0.5 - INTERVAL / 2, 0.5 + INTERVAL / 2], axis=0)
     return FunctionDraws(
         mean.sum(axis=0),

@@ -181,10 +181,16 @@ def test_what_cannot_be_is_refused_in_a_line(silent, sections, fault):
     assert "\n" not in str(caught.value)
 
 
-def test_too_many_poses_are_refused_before_their_covariance_is_built(silent, monkeypatch):
-    monkeypatch.setattr("bayescal.experiments.study.inputs.MOST_POSES", 12)
-    with pytest.raises(InputError, match=r"found 13 calibration poses with the terms .* expected at most 12, or"):
-        studies.load_study(silent)
+def test_poses_that_memory_cannot_hold_are_refused_before_their_columns_are_made(silent, monkeypatch):
+    inputs = studies.load_study(silent)
+    variant = inputs.config.variants[0]
+    base = inputs.likelihood(variant, verification=False)
+    monkeypatch.setattr("bayescal.experiments.frame.memory.measure_available", lambda: 1e6)
+    monkeypatch.setattr("bayescal.experiments.study.inputs.FunctionLikelihood", None)
+    with pytest.raises(
+        InputError, match=r"13 calibration poses with errors that .* fewer poses or \[model_error\] with"
+    ):
+        inputs.give_functions(base, variant)
 
 
 def test_terms_that_too_few_poses_cannot_show_are_left_out_and_said(silent):
