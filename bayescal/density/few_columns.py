@@ -105,6 +105,21 @@ class Thin:
         told = self.scale[:, None] * self.project(white)
         return self.scale[:, None] * np.asarray(cho_solve((self._factor, True), told, check_finite=False))
 
+    def draw(self, row: Array, normal: Array) -> Array:
+        """Return coefficients over s given rows (M,), (R,), from normal numbers (R,): N(0, 1) without rows."""
+        told = self.scale * self.project(self._whiten(row))[:, 0]
+        white = solve_triangular(self._factor, told, lower=True, check_finite=False) + normal
+        return np.asarray(solve_triangular(self._factor, white, lower=True, trans="T", check_finite=False))
+
+    def predict(self, row: Array, shown: Array, basis: Array) -> tuple[Array, Array]:
+        """Return what functions are expected to do to rows of Q other poses given rows (M,), and the covariance.
+
+        They are (Q, k) and (Q, k, k) for other poses' rows that see functions by (Q, k, N), of bases (N, Q, A).
+        """
+        values = (basis @ self.expect(row[:, None]).reshape(len(basis), -1, 1))[..., 0]
+        spread = shown @ spread_at_poses(basis, self.root @ self.root.T) @ np.swapaxes(shown, -1, -2)
+        return np.einsum("qki,iq->qk", shown, values), spread
+
     @cached_property
     def _shrink(self) -> Array:
         """What a symmetric root takes from white rows, (R, R): with values μ of s G s 1 / (r (r + 1)), r² = 1 + μ."""

@@ -32,7 +32,7 @@ from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.density.components import MOST_ROWS, Components, LinearRows, batches
 from bayescal.density.elimination import whiten_covariance
 from bayescal.density.errors import LegErrors
-from bayescal.density.few_columns import LowRankComponents, list_gram_arrays, spread_at_poses
+from bayescal.density.few_columns import LowRankComponents, list_gram_arrays
 from bayescal.density.instruments import InstrumentLikelihood
 from bayescal.density.legs import Likelihood, turn_to_coordinates
 from bayescal.density.pose_likelihood import PoseLikelihood
@@ -420,14 +420,12 @@ class FunctionLikelihood(Likelihood):
         assert isinstance(self.components, LowRankComponents)
         white, basis = self.components.factorise(amplitudes**2), self.functions.join_bases(self.place_of(poses))[0]
         shown = poses.rows_of_legs * np.sqrt(poses.actuator_weight)[:, None, :]
-        values = (basis @ white.expect(known[:, None]).reshape(len(basis), -1, 1))[..., 0]
-        deviation = rows - np.einsum("qki,iq->qk", shown, values)
-        noise = poses.error_covariance(self.of_single_poses(amplitudes))
-        own = noise + shown @ spread_at_poses(basis, white.root @ white.root.T) @ np.swapaxes(shown, -1, -2)
+        expected, spread = white.predict(known, shown, basis)
+        deviation, noise = rows - expected, poses.error_covariance(self.of_single_poses(amplitudes))
         others = LowRankComponents(
             noise, np.zeros((0, *noise.shape)), shown, basis, self.components.sorts, self.functions.left
         )
-        return deviation, own, others.weigh_given(white.root, deviation.ravel())
+        return deviation, noise + spread, others.weigh_given(white.root, deviation.ravel())
 
     # --- the functions -------------------------------------------------------------------------------------------
 
