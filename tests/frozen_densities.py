@@ -65,6 +65,8 @@ def list_posteriors():
     found = {}
     for path, variants in SHIPPED.items():
         config = load(ROOT / path)[1]
+        if config.by_tables:  # frozen before there was a default model error
+            config = config.model_copy(update={"model_error": {}})
         names = [one.name for one in config.variants if variants is None or one.name in variants]
         found |= {f"{path}: {name}": one for name, one in access(config, ROOT / path, names).items()}
     path = ROOT / "experiments/telescope/study.toml"
