@@ -85,7 +85,7 @@ class Simulated(ABC):
         """Return n poses of the workspace of a machine (D,), shape (n, q)."""
 
     def travel(self, v: Array) -> Array:
-        """Return how far a twin's actuators are from where the drawing has them at home, (P, N), about one at the ends."""
+        """Return how far a twin's actuators are from the drawing's home, shape (P, N), about one at the ends."""
         true = self.nominal if self.true is None else self.true
         moved = self.read(true, v) - self.read(self.nominal, self.home[None])
         return moved[:, : self.n_actuators] / self.reach

@@ -62,7 +62,7 @@ def test_every_instrument_tells_the_terms(instrument, tmp_path):
     results = compute_experiment(load_experiment(config), tmp_path)
     legs, names = [f"leg {k}" for k in range(1, 7)], list(inputs.names)
     terms = results.table("model_error")
-    assert list(terms["term"]) == ["independent", *SORTS]
+    assert list(terms["term"]) == ["independent", *SORTS, "together"]
     assert (terms["q05_um"] <= terms["median_um"]).all()
     assert (terms["median_um"] <= terms["q95_um"]).all()
     # but for points the twin has a deformation matrix of some 1e-3, which the machine of the variant lacks
@@ -92,6 +92,11 @@ def test_every_instrument_tells_the_terms(instrument, tmp_path):
     own = results.table("errors")
     size = np.sqrt((poses["mean_um"] ** 2).mean())
     assert (1e3 * own["model_error"] > 0.3 * size).all()
+    # the mean of all functions is not larger than they are themselves
+    used = poses[poses["use"] == "calibration"]
+    together = terms.set_index("term").loc["together"]
+    assert np.sqrt((used["mean_um"] ** 2).mean()) < together["q95_um"]
+    assert np.sqrt((1e6 * own["model_error"] ** 2).mean()) > together["q05_um"]
 
 
 def test_functions_stand_where_no_term_is_named(silent):
