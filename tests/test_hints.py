@@ -114,7 +114,7 @@ def test_a_pose_that_is_not_found_is_told_with_its_row_and_name(call, project, e
 
 def test_faults_of_config_machine_and_tables_come_in_one_go(call, project, edit):
     edit("study.toml", "^seed = 1", "sed = 1")
-    edit("study.toml", "scale_um = 10.0", 'scale_um = "ten"')
+    edit("study.toml", "^walkers = 96", 'walkers = "ten"')
     edit("machine.toml", "actuator_range_mm", "range_mm")
     edit("data/actuators.csv", "C02,calibration,", "C02,calibrated,")
     edit("data/poses.csv", r"(?s)\A.*?^pose,.*?$", "pose;x;y_mm;z;rx_deg;ry_deg;rz_deg")
@@ -124,7 +124,7 @@ def test_faults_of_config_machine_and_tables_come_in_one_go(call, project, edit)
     expected = (
         "study.toml, line 5: sed: unknown key, did you mean 'seed'?",
         "study.toml: seed: missing",
-        "scale_um: found 'ten'",
+        "walkers: found 'ten'",
         "range_mm: unknown key, did you mean 'actuator_range_mm'?",
         "legs.actuator_range_mm: missing",
         "found 'calibrated', expected one of calibration, verification",
