@@ -344,7 +344,7 @@ def write_printer(folder: Path) -> Written:
     known = known.replace('channels = ["motor"]', UNFORCED)
     (folder / "study.toml").write_text(known + PRINTER + SAMPLER.format(steps=40))
     together = TOGETHER.format(own="motor", few='["A_x", "A_y", "A_z"]', scale=0.1, function="scale_deg = 5.0")
-    known = re.sub(r"(?ms)^\[unknown_noise\].*?^\[", "[", known)
+    known = re.sub(r"(?ms)^\[(unknown_noise|model_error)\].*?(?=^\[|\Z)", "", known)
     (folder / "together.toml").write_text(known + together + SAMPLER.format(steps=6))
     asked = NEXT.format(variant="rigid", required="x", limit=50.0) + "\n[candidates]\ncount = 20\n"
     tables = ["data/encoders.csv", "data/positions.csv"]
