@@ -145,7 +145,6 @@ def test_tau_alone_does_not_reach_the_goal(truth, name, row):
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(strict=True, reason="the default is τ alone, which misses what is a function of the pose")
 @pytest.mark.parametrize(("name", "row"), REACHED)
 def test_the_default_reaches_the_goal(truth, name, row):
     parameters, directions = judge(truth, name, row, "init")

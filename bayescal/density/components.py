@@ -14,20 +14,42 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, Protocol
 
 import numpy as np
+from numpy.lib.stride_tricks import as_strided
 from scipy.linalg import cho_solve, cholesky, solve_triangular
+from scipy.linalg.lapack import dpotrf, dtrtrs
 
 from bayescal.numerics.geometry import Array
 
 AT_ONCE: Final = 300_000  # numbers of the covariances that are factorised together: they stay in the cache
 
 
+MOST_ROWS: Final = 900
+"""Rows of all poses together up to which S is factorised as a whole; with more functions are made of few columns."""
+
+
+class Factorised(Protocol):
+    """S of one vector of variances, factorised."""
+
+    def rows(self, seen: Array) -> Array:
+        """Return white rows of (M, ...)."""
+
+    def square(self, seen: Array) -> Array:
+        """Return XᵀS⁻¹X of X (M, m), shape (m, m)."""
+
+    def solve(self, seen: Array) -> Array:
+        """Return S⁻¹ times (M, ...)."""
+
+    @property
+    def half_log_det(self) -> float:
+        """½ log |S|."""
+
+
 @dataclass(frozen=True, eq=False)
 class White:
-    """S of one vector of variances, factorised."""
+    """`Factorised` as a whole."""
 
     factor: Array  # (M, M): lower Cholesky factor, M = P n
 
@@ -35,14 +57,14 @@ class White:
         """Return white rows of (M, ...)."""
         return np.asarray(solve_triangular(self.factor, seen, lower=True, check_finite=False))
 
+    def square(self, seen: Array) -> Array:
+        """Return XᵀS⁻¹X of X (M, m), shape (m, m)."""
+        white = self.rows(seen)
+        return np.asarray(white.T @ white)
+
     def solve(self, seen: Array) -> Array:
         """Return S⁻¹ times (M, ...)."""
         return np.asarray(cho_solve((self.factor, True), seen, check_finite=False))
-
-    @cached_property
-    def inverse(self) -> Array:
-        """S⁻¹, shape (M, M)."""
-        return self.solve(np.eye(len(self.factor)))
 
     @property
     def half_log_det(self) -> float:
@@ -73,26 +95,35 @@ class Components:
         """Number M of rows."""
         return self.known.shape[0] * self.known.shape[1]
 
-    def covariances(self, variances: Array, more: int = 0) -> Array:
-        """Return S of variances (B, G + C), shape (B, M + more, M + more), with room for more rows."""
+    def covariances(self, variances: Array) -> Array:
+        """Return S of variances (B, G + C), shape (B, M, M)."""
         g = len(self.blocks)
         own = self.known + (variances[:, :g] @ self.blocks.reshape(g, -1)).reshape(-1, *self.known.shape)
-        return assemble(own, self.parts, variances[:, g:], more)
+        return assemble(own, self.parts, variances[:, g:])
 
     def factorise(self, variances: Array) -> White:
         """Return S of variances (G + C,)."""
         return White(cholesky(self.covariances(variances[None])[0], lower=True, check_finite=False))
 
+    def square(self, seen: Array) -> Callable[[Array], tuple[Array, float]]:
+        """Return what takes variances (G + C,) to XᵀS⁻¹X of X (M, m), shape (m, m), and ½ log |S|."""
+
+        def evaluate(variances: Array) -> tuple[Array, float]:
+            white = self.factorise(variances)
+            return white.square(seen), white.half_log_det
+
+        return evaluate
+
     def weigh(self, variances: Array, rows: Array) -> Array:
         """Return normal log-densities of rows (B, M) but for 2 π, shape (B,), for variances (B, G + C)."""
         found = np.empty(len(rows))
         for part in batches(len(rows), self.size):
-            found[part] = weigh(self.covariances(variances[part], 1), rows[part])
+            found[part] = weigh(self.covariances(variances[part]), rows[part])
         return found
 
     def weigh_each(self, variances: Array, rows: Array) -> tuple[Array, Array]:
         """Return log p(e_n | all other rows) but for 2 π of each pose and its squared deviation, shapes (B, P)."""
-        return weigh_each(self.covariances(variances), rows, len(self.known))
+        return weigh_left_out(*self.leave_out(variances, rows))
 
     def leave_out(self, variances: Array, rows: Array) -> tuple[Array, Array]:
         """Return by how much each pose's rows deviate from what all others predict, (B, P, n), and their precision."""
@@ -103,11 +134,12 @@ class Components:
         own = np.einsum("gpij,pj->gpi", self.blocks, alpha.reshape(self.known.shape[:2]))
         return np.concatenate([own.reshape(len(own), -1), self.parts @ alpha])
 
-    def act_on_inverse(self, inverse: Array) -> Array:
-        """Return S⁻¹ B_g and S⁻¹ E_t, (M, M) to (G + C, M, M)."""
-        shape = self.known.shape[:2]
+    def traces(self, variances: Array) -> tuple[Array, Array]:
+        """Return tr S⁻¹ E_k of all K = G + C parts, B_g and E_t, and tr S⁻¹ E_k S⁻¹ E_l, shapes (K,) and (K, K)."""
+        inverse, shape = self.factorise(variances).solve(np.eye(self.size)), self.known.shape[:2]
         own = np.einsum("mpi,gpij->gmpj", inverse.reshape(-1, *shape), self.blocks, optimize=True)
-        return np.concatenate([own.reshape(len(own), *inverse.shape), inverse @ self.parts])
+        both = np.concatenate([own.reshape(len(own), *inverse.shape), inverse @ self.parts])
+        return np.einsum("kii->k", both), np.einsum("kij,lji->kl", both, both, optimize=True)
 
 
 def batches(size: int, n_rows: int) -> list[slice]:
@@ -116,8 +148,8 @@ def batches(size: int, n_rows: int) -> list[slice]:
     return [slice(k, k + most) for k in range(0, size, most)]
 
 
-def assemble(own: Array, parts: Array, weights: Array, more: int = 0) -> Array:
-    """Return block diagonal matrices plus weighted parts, with room for more rows.
+def assemble(own: Array, parts: Array, weights: Array) -> Array:
+    """Return block diagonal matrices plus weighted parts.
 
     Parameters
     ----------
@@ -125,35 +157,35 @@ def assemble(own: Array, parts: Array, weights: Array, more: int = 0) -> Array:
     parts : ndarray, shape (C, M, M)
         M = P n.
     weights : ndarray, shape (B, C)
-    more : int
 
     Returns
     -------
-    ndarray, shape (B, M + more, M + more)
+    ndarray, shape (B, M, M)
     """
-    n_poses, n, m = own.shape[1], own.shape[2], parts.shape[-1]
-    total = np.zeros((len(weights), m + more, m + more))
-    inner = total[:, :m, :m]
-    inner[:] = (weights @ parts.reshape(-1, m * m)).reshape(-1, m, m)
-    for p in range(n_poses):
-        inner[:, p * n : (p + 1) * n, p * n : (p + 1) * n] += own[:, p]
+    n, m = own.shape[2], parts.shape[-1]
+    total = np.asarray(weights @ parts.reshape(len(parts), -1)).reshape(-1, m, m)
+    batch, row, column = total.strides
+    blocks = as_strided(total, own.shape, (batch, n * (row + column), row, column))  # a pose's rows with its columns
+    blocks += own
     return total
 
 
-CORNER: Final = 1e200  # larger than any square of white rows; what comes before it in a factor does not depend on it
+def carry(covariance: Array, rows: Array) -> tuple[Array, Array]:
+    """Return ½ log |S| and eᵀS⁻¹e of rows e (B, M), shapes (B,); covariances (B, M, M) are used up."""
+    white, half_log_det = np.empty_like(rows), np.empty(len(rows))
+    for k, one in enumerate(covariance):  # in place: the transpose is in Fortran's order, the factor its upper triangle
+        factor, info = dpotrf(one.T, lower=0, clean=0, overwrite_a=1)
+        if info:
+            raise np.linalg.LinAlgError(f"found a covariance that is not positive definite at row {info}")
+        white[k] = dtrtrs(factor, rows[k], lower=0, trans=1)[0]
+        half_log_det[k] = np.log(np.diag(factor)).sum()
+    return half_log_det, np.einsum("bm,bm->b", white, white)
 
 
 def weigh(covariance: Array, rows: Array) -> Array:
-    """Return normal log-densities of rows (B, M) but for 2 π, shape (B,); covariances (B, M + 1, M + 1) are used up.
-
-    The rows are carried along as one more row of the matrix; in the factor it holds the white ones.
-    """
-    m = rows.shape[1]
-    covariance[:, m, :m], covariance[:, :m, m], covariance[:, m, m] = rows, rows, CORNER
-    factor = np.linalg.cholesky(covariance)
-    white = factor[:, m, :m]
-    half_log_det = np.log(np.diagonal(factor, axis1=1, axis2=2)[:, :m]).sum(axis=1)
-    return np.asarray(-half_log_det - 0.5 * np.einsum("bm,bm->b", white, white))
+    """Return normal log-densities of rows (B, M) but for 2 π, shape (B,); covariances (B, M, M) are used up."""
+    half_log_det, square = carry(covariance, rows)
+    return np.asarray(-half_log_det - 0.5 * square)
 
 
 def leave_out(covariance: Array, rows: Array, n_poses: int) -> tuple[Array, Array]:
@@ -169,9 +201,8 @@ def leave_out(covariance: Array, rows: Array, n_poses: int) -> tuple[Array, Arra
     return np.linalg.solve(precision, alpha[..., None])[..., 0], precision
 
 
-def weigh_each(covariance: Array, rows: Array, n_poses: int) -> tuple[Array, Array]:
-    """Return log p(e_n | all other rows) but for 2 π of each pose and its squared deviation, shapes (B, P)."""
-    deviation, precision = leave_out(covariance, rows, n_poses)
+def weigh_left_out(deviation: Array, precision: Array) -> tuple[Array, Array]:
+    """Return log-densities but for 2 π of what `leave_out` finds of each pose, and squared deviations, (B, P)."""
     square = np.einsum("bpi,bpij,bpj->bp", deviation, precision, deviation)
     return 0.5 * np.linalg.slogdet(precision)[1] - 0.5 * square, square
 
@@ -179,11 +210,10 @@ def weigh_each(covariance: Array, rows: Array, n_poses: int) -> tuple[Array, Arr
 class LinearRows(NamedTuple):
     """Rows as a linear model of the geometry, with a covariance S that depends on the errors."""
 
-    residual: Array  # (M,)
-    slope: Array  # (M, m)
     information: Array  # (m, m): of rows that do not depend on the errors
     pull: Array  # (m,): their gradient
-    factorise: Callable[[Array], White]  # from coordinates ζ (k,) of the errors to S
+    # from ζ (k,) of the errors to XᵀS⁻¹X, (m + 1, m + 1), of slopes and residuals side by side, and ½ log |S|
+    square: Callable[[Array], tuple[Array, float]]
 
 
 class GeometryGiven(NamedTuple):
@@ -220,13 +250,11 @@ class LinearGeometry:
 
     def given(self, zeta: Array) -> GeometryGiven:
         """Return the geometry given ζ (k,): with J of the white rows e, H = P + JᵀJ and mean H⁻¹ (p - Jᵀ e)."""
-        white, m = self.rows.factorise(zeta), len(self.pull)
-        both = white.rows(np.column_stack([self.rows.slope, self.rows.residual]))
-        slope, residual = both[:, :m], both[:, m]
-        factor = cholesky(self.precision + slope.T @ slope, lower=True, check_finite=False)
+        (both, half_log_det), m = self.rows.square(zeta), len(self.pull)
+        factor = cholesky(self.precision + both[:m, :m], lower=True, check_finite=False)
         inverse = solve_triangular(factor, np.eye(m), lower=True, check_finite=False)
-        step = inverse @ (self.pull - slope.T @ residual)
-        log_mass = 0.5 * (step @ step - residual @ residual) - white.half_log_det - np.log(np.diag(factor)).sum()
+        step = inverse @ (self.pull - both[:m, m])
+        log_mass = 0.5 * (step @ step - both[m, m]) - half_log_det - np.log(np.diag(factor)).sum()
         mean = self.centre + inverse.T @ step
         return GeometryGiven(mean, inverse.T @ inverse, float(log_mass) + self.log_prior(zeta))
 

@@ -15,9 +15,9 @@ k ~ N(0, S) are errors that all poses have in common: T_n k is what an uncertain
 deflections, whose variance alone, pose by pose, is v. Where K was measured in the same photographs as the poses, its
 error depends on theirs, cov(k, e_n) = Γ_n: a platform that seems to stand too high has joints that seem to hang too
 low. A model error that is a function of the pose (`bayescal.density.priors`) is L_n g_n, with g = F c over the
-poses, F Fᵀ the kernel's matrix and c_ri ~ N(0, s_i²). All this makes a covariance of low rank beside that of s; of Q
-common errors only a matrix of Q or 2 Q rows is factorised (Woodbury). On the telescope common errors are worth 3.9 nats
-of the evidence of its best variants.
+poses, F Fᵀ the kernel's matrix and c_ri ~ N(0, s_i²); of several sorts, F_i is each leg's own and c_ri ~ N(0, 1). All
+this makes a covariance of low rank beside that of s; of Q common errors only a matrix of Q or 2 Q rows is factorised
+(Woodbury). On the telescope common errors are worth 3.9 nats of the evidence of its best variants.
 
 The derivatives cost five to thirty times the hot path: this density corrects what was found with that one.
 """
@@ -29,6 +29,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayescal.density.elimination import whiten_covariance
+from bayescal.density.few_columns import LowRankComponents
+from bayescal.density.functions import FunctionLikelihood
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.structured import StructuredLikelihood
 from bayescal.machines.models.base import Linearisation, newton_step
@@ -36,6 +38,7 @@ from bayescal.numerics.geometry import Array, compute_pose_error, matrix_from_ro
 
 BATCH, FEW_POSES = 32, 128
 """Machines at a time, at so many poses: their derivatives stay in the cache."""
+AT_ONCE = 4_000_000  # numbers of the columns of functions of the pose
 CLOSES = 1e-4
 """Newton step in mm and rad below which the derivatives are those at the predicted pose: to 0.001 nats of 40 poses."""
 STEPS = 5
@@ -93,15 +96,27 @@ class _Shared:
 
 @dataclass(frozen=True, eq=False)
 class _Function:
-    """A model error that is a function of the pose, of unit scale: columns W L_n F_nr e_i s_i add V Vᵀ."""
+    """Model errors that are functions of the pose: columns W L_n F_inr e_i add V Vᵀ, F_i F_iᵀ that of leg i's."""
 
-    likelihood: StructuredLikelihood
+    likelihood: StructuredLikelihood | FunctionLikelihood
+
+    @property
+    def n_numbers(self) -> int:
+        """How many numbers V of one machine has."""
+        n_rows = self.likelihood.n_poses * self.likelihood.n_legs
+        functions = self.likelihood.components if isinstance(self.likelihood, FunctionLikelihood) else None
+        return n_rows * (functions.n_columns if isinstance(functions, LowRankComponents) else n_rows)
+
+    def alone(self, model_error: Array) -> Array:
+        """Return errors of single poses, (B, ...) to (B, N)."""
+        if isinstance(self.likelihood, FunctionLikelihood):
+            return self.likelihood.of_single_poses(model_error)
+        return model_error[:, : self.likelihood.n_legs]
 
     def columns(self, white: Array, here: _Here, model_error: Array) -> Array:
-        """Return V, shape (B, P, N, R N), for whitening matrices (B, P, N, N) and model errors (B, 2 N or more)."""
-        n_legs = self.likelihood.n_legs
-        legs = white @ here.legs * model_error[:, None, None, n_legs : 2 * n_legs]
-        spread = self.likelihood.factor(model_error)[:, :, None, :, None] * legs[..., None, :]
+        """Return V, shape (B, P, N, N R), for whitening matrices (B, P, N, N) and model errors (B, ...)."""
+        legs, factors = white @ here.legs, self.likelihood.factor_functions(model_error)
+        spread = legs[..., None] * np.swapaxes(factors, 1, 2)[:, :, None]
         return np.asarray(spread.reshape(*legs.shape[:3], -1))
 
 
@@ -127,8 +142,8 @@ class ExactDensity:
     common : CommonErrors, optional
     actuator_variance : ndarray, shape (P, N), optional
         v_ni, mm²: extra variance of each leg at each pose by itself.
-    structured : StructuredLikelihood, optional
-        Of the same poses: model errors have its entries then, τ of each leg, the scales s, and a length that is free.
+    functions : StructuredLikelihood or FunctionLikelihood, optional
+        Of the same poses: model errors have its entries then, τ of each leg, and what its functions have.
     """
 
     def __init__(
@@ -137,10 +152,10 @@ class ExactDensity:
         actuator_noise: float,
         common: CommonErrors | None = None,
         actuator_variance: Array | None = None,
-        structured: StructuredLikelihood | None = None,
+        functions: StructuredLikelihood | FunctionLikelihood | None = None,
     ) -> None:
         self._likelihood, self._noise = likelihood, actuator_noise
-        self._function = None if structured is None else _Function(structured)
+        self._function = None if functions is None else _Function(functions)
         self._variance = 0.0 if actuator_variance is None else actuator_variance
         self._shared = None if common is None else _Shared.from_errors(common)
         gain = likelihood.machine.basis(likelihood.poses.actuators).actuator_gain
@@ -160,6 +175,8 @@ class ExactDensity:
         model_error = np.broadcast_to(model_error, (len(theta), model_error.shape[-1]))
         with np.errstate(all="ignore"):  # far out numbers overflow: no density in the end
             size = max(1, BATCH * FEW_POSES // max(self._likelihood.n_poses, FEW_POSES))
+            if self._function is not None:
+                size = max(1, min(size, AT_ONCE // self._function.n_numbers))
             for start in range(0, len(theta), size):
                 part = slice(start, start + size)
                 result[part] = self._evaluate(theta[part], model_error[part])
@@ -219,8 +236,8 @@ class ExactDensity:
         pose, actuators = here.closure.pose, here.closure.actuators
         covariance = pose @ self._likelihood.poses.covariance @ np.swapaxes(pose, -1, -2)
         covariance += self._noise**2 * actuators @ np.swapaxes(actuators, -1, -2)
-        tau = model_error[:, None, : self._likelihood.n_legs]
-        own = here.legs * np.sqrt(tau**2 + self._variance)[..., None, :]
+        tau = model_error[:, : self._likelihood.n_legs] if self._function is None else self._function.alone(model_error)
+        own = here.legs * np.sqrt(tau[:, None] ** 2 + self._variance)[..., None, :]
         return np.asarray(covariance + own @ np.swapaxes(own, -1, -2))
 
     def _columns(self, white: Array, here: _Here, model_error: Array) -> Array | None:

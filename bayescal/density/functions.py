@@ -4,16 +4,11 @@ Leg i errs at poses p and q, beside the stated noise and independently of the ot
 
     cov(g_ip, g_iq) = √(w_ip w_iq) { τ_i² δ_pq + Σ_t s_t² k_t,i(p, q) / c_t }
 
-with four sorts t of functions of the travel z = (ρ - ρ_home) / range and of the place in measuring order t in [0, 1):
-
-    linear   z_p · z_q                       every actuator moves every leg: a coupling
-    own      z_ip z_iq                       each leg by its own actuator: a lead error, a scale
-    smooth   k(z_p, z_q), length one range   anything smooth: joints, gravity, waves
-    drift    min(t_p, t_q) + 0.02            a session's drift: temperature
-
-c_t is the mean of k_t over legs and calibration poses, so that each scale s_t is a root mean square in mm. There are
-several sorts because a scale is learnt from what of an error is visible: a smooth kernel alone expects curvature, sees
-none, shrinks, and hides errors that are linear, which the geometry imitates (Brynjarsdottir and O'Hagan 2014).
+with sorts t of functions of the pose (`bayescal.density.sorts`): linear in the travel, linear in the leg's own, smooth,
+or of the place in measuring order. c_t is the mean of k_t over legs and calibration poses, so that each scale s_t is a
+root mean square in mm. There are several sorts because a scale is learnt from what of an error is visible: a smooth
+kernel alone expects curvature, sees none, shrinks, and hides errors that are linear, which the geometry imitates
+(Brynjarsdottir and O'Hagan 2014).
 
 A pose's rows r ~ N(0, C⁰ + H (…) Hᵀ), H = W √w, are turned once to rows e that are white but for model errors, of
 which the first N' see the legs: H becomes R there and zero below. Then all rows together have the covariance
@@ -21,96 +16,44 @@ which the first N' see the legs: H becomes R there and zero below. Then all rows
     S = 1 + Σ_i τ_i² (R_i R_iᵀ at each pose) + Σ_t s_t² E_t,    E_t = Σ_i R_ip R_iqᵀ k_t,i(p, q) / c_t,
 
 a sum of fixed matrices (variance components: Patterson and Thompson 1971), whose Cholesky factor is the density's cost.
+With more than `MOST_ROWS` rows of all poses together E_t is taken to be of few columns (`LowRankComponents`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass
-from functools import cached_property
-from typing import Final, NamedTuple
+from dataclasses import replace
 
 import numpy as np
+from scipy.linalg import cholesky, solve_triangular
 
 from bayescal.data.measured_poses import MeasuredPoses
-from bayescal.density.components import Components, LinearRows, batches
+from bayescal.density.components import MOST_ROWS, Components, LinearRows, batches
 from bayescal.density.elimination import whiten_covariance
 from bayescal.density.errors import LegErrors
+from bayescal.density.few_columns import LowRankComponents, list_gram_arrays
 from bayescal.density.instruments import InstrumentLikelihood
 from bayescal.density.legs import Likelihood, turn_to_coordinates
 from bayescal.density.pose_likelihood import PoseLikelihood
-from bayescal.density.priors import SmoothKernel
 from bayescal.density.sampling import LegSampling
+from bayescal.density.sorts import (
+    FEWEST_POSES,
+    MOST_CHOSEN,
+    MOST_DRIFT,
+    MOST_SMOOTH,
+    SORTS,
+    Place,
+    PoseFunctions,
+)
 from bayescal.errors import InputError
 from bayescal.numerics.geometry import Array
 
-START: Final = 0.02  # of a drift, that is there at the first pose
-FEWEST_POSES = 3
-
+COVARIANCES = 3.0
+"""Of all rows, for each amplitude: itself, products with an inverse."""
 
 type LegRows = PoseLikelihood | InstrumentLikelihood
 """Densities of poses that are independent of each other."""
-
-
-class Place(NamedTuple):
-    """Where functions are evaluated: P poses."""
-
-    travel: Array  # (P, N): z, ranges
-    time: Array | None  # (P,): place in measuring order, 0 to 1; None where there is no order
-
-    def join(self, other: Place) -> Place:
-        """Return the poses of both, one behind the other."""
-        time = None if self.time is None or other.time is None else np.concatenate([self.time, other.time])
-        return Place(np.concatenate([self.travel, other.travel]), time)
-
-
-def _linear(first: Place, second: Place) -> Array:
-    return np.asarray(first.travel @ second.travel.T)[None]
-
-
-def _own(first: Place, second: Place) -> Array:
-    return np.asarray(first.travel.T[:, :, None] * second.travel.T[:, None, :])
-
-
-def _smooth(first: Place, second: Place) -> Array:
-    return SmoothKernel(1.0)(first.travel, second.travel)[None]
-
-
-def _drift(first: Place, second: Place) -> Array:
-    assert first.time is not None
-    assert second.time is not None
-    return (np.minimum.outer(first.time, second.time) + START)[None]
-
-
-SORTS: Final[Mapping[str, Callable[[Place, Place], Array]]] = {
-    "linear": _linear,
-    "own": _own,
-    "smooth": _smooth,
-    "drift": _drift,
-}
-"""By name: k_t at two lots of poses P and Q, (N, P, Q), or (1, P, Q) where it is that of all legs."""
-
-
-@dataclass(frozen=True, eq=False)
-class PoseFunctions:
-    """Sorts of functions, normalised over the calibration poses."""
-
-    sorts: tuple[str, ...]
-    place: Place  # of the calibration poses
-
-    @cached_property
-    def norms(self) -> Array:
-        """c_t of each sort, shape (C,)."""
-        kernels = [SORTS[name](self.place, self.place) for name in self.sorts]
-        found = np.array([np.diagonal(one, axis1=1, axis2=2).mean() for one in kernels])
-        if not (found > 0.0).all():
-            raise InputError("model_error: found all calibration poses at home, expected actuators that move")
-        return found
-
-    def between(self, first: Place, second: Place) -> list[Array]:
-        """Return k_t / c_t of each sort between poses, (N or 1, P, Q) each."""
-        return [SORTS[name](first, second) / norm for name, norm in zip(self.sorts, self.norms, strict=True)]
 
 
 class FunctionLikelihood(Likelihood):
@@ -123,7 +66,7 @@ class FunctionLikelihood(Likelihood):
     base : PoseLikelihood or InstrumentLikelihood
         Density of the calibration poses without such errors.
     sorts : sequence of str
-        Of `SORTS`.
+        Of `bayescal.density.sorts.SORTS`.
     travel : float
         Range of the actuators, mm.
     order : mapping of str to float
@@ -147,8 +90,11 @@ class FunctionLikelihood(Likelihood):
         self.machine, self.layout, self.actuator_weight = base.machine, base.layout, base.actuator_weight
         self._travel, self._order = travel, order
         self.place = self.place_of(base)
-        self.functions = functions or PoseFunctions(tuple(sorts), self.place)
         self._turn, self._seen = _turn_rows(base)
+        self.functions = functions or PoseFunctions(tuple(sorts), self.place)
+        # where held-back poses are many, so are the rows that are predicted together
+        if max(base.n_poses, len(order)) * self._seen.shape[1] > MOST_ROWS and self.functions.of_few is None:
+            self.functions = replace(self.functions, of_few=self.place)
         self.components = self._find_components()
         self._constant = base.log_constant + np.linalg.slogdet(self._turn)[1]
 
@@ -158,17 +104,22 @@ class FunctionLikelihood(Likelihood):
         time = np.array([self._order[name] for name in poses.pose_names]) if self._order else None
         return Place((poses.actuators - home) / self._travel, time)
 
-    def _find_components(self) -> Components:
+    def _find_components(self) -> Components | LowRankComponents:
         """Return what the model errors of each leg, then the sorts of functions, add to the white rows."""
         n_poses, n, n_legs = self._seen.shape
+        known = np.broadcast_to(np.eye(n), (n_poses, n, n))
+        blocks = np.einsum("pai,pbi->ipab", self._seen, self._seen)
+        if self.functions.of_few is not None:
+            return LowRankComponents(
+                known, blocks, self._seen, *self.functions.join_bases(self.place), self.functions.left
+            )
         parts = np.empty((len(self.functions.sorts), n_poses * n, n_poses * n))
         for k, kernel in enumerate(self.functions.between(self.place, self.place)):
             whole = _for_legs(kernel, n_legs)
             parts[k] = np.einsum("pai,ipq,qbi->paqb", self._seen, whole, self._seen, optimize=True).reshape(
                 parts.shape[1:]
             )
-        blocks = np.einsum("pai,pbi->ipab", self._seen, self._seen)
-        return Components(np.broadcast_to(np.eye(n), (n_poses, n, n)), blocks, parts)
+        return Components(known, blocks, parts)
 
     # --- what it is ----------------------------------------------------------------------------------------------
 
@@ -236,14 +187,19 @@ class FunctionLikelihood(Likelihood):
 
     def pose_covariance(self, model_error: Array) -> Array:
         """Return the covariance of a pose but for the functions, (..., P, 6, 6), for amplitudes (..., N + C)."""
-        return self.base.pose_covariance(model_error[..., : self.n_legs])
+        return self.base.pose_covariance(self.of_single_poses(model_error))
+
+    def of_single_poses(self, model_error: Array) -> Array:
+        """Return errors of single poses, (..., N + C) to (..., N): τ, and what functions of few columns leave out."""
+        left = model_error[..., self.n_legs :] ** 2 @ self.functions.left
+        return np.sqrt(model_error[..., : self.n_legs] ** 2 + left[..., None])
 
     def error_covariance(self, model_error: Array) -> Array:
         """Return the covariance of each pose's rows by itself, shape (P, K, K), for amplitudes (N + C,)."""
-        own = [np.diagonal(one, axis1=1, axis2=2) for one in self.functions.between(*2 * [self.place])]
+        own = self.functions.variances(self.place)
         square = sum(s**2 * one for s, one in zip(model_error[self.n_legs :], own, strict=True))  # (N or 1, P)
         shown = self.base.rows_of_legs * np.sqrt(self.actuator_weight * np.asarray(square).T)[:, None, :]
-        return self.base.error_covariance(model_error[: self.n_legs]) + shown @ np.swapaxes(shown, -1, -2)
+        return self.base.error_covariance(self.of_single_poses(model_error)) + shown @ np.swapaxes(shown, -1, -2)
 
     # --- covariance of all rows ----------------------------------------------------------------------------------
 
@@ -259,7 +215,7 @@ class FunctionLikelihood(Likelihood):
         return white[:, :n_seen].reshape(-1, m), white[:, n_seen:].reshape(-1, m)
 
     def whiten(self, model_error: Array) -> Callable[[Array], Array]:
-        """Return what makes rows (P, K, n) white, those of a pose given the poses before it."""
+        """Return what makes rows (P, K, n) of all poses together white, (P, K, n)."""
         factor, n_seen = self.components.factorise(model_error**2), self._seen.shape[1]
 
         def apply(rows: Array) -> Array:
@@ -316,8 +272,8 @@ class FunctionLikelihood(Likelihood):
         slope = turn_to_coordinates(self.error_jacobian(theta)[1], change)
         seen, _ = self._split_slopes(slope)
         mine, unseen = slice(row * n_seen, (row + 1) * n_seen), (self._turn[row] @ slope[row])[n_seen:]
-        solved = white.solve(seen)[mine]
-        return np.asarray(solved.T @ np.linalg.solve(white.inverse[mine, mine], solved) + unseen.T @ unseen)
+        solved, own = white.solve(seen)[mine], white.solve(np.eye(len(seen))[:, mine])[mine]
+        return np.asarray(solved.T @ np.linalg.solve(own, solved) + unseen.T @ unseen)
 
     def differentiate(
         self, theta: Array, change: Array, errors: LegErrors, zeta: Array, newton: bool
@@ -344,10 +300,8 @@ class FunctionLikelihood(Likelihood):
             return gradient, hessian
         slopes, inside = errors.slopes_of_amplitudes(zeta), slice(m, n)
         pulled = self.components.act(alpha)  # E α (K, M)
-        seen_by = self.components.act_on_inverse(white.inverse)  # S⁻¹ E (K, M, M)
-        traces = np.einsum("kii->k", seen_by)
+        traces, both = self.components.traces(amplitudes**2)
         surplus = pulled @ alpha - traces
-        both = np.einsum("kij,lji->kl", seen_by, seen_by, optimize=True)
         scaled = np.outer(amplitudes, amplitudes)
         gradient[inside] = slopes @ (amplitudes * surplus)
         if not newton:
@@ -381,13 +335,9 @@ class FunctionLikelihood(Likelihood):
         rows, slope = self.error_jacobian(theta)
         seen, unseen = self._split(rows)
         by_seen, by_unseen = self._split_slopes(turn_to_coordinates(slope, change))
-        return LinearRows(
-            seen,
-            by_seen,
-            by_unseen.T @ by_unseen,
-            -by_unseen.T @ unseen.ravel(),
-            lambda zeta: self.components.factorise(errors.amplitudes(zeta) ** 2),
-        )
+        square = self.components.square(np.column_stack([by_seen, seen]))
+        pull = -by_unseen.T @ unseen.ravel()
+        return LinearRows(by_unseen.T @ by_unseen, pull, lambda zeta: square(errors.amplitudes(zeta) ** 2))
 
     def _around(self, sampling: LegSampling, y: Array) -> tuple[Array, Array]:
         theta = sampling.theta_from_y(y[None, : sampling.size])[0]
@@ -435,24 +385,60 @@ class FunctionLikelihood(Likelihood):
         rows = (back @ np.concatenate([deviation, unseen], axis=-1)[..., None])[..., 0]
         return rows, back @ white @ np.swapaxes(back, -1, -2)
 
-    def predict(self, poses: LegRows, theta: Array, model_error: Array) -> tuple[Array, Array]:
-        """Return rows of Q other poses as read minus expected from the calibration poses, (B, Q, K), and covariance.
+    def predict(self, poses: LegRows, theta: Array, model_error: Array) -> tuple[Array, Array, Array]:
+        """Return what is expected of rows of Q other poses given the calibration poses.
 
-        The covariance, shape (B, Q, K, Q, K), is that of reading all of them; vectors are (B, D), amplitudes
-        (B, N + C).
+        Rows as read minus expected, (B, Q, K), the covariance of each pose's, (B, Q, K, K), and the log-density of all
+        of them together but for 2 π, (B,); vectors are (B, D) and amplitudes (B, N + C).
         """
         known, _ = self._split(self.base.errors(theta))
-        rows, shown, n = poses.errors(theta), poses.rows_of_legs, self.n_legs
-        seen = np.einsum("qki,bqim->bqkm", shown, self._across(poses, model_error))
-        seen = seen.reshape(len(theta), -1, seen.shape[-1])
-        solved = np.linalg.solve(self.components.covariances(model_error**2), np.swapaxes(seen, -1, -2))
-        total = np.einsum("qki,biqr,rli->bqkrl", shown, self._own(poses, model_error), shown, optimize=True)
-        for k, amplitudes in enumerate(model_error):
-            np.einsum("qkql->qkl", total[k])[:] += poses.error_covariance(amplitudes[:n])
-        total -= (seen @ solved).reshape(total.shape)
-        return rows - np.einsum("bmr,bm->br", solved, known).reshape(rows.shape), total
+        rows = poses.errors(theta)
+        condition = self._condition if isinstance(self.components, Components) else self._condition_columns
+        found = [condition(poses, *one) for one in zip(rows, known, model_error, strict=True)]
+        deviation, own, together = zip(*found, strict=True)
+        return np.stack(deviation), np.stack(own), np.array(together)
+
+    def _condition(self, poses: LegRows, rows: Array, known: Array, amplitudes: Array) -> tuple[Array, Array, float]:
+        """Return the same for rows (Q, K), seen rows (M,) of the calibration poses and amplitudes (N + C,)."""
+        shown, q = poses.rows_of_legs, len(rows)
+        white = self.components.factorise(amplitudes**2)
+        across = np.einsum("qki,qim->qkm", shown, self._across(poses, amplitudes[None])[0])
+        seen = white.rows(across.reshape(rows.size, -1).T)
+        total = np.einsum("qki,iqr,rli->qkrl", shown, self._own(poses, amplitudes[None])[0], shown, optimize=True)
+        np.einsum("qkql->qkl", total)[:] += poses.error_covariance(amplitudes[: self.n_legs])
+        total = total.reshape(rows.size, -1) - seen.T @ seen
+        deviation = rows - (seen.T @ white.rows(known)).reshape(rows.shape)
+        factor = cholesky(total, lower=True, check_finite=False)
+        square = solve_triangular(factor, deviation.ravel(), lower=True, check_finite=False)
+        own = np.einsum("qkql->qkl", total.reshape(q, -1, q, rows.shape[1]))
+        return deviation, own, -0.5 * float(square @ square) - float(np.log(np.diag(factor)).sum())
+
+    def _condition_columns(
+        self, poses: LegRows, rows: Array, known: Array, amplitudes: Array
+    ) -> tuple[Array, Array, float]:
+        """Return the same where functions are made of few columns: given their coefficients poses are independent."""
+        assert isinstance(self.components, LowRankComponents)
+        white, basis = self.components.factorise(amplitudes**2), self.functions.join_bases(self.place_of(poses))[0]
+        shown = poses.rows_of_legs * np.sqrt(poses.actuator_weight)[:, None, :]
+        expected, spread = white.predict(known, shown, basis)
+        deviation, noise = rows - expected, poses.error_covariance(self.of_single_poses(amplitudes))
+        others = LowRankComponents(
+            noise, np.zeros((0, *noise.shape)), shown, basis, self.components.sorts, self.functions.left
+        )
+        return deviation, noise + spread, others.weigh_given(white.root, deviation.ravel())
 
     # --- the functions -------------------------------------------------------------------------------------------
+
+    def factor_functions(self, model_error: Array) -> Array:
+        """Return F_i with F_i F_iᵀ the covariance of leg i's functions over the poses, mm along the actuators.
+
+        Shape (B, N, P, R), of amplitudes (B, N + C).
+        """
+        if isinstance(self.components, LowRankComponents):
+            scales = model_error[:, self.n_legs + self.components.sorts]
+            return self.components.basis * scales[:, None, None]
+        kernels = [_for_legs(one, self.n_legs) for one in self.functions.between(self.place, self.place)]
+        return _root(np.einsum("bt,tipq->bipq", model_error[:, self.n_legs :] ** 2, np.stack(kernels)))
 
     def draw_prior(self, place: Place, model_error: Array, rng: np.random.Generator) -> Array:
         """Return draws of the functions before any data, one of each of amplitudes (B, N + C), at Q poses.
@@ -460,10 +446,14 @@ class FunctionLikelihood(Likelihood):
         Shape (B, C, Q, N), mm along the actuators.
         """
         scales, found = model_error[:, self.n_legs :], []
+        if self.functions.of_few is not None:
+            for k, basis in enumerate(self.functions.list_bases(place)):
+                normal = rng.standard_normal((len(scales), self.n_legs, basis.shape[-1]))
+                values = np.einsum("iqa,bia->bqi", _for_legs(basis, self.n_legs), normal, optimize=True)
+                found.append(scales[:, k, None, None] * values)
+            return np.stack(found, axis=1)
         for k, kernel in enumerate(self.functions.between(place, place)):
-            values, vectors = np.linalg.eigh(kernel)
-            root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
-            normal = rng.standard_normal((len(scales), self.n_legs, kernel.shape[-1]))
+            root, normal = _root(kernel), rng.standard_normal((len(scales), self.n_legs, kernel.shape[-1]))
             found.append(scales[:, k, None, None] * np.einsum("iqr,bir->bqi", _for_legs(root, self.n_legs), normal))
         return np.stack(found, axis=1)
 
@@ -479,6 +469,8 @@ class FunctionLikelihood(Likelihood):
         own, n, n_poses = self.place, self.n_legs, self.n_poses
         place = own if others is None else own.join(self.place_of(others))
         read, _ = self._split(self.base.errors(theta))
+        if isinstance(self.components, LowRankComponents):
+            return self._draw_columns(self.components, place, read, model_error, rng)
         drawn = self.draw_prior(place, model_error, rng)
         alone = model_error[:, None, :n] * rng.standard_normal((len(theta), n_poses, n))
         made = np.einsum("pai,bpi->bpa", self._seen, drawn[:, :, :n_poses].sum(axis=1) + alone)
@@ -492,6 +484,40 @@ class FunctionLikelihood(Likelihood):
                 mean[k, c] = amplitudes[n + c] ** 2 * moves[0]
                 drawn[k, c] += amplitudes[n + c] ** 2 * moves[1]
         return mean, drawn
+
+    def _draw_columns(
+        self, components: LowRankComponents, place: Place, read: Array, model_error: Array, rng: np.random.Generator
+    ) -> tuple[Array, Array]:
+        """Return means and draws of the functions at poses by their coefficients given seen rows (B, M)."""
+        basis, sorts = self.functions.join_bases(place)
+        n, n_places, size = basis.shape
+        mean = np.empty((len(read), len(self.functions.sorts), n_places, n))
+        drawn = np.empty_like(mean)
+        for k, amplitudes in enumerate(model_error):
+            white = components.factorise(amplitudes**2)
+            expected = white.expect(read[k, :, None])[:, 0]
+            coefficients = np.stack([expected, expected + white.root @ rng.standard_normal(len(expected))], axis=1)
+            by_function = coefficients.reshape(n, size, 2)
+            for sort in range(len(self.functions.sorts)):
+                values = basis[..., sorts == sort] @ by_function[:, sorts == sort]
+                mean[k, sort], drawn[k, sort] = values.transpose(2, 1, 0)
+        return mean, drawn
+
+
+def list_arrays(n_poses: int, n_legs: int) -> list[tuple[float, ...]]:
+    """Return what a density holds of poses with as many rows as legs: how many arrays alike, then their shape."""
+    m = n_poses * n_legs
+    if m <= MOST_ROWS:
+        return [(COVARIANCES * (n_legs + len(SORTS)), m, m)]
+    a = n_legs + 1 + MOST_SMOOTH + MOST_DRIFT
+    columns = [(1.0, m, a), (2.0, n_poses, MOST_CHOSEN), (4.0, m, n_legs)]
+    return [*columns, *list_gram_arrays(m, n_legs * a)]
+
+
+def _root(kernel: Array) -> Array:
+    """Return F with F Fᵀ a matrix without negative eigenvalues, (..., Q, Q)."""
+    values, vectors = np.linalg.eigh(kernel)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :])
 
 
 def _for_legs(kernel: Array, n_legs: int) -> Array:

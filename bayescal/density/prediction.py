@@ -239,16 +239,21 @@ def draw_functions(
     likelihood: FunctionLikelihood, others: LegRows | None, theta: Array, model_error: Array, rng: np.random.Generator
 ) -> FunctionDraws:
     """Return the functions at the calibration poses and at others behind them, of draws (T, D) and (T, N + C)."""
-    mean, drawn = likelihood.draw(others, theta, model_error, rng)
-    own, total = slice(0, likelihood.n_poses), drawn.sum(axis=1)
+    own, totals, sizes, expected = slice(0, likelihood.n_poses), list[Array](), list[Array](), list[Array]()
+    for part in likelihood.batches(len(theta)):
+        mean, drawn = likelihood.draw(others, theta[part], model_error[part], rng)
+        expected.append(mean.sum(axis=0))
+        totals.append(drawn.sum(axis=1))
+        sizes.append(np.sqrt(np.mean(drawn[:, :, own] ** 2, axis=(2, 3))))
+    total, mean = np.concatenate(totals), np.sum(expected, axis=0) / len(theta)
     low, high = np.quantile(total, [0.5 - INTERVAL / 2, 0.5 + INTERVAL / 2], axis=0)
     return FunctionDraws(
-        mean.sum(axis=1).mean(axis=0),
+        mean.sum(axis=0),
         low,
         high,
-        np.sqrt(np.mean(drawn[:, :, own] ** 2, axis=(2, 3))),
+        np.concatenate(sizes),
         np.sqrt(np.mean(total[:, own] ** 2, axis=1)),
-        np.sqrt(np.mean(mean.mean(axis=0)[:, own] ** 2, axis=1)),
+        np.sqrt(np.mean(mean[:, own] ** 2, axis=1)),
     )
 
 
@@ -287,10 +292,8 @@ def predict_given(
         if others is None:
             rows, own = likelihood.leave_out(theta[part], model_error[part])
         else:
-            rows, covariance = likelihood.predict(others, theta[part], model_error[part])
-            own = np.einsum("bqkql->bqkl", covariance)
-            flat = rows.reshape(len(rows), -1)
-            together.append(_weigh(flat, np.linalg.cholesky(covariance.reshape(*flat.shape, -1))))
+            rows, own, of_all = likelihood.predict(others, theta[part], model_error[part])
+            together.append(of_all)
         factor = np.linalg.cholesky(own)
         single.append(_weigh(rows, factor))
         mine = chosen[(chosen >= part.start) & (chosen < part.stop)] - part.start

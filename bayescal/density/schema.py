@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Annotated, Final, Literal, Self, get_args
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
+from bayescal.config.load import MEASURED
 from bayescal.config.sections import NotNegative, PerLeg, Positive, PositivePerLeg, Section, check_once
 from bayescal.density.priors import INDEPENDENT, LENGTHY, KernelName, LogNormalPrior
 
@@ -49,10 +50,20 @@ FUNCTIONS_UM: Final = 20.0
 type TermNames = Annotated[list[TermName], AfterValidator(check_once)]
 
 
+def _tag_choice(value: object) -> str:
+    return f"{MEASURED}{'terms' if isinstance(value, list) else 'kernel'}"
+
+
+type ModelErrorChoice = Annotated[
+    Annotated[KernelName, Tag(f"{MEASURED}kernel")] | Annotated[TermNames, Tag(f"{MEASURED}terms")],
+    Discriminator(_tag_choice),
+]
+
+
 class KernelChoiceConfig(Section):
     """Which model error a variant has in place of what its experiment says."""
 
-    model_error: KernelName | TermNames | None = Field(default=None, exclude_if=lambda value: value is None)
+    model_error: ModelErrorChoice | None = Field(default=None, exclude_if=lambda value: value is None)
     """The terms of this variant's model error, a list as in [model_error]; or what is a function of the pose with a
     stated scale: `independent`, `linear`, `quadratic` or `smooth`.
     """

@@ -237,6 +237,14 @@ class StructuredLikelihood(Likelihood):
         vectors = np.swapaxes(self._rows_at(model_error).reshape(shape), -1, -2)
         return factor_kernel(self._values_at(model_error).reshape(shape[:2]), vectors)
 
+    def factor_functions(self, model_error: Array) -> Array:
+        """Return F_i with F_i F_iᵀ the covariance of leg i's function over the poses, mm along the actuators.
+
+        Shape (B, N, P, R), of model errors (B, ...).
+        """
+        scales = model_error[:, self.n_legs : 2 * self.n_legs, None, None]
+        return np.asarray(scales * self.factor(model_error)[:, None])
+
     def _find_map(self, poses: PoseLikelihood) -> Array:
         """Return T of poses, shape (P, N, N)."""
         found = map_covariance(self._mean_known, poses.legs_known)

@@ -21,7 +21,7 @@ from bayescal.inference.scales import sample_scales
 from bayescal.inference.target import Target
 from bayescal.numerics.geometry import Array
 
-N_DRAWS: Final = 1000  # of the proposal of ζ
+N_DRAWS: Final = 600  # of the proposal of ζ
 NODES_PER_FEATURE: Final = 6  # at which the map is fitted
 MOST_NODES: Final = 800
 WIDER: Final = 1.3  # standard deviations of half of the nodes in those of the draws

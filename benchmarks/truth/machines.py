@@ -61,6 +61,8 @@ class Simulated(ABC):
     n_actuators : int
     seen : list of int
         Channels in which the instrument sees lengths.
+    true : ndarray, shape (D,), or None
+        The twin, once it is drawn.
     """
 
     names: list[str]
@@ -72,6 +74,7 @@ class Simulated(ABC):
     lever: Array
     n_actuators: int
     seen: list[int]
+    true: Array | None = None
 
     @abstractmethod
     def read(self, theta: Array, v: Array) -> Array:
@@ -82,8 +85,9 @@ class Simulated(ABC):
         """Return n poses of the workspace of a machine (D,), shape (n, q)."""
 
     def travel(self, v: Array) -> Array:
-        """Return how far actuators are from home, shape (P, N), about one at the ends."""
-        moved = self.read(self.nominal, v) - self.read(self.nominal, self.home[None])
+        """Return how far a twin's actuators are from the drawing's home, shape (P, N), about one at the ends."""
+        true = self.nominal if self.true is None else self.true
+        moved = self.read(true, v) - self.read(self.nominal, self.home[None])
         return moved[:, : self.n_actuators] / self.reach
 
     @property

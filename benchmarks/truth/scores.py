@@ -54,6 +54,7 @@ def draw_twin(name: str, row: str, size: float, seed: int) -> tuple[Simulated, T
     machine = MACHINES[name]()
     rng = np.random.default_rng([seed, zlib.crc32(name.encode())])
     theta = machine.nominal + machine.sd * rng.standard_normal(machine.nominal.size)
+    machine.true = theta
     if row == MATRIX:
         if not isinstance(machine, Carriages):
             raise SystemExit(f"{row}: found machine {name!r}, expected one on carriages")

@@ -49,18 +49,19 @@ def test_each_pose_given_all_others(components):
 
 def test_what_a_variance_adds_is_the_slope_of_the_covariance(components):
     vector, inverse = np.random.default_rng(4).standard_normal(P * N), np.linalg.inv(plain(components, VARIANCES))
-    for k, step in enumerate(np.eye(3)):
-        slope = plain(components, VARIANCES + step) - plain(components, VARIANCES)
-        assert components.act(vector)[k] == pytest.approx(slope @ vector, rel=1e-9, abs=1e-9)
-        assert components.act_on_inverse(inverse)[k] == pytest.approx(inverse @ slope, rel=1e-9, abs=1e-9)
+    slopes = [plain(components, VARIANCES + step) - plain(components, VARIANCES) for step in np.eye(3)]
+    assert components.act(vector) == pytest.approx(np.stack(slopes) @ vector, rel=1e-9, abs=1e-9)
+    first, second = components.traces(VARIANCES)
+    both = inverse @ np.stack(slopes)
+    assert first == pytest.approx([np.trace(one) for one in both], rel=1e-9)
+    assert second == pytest.approx(np.array([[np.trace(one @ other) for other in both] for one in both]), rel=1e-9)
 
 
 def test_geometry_given_the_errors_is_that_of_the_joint_normal(components):
     rng = np.random.default_rng(5)
     residual, slope, centre = rng.standard_normal(P * N), rng.standard_normal((P * N, M_GEOMETRY)), np.arange(4.0)
-    rows = LinearRows(
-        residual, slope, np.zeros((4, 4)), np.zeros(4), lambda zeta: components.factorise(np.exp(zeta) * VARIANCES)
-    )
+    square = components.square(np.column_stack([slope, residual]))
+    rows = LinearRows(np.zeros((4, 4)), np.zeros(4), lambda zeta: square(np.exp(zeta) * VARIANCES))
     # a standard normal prior about zero
     linear = LinearGeometry(centre, rows, np.eye(4), -centre, lambda zeta: float(-0.5 * zeta @ zeta), np.exp)
     masses, expected = [], []

@@ -19,6 +19,7 @@ from eliminated_legs import eliminate_legs, evaluate_legs
 from scipy.stats import multivariate_normal
 
 from bayescal.density.exact import CommonErrors, ExactDensity
+from bayescal.density.functions import FunctionLikelihood
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.priors import LinearKernel, SmoothKernel
 from bayescal.density.structured import StructuredLikelihood
@@ -241,15 +242,40 @@ def test_structured_errors_are_functions_of_the_legs_travel(model, deformation, 
     alone = spread_out(reference_covariance(machine, theta, poses))
     error = find_error(machine, theta, poses).ravel()
     expected = log_normal(error, alone + function)
-    found = ExactDensity(likelihood, NOISE, structured=structured)(theta[None], errors)[0]
+    found = ExactDensity(likelihood, NOISE, functions=structured)(theta[None], errors)[0]
     assert found == pytest.approx(expected, abs=1e-4)
     assert abs(log_normal(error, alone) - expected) > 1.0
     # what is common adds to the covariance, whatever else does
-    both = ExactDensity(likelihood, NOISE, common, structured=structured)(theta[None], errors)[0]
+    both = ExactDensity(likelihood, NOISE, common, functions=structured)(theta[None], errors)[0]
     one = ExactDensity(likelihood, NOISE, common)(theta[None], TAU)[0]
-    none = ExactDensity(likelihood, NOISE, common, structured=structured)(theta[None], np.append(TAU, 0 * TAU))[0]
+    none = ExactDensity(likelihood, NOISE, common, functions=structured)(theta[None], np.append(TAU, 0 * TAU))[0]
     assert none == pytest.approx(one, abs=1e-9)
     assert abs(both - found) > 1e-3
+
+
+@pytest.mark.parametrize(("model", "deformation"), [("six_pus", "none"), SLOW_CASE])
+def test_functions_of_several_sorts(model, deformation):
+    """The covariance of all poses at once: linear in all actuators and in the own one, by a scale and norm each."""
+    machine, theta, poses, _ = draw_setup(model, deformation, 3)
+    travel = 1.3
+    z = (poses.actuators - machine.mechanism.initial_actuator_positions) / travel
+    likelihood = PoseLikelihood(machine, poses, NOISE)
+    functions = FunctionLikelihood(likelihood, ("linear", "own"), travel, {})
+    errors = np.append(TAU, [7e-3, 4e-3])
+    legs = differentiate_legs(machine, theta, poses.actuators)
+    every = z @ z.T / np.mean(np.sum(z**2, axis=1))
+    own = np.einsum("pj,qj->jpq", z, z) / np.mean(z**2)
+    kernel = 7e-3**2 * every + 4e-3**2 * own
+    function = np.einsum("pij,jpq,qkj->piqk", legs, kernel, legs).reshape(24, 24)
+    alone = spread_out(reference_covariance(machine, theta, poses))
+    error = find_error(machine, theta, poses).ravel()
+    expected = log_normal(error, alone + function)
+    exact = ExactDensity(likelihood, NOISE, functions=functions)
+    assert exact(theta[None], errors)[0] == pytest.approx(expected, abs=1e-4)
+    assert abs(log_normal(error, alone) - expected) > 1.0
+    several = exact(np.tile(theta, (3, 1)), np.array([errors, 0.5 * errors, errors]))
+    assert several[[0, 2]] == pytest.approx(np.full(2, expected), abs=1e-4)
+    assert abs(several[1] - expected) > 1e-3
 
 
 def test_redundant_legs_keep_the_density_of_the_hot_path():

@@ -39,7 +39,7 @@ def test_information_is_that_of_the_exact_density(kernel):
     poses = replace(poses, covariance=np.linalg.inv(plan.sensors[0].information(poses.position, poses.rotation)))
     likelihood = PoseLikelihood(machine, poses, plan.actuator_noise)
     structured = StructuredLikelihood(likelihood, kernel, machine.mechanism.actuator_range)
-    exact = ExactDensity(likelihood, plan.actuator_noise, structured=structured)
+    exact = ExactDensity(likelihood, plan.actuator_noise, functions=structured)
     errors = np.concatenate([np.full(6, plan.model_error), np.full(6, 0.02)])
     expected = exact.information(theta, errors)[np.ix_(knowledge.free, knowledge.free)]
     expected = expected * np.outer(knowledge.sd, knowledge.sd)

@@ -5,10 +5,11 @@ import pytest
 import telescope_machines as machines
 
 from bayescal.density.errors import FunctionScales, ModelError
-from bayescal.density.functions import SORTS, FunctionLikelihood
+from bayescal.density.functions import FunctionLikelihood
 from bayescal.density.legs import build_leg_posterior
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.priors import NormalPrior
+from bayescal.density.sorts import SORTS
 from bayescal.inference.exploration import explore
 from bayescal.inference.mode import find_mode
 from bayescal.inference.straightening import straighten

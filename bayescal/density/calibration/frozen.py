@@ -12,26 +12,38 @@ columns cost those of all coefficients, which are more wherever smooth functions
 Coefficients u of the errors given the rows are drawn by Matheron's rule: with u' and rows e' = A u' + ε' of the prior,
 
     u = u' + Aᵀ S⁻¹ (e - e'),    S = Zᵀ R Z + A Aᵀ.
+
+Of many rows functions are of few columns (`bayescal.density.few_columns`), whose coefficients are drawn as they are.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.linalg import cholesky
 
+from bayescal.density.calibration.model_error import IndependentErrors, ThinFunctionsOfPose
 from bayescal.density.calibration.terms import Errors
-from bayescal.density.components import LinearRows, White, assemble, batches, weigh, weigh_each
+from bayescal.density.components import (
+    MOST_ROWS,
+    LinearRows,
+    White,
+    assemble,
+    batches,
+    leave_out,
+    weigh,
+    weigh_left_out,
+)
 from bayescal.density.elimination import Whitening
+from bayescal.density.few_columns import LowRankComponents, Thin, leave_out_by, weigh_by
 from bayescal.numerics.geometry import Array
 
 if TYPE_CHECKING:
     from bayescal.density.calibration.likelihood import CalibrationLikelihood
-
-MOST_ROWS = 1200  # of all poses together, that are factorised at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,13 +59,17 @@ class FrozenRows:
     left : ndarray, shape (P, K, m)
         Z.
     shown : tuple of ndarray, shapes (P m, N)
-        What coefficients of each of C errors do to the rows at an amplitude of one.
+        What coefficients of each of C errors do to the rows at an amplitude of one; empty where functions are of few
+        columns.
+    few : LowRankComponents, optional
+        Functions of few columns.
     """
 
     anchor: Array
     white: Whitening
     left: Array
     shown: tuple[Array, ...]
+    few: LowRankComponents | None = None
 
     @cached_property
     def parts(self) -> Array:
@@ -64,13 +80,18 @@ class FrozenRows:
     def build(cls, likelihood: CalibrationLikelihood, errors: Errors, theta: Array) -> FrozenRows | None:
         """Return it about a machine (D,) for a density that starts where that explains the readings; None if it cannot.
 
-        It cannot where single rows may be outliers, where columns have more than an amplitude, and with too many rows.
+        It cannot where single rows may be outliers, where columns have more than an amplitude, and with too many rows
+        unless all functions are of few columns.
         """
         data = likelihood.data
         n_poses, n = data.sd.shape
-        acts = errors.list_acts(data, likelihood.error_gain)
+        thin = [one for one in errors.terms if isinstance(one, ThinFunctionsOfPose)]
+        is_few = bool(thin) and len(thin) == errors.n_common
         m = n - len(likelihood.model.coordinates)
-        if not acts or errors.outliers.expected or m < 1 or n_poses * m > MOST_ROWS:
+        if not errors.has_columns or errors.outliers.expected or m < 1 or (n_poses * m > MOST_ROWS and not is_few):
+            return None
+        acts = [] if is_few else errors.list_acts(data, likelihood.error_gain)
+        if not acts and not is_few:
             return None
         white = likelihood.whiten(likelihood.sd[None], np.zeros((1, 1, n)))
         slope = likelihood.stand(theta[None], white).slope[0]
@@ -80,6 +101,9 @@ class FrozenRows:
         axes, _ = np.linalg.qr(slope / np.where(size > 0.0, size, 1.0), mode="complete")
         left = np.ascontiguousarray(axes[..., slope.shape[-1] :])
         turned = np.swapaxes(left, -1, -2)
+        if is_few:
+            found = cls(theta, white, left, ())
+            return replace(found, few=found._find_few(likelihood, errors, thin))
         seen = (white.rows(np.where(data.present[..., None], act, 0.0)[None])[0] for act in acts)
         return cls(theta, white, left, tuple((turned @ one).reshape(n_poses * m, -1) for one in seen))
 
@@ -87,17 +111,26 @@ class FrozenRows:
         """Return the log-likelihood, shape (B,), for machines (B, D) and coordinates of errors (B, k)."""
         rows, rest = self._find_rows(likelihood, theta)
         total = rest.sum(axis=1)
+        if self.few is not None:
+            total += self._weigh_few(self.few, likelihood, errors, zeta, rows)
+            return np.where(np.isfinite(total), total, -np.inf)
         for part in batches(len(theta), rows.shape[1]):
             own, weights = self._blocks(likelihood, errors, zeta[part]), errors.amplitudes(zeta[part]) ** 2
-            total[part] += weigh(assemble(own, self.parts, weights, 1), rows[part])
+            total[part] += weigh(assemble(own, self.parts, weights), rows[part])
         return np.where(np.isfinite(total), total, -np.inf)
 
     def density_by_row(self, likelihood: CalibrationLikelihood, theta: Array, errors: Errors, zeta: Array) -> Array:
         """Return the log-likelihood of each pose's readings given all others, shape (B, P)."""
         rows, found = self._find_rows(likelihood, theta)
+        if self.few is not None:
+            for k, row in enumerate(rows):
+                deviation, precision = leave_out_by(self._factorise(self.few, likelihood, errors, zeta[k]), row)
+                found[k] += weigh_left_out(deviation[None], precision[None])[0][0]
+            return np.where(np.isfinite(found), found, -np.inf)
         for part in batches(len(theta), rows.shape[1]):
             own, weights = self._blocks(likelihood, errors, zeta[part]), errors.amplitudes(zeta[part]) ** 2
-            found[part] += weigh_each(assemble(own, self.parts, weights), rows[part], len(self.left))[0]
+            total = assemble(own, self.parts, weights)
+            found[part] += weigh_left_out(*leave_out(total, rows[part], len(self.left)))[0]
         return np.where(np.isfinite(found), found, -np.inf)
 
     def density_of_others(
@@ -113,6 +146,15 @@ class FrozenRows:
         rows, rest = self._find_rows(likelihood, theta)
         there, found = beyond._find_rows(other, theta)
         found[~np.isfinite(rest).all(axis=1)] = -np.inf
+        if self.few is not None and beyond.few is not None:
+            for k, row in enumerate(rows):
+                white = self._factorise(self.few, likelihood, errors, zeta[k])
+                expected, spread = white.predict(row, beyond.few.shown, beyond.few.basis)
+                own = beyond._blocks(other, errors, zeta[k : k + 1])[0] + spread
+                left = there[k].reshape(expected.shape) - expected
+                square = np.einsum("pi,pi->p", left, np.linalg.solve(own, left[..., None])[..., 0])
+                found[k] -= 0.5 * (np.linalg.slogdet(own)[1] + square)
+            return np.where(np.isfinite(found), found, -np.inf)
         n_poses, m = other.data.n_poses, beyond.left.shape[-1]
         across = np.stack([one @ two.T for one, two in zip(beyond.shown, self.shown, strict=True)])
         by_pose = [one.reshape(n_poses, m, -1) for one in beyond.shown]
@@ -141,6 +183,8 @@ class FrozenRows:
     ) -> Array:
         """Return draws of the coefficients of all errors given the rows, one for each machine, shape (B, N)."""
         rows, _ = self._find_rows(likelihood, theta)
+        if self.few is not None:
+            return self._draw_few(self.few, likelihood, errors, zeta, rows, rng)
         ends = np.cumsum([one.shape[1] for one in self.shown])
         drawn, noise = rng.standard_normal((len(theta), ends[-1])), rng.standard_normal(rows.shape)
         for part in batches(len(theta), rows.shape[1]):
@@ -172,12 +216,84 @@ class FrozenRows:
         slope = -(left @ by_parameters).reshape(len(residual), -1)
         m = slope.shape[1]
 
-        def factorise(one: Array) -> White:
+        both, none = np.column_stack([slope, residual]), (np.zeros((m, m)), np.zeros(m))
+        few = self.few
+        if few is not None and _list_alone(errors) is not None:
+            whole = few.square(both)
+            return LinearRows(*none, lambda one: whole(_list_variances(errors, one[None])[0]))
+
+        def square(one: Array) -> tuple[Array, float]:
+            if few is not None:
+                thin = self._factorise(few, likelihood, errors, one)
+                return thin.square(both), thin.half_log_det
             own = self._blocks(likelihood, errors, one[None])
             total = assemble(own, self.parts, errors.amplitudes(one[None]) ** 2)[0]
-            return White(cholesky(total, lower=True, check_finite=False))
+            white = White(cholesky(total, lower=True, check_finite=False))
+            return white.square(both), white.half_log_det
 
-        return LinearRows(residual, slope, np.zeros((m, m)), np.zeros(m), factorise)
+        return LinearRows(*none, square)
+
+    # --- functions of few columns --------------------------------------------------------------------------------
+
+    def _find_few(
+        self, likelihood: CalibrationLikelihood, errors: Errors, thin: Sequence[ThinFunctionsOfPose]
+    ) -> LowRankComponents:
+        """Return functions of few columns beside errors of single rows, each of a variance of its own, that add up.
+
+        Where other noise is unknown, too, D is not made of these: then nothing is left out here, but in that noise.
+        """
+        data, own, (n_poses, n) = likelihood.data, thin[0].own, likelihood.data.sd.shape
+        acts = np.zeros((n, len(own.places)))
+        acts[own.places, np.arange(len(own.places))] = 1.0 / own.levers
+        gained = acts if likelihood.error_gain is None else likelihood.error_gain @ acts
+        seen = self.white.rows(np.where(data.present[..., None], gained, 0.0)[None])[0]
+        shown, m = np.swapaxes(self.left, -1, -2) @ seen, self.left.shape[-1]
+        alone = _list_alone(errors)
+        by_term = [shown * one.channels[own.places] for one in alone or ()]
+        blocks = np.array([one @ np.swapaxes(one, -1, -2) for one in by_term]).reshape(-1, n_poses, m, m)
+        bases = [one.find_basis(data) for one in thin]
+        return LowRankComponents(
+            np.broadcast_to(np.eye(m), (n_poses, m, m)),
+            blocks,
+            shown,
+            np.concatenate(bases, axis=-1),
+            np.repeat(np.arange(len(thin)), [one.shape[-1] for one in bases]),
+            np.array([0.0 if alone is None else one.left for one in thin]),
+        )
+
+    def _factorise(
+        self, few: LowRankComponents, likelihood: CalibrationLikelihood, errors: Errors, zeta: Array
+    ) -> Thin:
+        """Return the rows' covariance at coordinates (k,) of the errors."""
+        if _list_alone(errors) is not None:
+            return few.factorise(_list_variances(errors, zeta[None])[0])
+        return few.factorise_beside(self._blocks(likelihood, errors, zeta[None])[0], errors.amplitudes(zeta) ** 2)
+
+    def _weigh_few(
+        self, few: LowRankComponents, likelihood: CalibrationLikelihood, errors: Errors, zeta: Array, rows: Array
+    ) -> Array:
+        """Return log-densities of rows (B, P m) but for 2 π at coordinates (B, k), shape (B,)."""
+        if _list_alone(errors) is not None:
+            return few.weigh(_list_variances(errors, zeta), rows)
+        pairs = zip(zeta, rows, strict=True)
+        return np.array([weigh_by(self._factorise(few, likelihood, errors, one), row) for one, row in pairs])
+
+    def _draw_few(
+        self,
+        few: LowRankComponents,
+        likelihood: CalibrationLikelihood,
+        errors: Errors,
+        zeta: Array,
+        rows: Array,
+        rng: np.random.Generator,
+    ) -> Array:
+        """Return draws of coefficients given rows (B, P m), those of one error after those of another, (B, R)."""
+        n, _, size = few.basis.shape
+        order = np.argsort(np.tile(few.sorts, n), kind="stable")  # from channel by channel to error by error
+        normal = rng.standard_normal((len(rows), n * size))
+        each = zip(zeta, rows, normal, strict=True)
+        drawn = [self._factorise(few, likelihood, errors, one).draw(row, white) for one, row, white in each]
+        return np.stack(drawn)[:, order]
 
     def _blocks(self, likelihood: CalibrationLikelihood, errors: Errors, zeta: Array) -> Array:
         """Return Zᵀ R Z of coordinates (B, k), shape (B, P, m, m)."""
@@ -193,3 +309,16 @@ class FrozenRows:
         white = self.white.rows(np.swapaxes(self.white.rows(covariance), -1, -2))
         missing = np.eye(there.shape[1]) * ~there[:, None, :]
         return np.asarray(np.swapaxes(self.left, -1, -2) @ (white + missing) @ self.left)
+
+
+def _list_alone(errors: Errors) -> list[IndependentErrors] | None:
+    """Return the errors of single rows where they are all that is unknown of the noise; None where there is more."""
+    alone = [one for one in errors.noisy if not isinstance(one, ThinFunctionsOfPose)]
+    found = [one for one in alone if isinstance(one, IndependentErrors)]
+    return found if len(found) == len(alone) else None
+
+
+def _list_variances(errors: Errors, zeta: Array) -> Array:
+    """Return variances of these errors, then of functions, (B, G + C), at coordinates (B, k)."""
+    own = [term.square(part) for term, part in errors.of(zeta) if isinstance(term, IndependentErrors)]
+    return np.column_stack([*own, errors.amplitudes(zeta) ** 2])

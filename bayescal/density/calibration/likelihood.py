@@ -109,9 +109,9 @@ class CalibrationLikelihood(PoseElimination, Elimination[AffineSampling, Errors]
         if not errors.has_columns:
             return other.density_by_row(theta, errors, zeta)
         if self.frozen is not None:
-            found = self.frozen.density_of_others(self, other, theta, errors, zeta)
-            if found is not None:
-                return found
+            known = self.frozen.density_of_others(self, other, theta, errors, zeta)
+            if known is not None:
+                return known
         result = np.empty((len(theta), other.data.n_poses))
         for part, white, at in self._explain_in_parts(theta, errors, zeta):
             for some, found in self._absorb(errors, zeta[part], white, at):

@@ -11,14 +11,15 @@ which it moves there. τ and s are lengths at the tool: root mean squares in mm.
 by how many millimetres one unit of it moves the tool; one that reads lengths has λ = 1.
 
 Functions are columns that all rows share, Φ = s / λ · R with R Rᵀ = k / c over all rows, those that are held back too;
-at other rows they are what their values at these rows say of them, k(·, rows) (Rᵀ)⁺.
+at other rows they are what their values at these rows say of them, k(·, rows) (Rᵀ)⁺. Of many rows they are made of few
+columns, and what these leave out is independent from row to row.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import ClassVar
 
 import numpy as np
@@ -26,8 +27,8 @@ import numpy as np
 from bayescal.density.calibration.measurements import Comparison, Measurements
 from bayescal.density.calibration.terms import ErrorTerm, ModelErrorTerm, Slopes
 from bayescal.density.errors import TAU
-from bayescal.density.functions import FEWEST_POSES, Place, PoseFunctions
 from bayescal.density.priors import HalfCauchyPrior, Prior
+from bayescal.density.sorts import FEWEST_POSES, MOST_DRIFT, MOST_SMOOTH, Place, PoseFunctions
 from bayescal.machines.readings import ReadingModel
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import MICROMETRE
@@ -196,6 +197,10 @@ class IndependentErrors(ModelErrorTerm):
         """``tau``, or ``tau[2]``."""
         return (self.label,)
 
+    def square(self, zeta: Array) -> Array:
+        """Return τ² + floor², mm² at the tool, (..., 1) to (...,)."""
+        return np.asarray(self.priors[0].value(zeta[..., 0]) ** 2 + self.floor**2)
+
 
 @dataclass(frozen=True, eq=False)
 class FunctionsOfPose(ErrorTerm):
@@ -205,7 +210,7 @@ class FunctionsOfPose(ErrorTerm):
     """
 
     of_model: ClassVar[bool] = True
-    sort: str  # of `bayescal.density.functions.SORTS`
+    sort: str  # of `bayescal.density.sorts.SORTS`
     own: OwnChannels
     scale: float  # of the half-Cauchy prior of s, mm
     floor: float = 0.0
@@ -251,15 +256,17 @@ class FunctionsOfPose(ErrorTerm):
         """Return the root mean square of the error, floor included, mm at the tool, (..., 1) to (...,)."""
         return np.asarray(np.hypot(self.priors[0].value(zeta[..., 0]), self.floor))
 
-    def act(self, data: Measurements) -> Array:
-        """Return the columns (P, K, N R) of an amplitude of one."""
+    def _find_columns(self, data: Measurements) -> Array:
+        """Return what functions of an amplitude of one are made of, (N or 1, P, R)."""
         rows, place = self.own.find_rows(data), self.own.place_of(data)
         root, over = self._roots
         if (rows >= 0).all() and np.array_equal(place.travel, self.own.place.travel[rows]):
-            shown = root[:, rows]
-        else:
-            shown = self.functions.between(place, self.own.place)[0] @ over
-        n = len(self.own.places)
+            return root[:, rows]
+        return self.functions.between(place, self.own.place)[0] @ over
+
+    def act(self, data: Measurements) -> Array:
+        """Return the columns (P, K, N R) of an amplitude of one."""
+        shown, n = self._find_columns(data), len(self.own.places)
         found = np.zeros((*data.sd.shape, n, shown.shape[-1]))
         for k, channel in enumerate(self.own.places):
             found[:, channel, k] = shown[k % len(shown)] / self.own.levers[k]
@@ -276,6 +283,59 @@ class FunctionsOfPose(ErrorTerm):
         return Slopes(columns=share * float(prior.slope(zeta[0])) * self.act(data)[None])
 
 
+@dataclass(frozen=True, eq=False)
+class ThinFunctionsOfPose(FunctionsOfPose):
+    """The same of few columns; what these leave out is independent from row to row. ``n_channels`` is K."""
+
+    n_channels: int = 0
+
+    @property
+    def most_columns(self) -> int:
+        """At most how many columns it has."""
+        n = self.own.readings.shape[1]
+        return n * {"linear": n, "own": 1, "smooth": MOST_SMOOTH, "drift": MOST_DRIFT}[self.sort]
+
+    @cached_property
+    def functions(self) -> PoseFunctions:
+        """The kernel of few columns that suit the calibration rows, normalised over these."""
+        place = self.own.at(np.flatnonzero(self.own.used))
+        return PoseFunctions((self.sort,), place, place)
+
+    @property
+    def left(self) -> float:
+        """Share of the variance that is independent from row to row."""
+        return float(self.functions.left[0])
+
+    def _find_columns(self, data: Measurements) -> Array:
+        return self.functions.list_bases(self.own.place_of(data))[0]
+
+    def find_basis(self, data: Measurements) -> Array:
+        """Return what each own channel's function of an amplitude of one is made of at P rows, (N, P, A)."""
+        found = self._find_columns(data)
+        return np.broadcast_to(found, (len(self.own.places), *found.shape[1:]))
+
+    def _spread(self, data: Measurements, square: Array) -> Array:
+        found = np.zeros((*square.shape, 1, data.sd.shape[1]))
+        found[..., self.own.places] = self.left * square[..., None, None] / self.own.levers**2
+        return found
+
+    @property
+    def concerns(self) -> np.ndarray | None:
+        """The own channels; none where nothing is left out."""
+        return np.isin(np.arange(self.n_channels), self.own.places) & (self.left > 0.0)
+
+    def variance(self, zeta: Array, data: Measurements) -> Array:
+        """Return the variance that columns leave out, (B, 1, K)."""
+        return self._spread(data, self.amplitude(zeta) ** 2)
+
+    def slopes(self, zeta: Array, data: Measurements) -> Slopes:
+        """Return those of columns and of the variance, d (s² + floor²) = 2 s ds."""
+        prior = self.priors[0]
+        change = 2.0 * prior.value(zeta) * prior.slope(zeta)
+        variance = np.broadcast_to(self._spread(data, change), (1, *data.sd.shape))
+        return super().slopes(zeta, data)._replace(variance=variance)
+
+
 def build_model_error(
     own: OwnChannels,
     n_channels: int,
@@ -283,6 +343,7 @@ def build_model_error(
     scales: tuple[float, float],
     floors: Mapping[str, float],
     each: bool,
+    few: bool = False,
 ) -> tuple[ErrorTerm, ...]:
     """Return the terms of a model error.
 
@@ -299,6 +360,8 @@ def build_model_error(
         Least root mean squares by term, mm.
     each : bool
         Whether each own channel has a τ of its own.
+    few : bool
+        Whether functions are made of few columns.
     """
     found: list[ErrorTerm] = []
     levers = np.ones(n_channels)
@@ -310,5 +373,6 @@ def build_model_error(
             groups = {f"{TAU}[{k}]": np.arange(n_channels) == place for k, place in enumerate(own.places, 1)}
         floor = floors.get("independent", 0.0)
         found += [IndependentErrors(name, one, scales[0], "mm", levers, floor) for name, one in groups.items()]
-    found += [FunctionsOfPose(name, own, scales[1], floors.get(name, 0.0)) for name in terms if name != "independent"]
+    sort = partial(ThinFunctionsOfPose, n_channels=n_channels) if few else FunctionsOfPose
+    found += [sort(name, own, scales[1], floors.get(name, 0.0)) for name in terms if name != "independent"]
     return tuple(found)

@@ -357,6 +357,11 @@ class Errors:
         """Whether some errors are common to all rows."""
         return bool(self._common)
 
+    @property
+    def n_common(self) -> int:
+        """Number of terms with columns."""
+        return len(self._common)
+
     @cached_property
     def _common(self) -> list[ErrorTerm]:
         return [term for term in self.terms if type(term).columns is not ErrorTerm.columns]
@@ -376,25 +381,26 @@ class Errors:
         return np.stack([term.amplitude(own) for term, own in self.of(zeta) if term in self._common], axis=-1)
 
     @cached_property
-    def _noisy(self) -> list[ErrorTerm]:
+    def noisy(self) -> list[ErrorTerm]:
+        """The terms that change the noise of single rows."""
         factor, variance = ErrorTerm.factor, ErrorTerm.variance
         return [one for one in self.terms if type(one).factor is not factor or type(one).variance is not variance]
 
     @property
     def has_noise(self) -> bool:
         """Whether something of the noise of single rows is unknown."""
-        return bool(self._noisy)
+        return bool(self.noisy)
 
     def groups(self, n_channels: int) -> Array:
         """Return which of K channels have the same unknowns of their noise, or none, ones and zeros (N, K)."""
         every = np.ones(n_channels, dtype=bool)
-        both = [every if term.concerns is None else term.concerns for term in self._noisy]
+        both = [every if term.concerns is None else term.concerns for term in self.noisy]
         keys = [tuple(j for j, mine in enumerate(both) if mine[k]) for k in range(n_channels)]
         return np.array([[key == kind for key in keys] for kind in sorted(set(keys))], dtype=np.float64)
 
     def is_known(self, n_channels: int) -> np.ndarray:
         """Return of which of K channels nothing of the noise is unknown, shape (K,)."""
-        concerned = [np.ones(n_channels, bool) if one.concerns is None else one.concerns for one in self._noisy]
+        concerned = [np.ones(n_channels, bool) if one.concerns is None else one.concerns for one in self.noisy]
         return ~np.any(concerned, axis=0)
 
     def columns(self, zeta: Array, data: Measurements, gain: Array | None = None) -> Array:

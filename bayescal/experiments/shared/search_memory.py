@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from bayescal.density.functions import FunctionLikelihood
+from bayescal.density.functions import FunctionLikelihood, list_arrays
 from bayescal.density.legs import BATCH, POSES, LegPosterior
 from bayescal.experiments.frame.memory import check_arrays
 from bayescal.inference.exploration import count_walkers
@@ -18,8 +18,6 @@ VECTORS = 64  # of readings' hot loop at a time
 KEPT, DRAWN, SAVED = 1300, 4, 1
 """Draws of posterior and prior that a file of readings keeps, arrays of them while they are made, and what stays:
 readings in single precision and the poses' densities."""
-COVARIANCES = 3
-"""Of all rows, for each amplitude of errors by which poses depend on each other: itself, products with an inverse."""
 ARRAYS, OF_POSES = 40, 28
 """Of the hot loop of an instrument's readings, components of vectors counted one by one, and of poses', as measured."""
 
@@ -33,7 +31,7 @@ def list_search(posterior: LegPosterior) -> list[Sequence[float]]:
     return [
         (DERIVATIVES, rows, posterior.n_parameters + likelihood.n_legs),
         (hot, BATCH, min(rows, POSES * likelihood.n_legs)),
-        *([(COVARIANCES, likelihood.n_model_errors, rows, rows)] if dependent else []),
+        *(list_arrays(likelihood.n_poses, likelihood.n_legs) if dependent else []),
     ]
 
 

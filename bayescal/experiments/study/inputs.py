@@ -20,13 +20,14 @@ from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.data.photogrammetry.joint_deflection import JointDeflection, KappaEstimate, MatrixEstimate
 from bayescal.density.errors import FunctionScales, KernelLength, KernelScale, LegTerm, ModelError
 from bayescal.density.exact import CommonErrors, ExactDensity
-from bayescal.density.functions import FEWEST_POSES, SORTS, FunctionLikelihood
+from bayescal.density.functions import FunctionLikelihood, list_arrays
 from bayescal.density.instruments import InstrumentLikelihood
 from bayescal.density.legs import BATCH, LegPosterior, Likelihood, build_leg_posterior, check_machine
 from bayescal.density.outliers import NORMAL, Contaminated
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.priors import INDEPENDENT, Prior, SharePrior, build_kernel
 from bayescal.density.schema import TERMS
+from bayescal.density.sorts import FEWEST_POSES, SORTS
 from bayescal.density.structured import StructuredLikelihood, count_nodes
 from bayescal.errors import InputError, PoseInputError, name_faults
 from bayescal.experiments.frame.memory import Need, check_arrays
@@ -65,8 +66,6 @@ if TYPE_CHECKING:
     from bayescal.experiments.study.claims import Claims
 
 FEW_POSES = f"fewer than {FEWEST_POSES} poses calibrate the machine"
-MOST_POSES = 150
-"""Calibration poses with errors that are functions of the pose, beyond which their covariance takes too long."""
 ALONE_STATED = 'terms = ["independent"]'
 
 
@@ -205,15 +204,14 @@ class StudyInputs(Inputs):
     def exact_density(self, variant: VariantConfig, posterior: LegPosterior) -> ExactDensity | None:
         """Return the exact density beside a variant's at the calibration poses.
 
-        None where these are not measured, where they may be blunders, to which it hardly matters, and where errors are
-        functions of the pose of several sorts: what the exact density corrects is small beside these.
+        None where these are not measured, and where they may be blunders: to these it hardly matters.
         """
-        poses, structured = posterior.likelihood.of_poses, posterior.likelihood.structured
-        of_functions = isinstance(posterior.likelihood, FunctionLikelihood)
-        if poses is None or posterior.errors.outliers.expected or of_functions:
+        known = posterior.likelihood
+        if known.of_poses is None or posterior.errors.outliers.expected:
             return None
         errors = self.matrix_errors(variant, verification=False)
-        return ExactDensity(poses, self.actuator_noise, errors, structured=structured)
+        functions = known if isinstance(known, FunctionLikelihood) else known.structured
+        return ExactDensity(known.of_poses, self.actuator_noise, errors, functions=functions)
 
     def matrix_variance(self, variant: VariantConfig, verification: bool) -> Array | None:
         """Return v_ni of the poses of one use (P, N) in mm² where a variant's K was measured, otherwise None.
@@ -312,17 +310,17 @@ class StudyInputs(Inputs):
         Raises
         ------
         InputError
-            Beside blunders, and for more poses than the dense covariance of all rows is made for.
+            Beside blunders, and for more poses than there is memory for.
         """
         sorts, n_poses = self.list_sorts(variant), base.n_poses
         terms = f"the terms {', '.join(sorts)} of the model error, by which poses depend on each other"
         if self.config.blunders is not None:
             raise InputError(f"blunders: found them beside {terms}, expected [model_error] with {ALONE_STATED}")
-        if n_poses > MOST_POSES:
-            raise InputError(
-                f"model_error: found {n_poses} calibration poses with {terms}, expected at most {MOST_POSES}, "
-                f"or {ALONE_STATED}"
-            )
+        check_arrays(
+            {"calibration poses with errors that are functions of the pose": n_poses},
+            list_arrays(n_poses, base.n_legs),
+            f"fewer poses or [model_error] with {ALONE_STATED}",
+        )
         assert isinstance(base, PoseLikelihood | InstrumentLikelihood)
         order = {name: k / len(self.names) for k, name in enumerate(self.names)}
         return FunctionLikelihood(base, sorts, self.mechanism.actuator_range, order)

@@ -99,6 +99,8 @@ def tabulate_model_error(inputs: StudyInputs, fits: Mapping[Task, Fit]) -> dict[
         by_term |= {name: of[f"{OF_FUNCTIONS}size"][:, k] for k, name in enumerate(sorts)}
         terms += [_summarise(task.variant, name, by_term[name]) for name in TERMS if name in by_term]
         if sorts:
+            together = np.sqrt(np.mean(of[BY_LEG] ** 2, axis=1))
+            terms.append(_summarise(task.variant, "together", together))
             members.append(_tabulate_members(task.variant, sorts, of[f"{OF_FUNCTIONS}mean_by_leg"]))
             poses.append(_tabulate_poses(inputs, task.variant, of))
     found = {"model_error": terms, "model_error_members": members, "model_error_poses": poses}

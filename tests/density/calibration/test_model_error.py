@@ -8,10 +8,13 @@ import numpy as np
 import own_arm
 import pytest
 
+from bayescal.density.calibration.frozen import FrozenRows
 from bayescal.density.calibration.likelihood import CalibrationLikelihood
 from bayescal.density.calibration.measurements import Measurements
 from bayescal.density.calibration.model_error import OF_NOISE, OwnChannels, build_model_error
-from bayescal.density.calibration.terms import Errors
+from bayescal.density.calibration.terms import Errors, NoiseFactor
+from bayescal.density.components import assemble
+from bayescal.density.few_columns import LowRankComponents
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior
 from bayescal.machines.readings import Channel, FunctionModel
@@ -281,3 +284,86 @@ def test_terms_that_there_cannot_be(arm, used):
     standing = replace(data, values=np.where(np.arange(6) < 3, np.append(HOME, np.zeros(3)), data.values))
     still = OwnChannels.find(model, standing, pose, used, home, reach)
     assert set(still.find_missing(TERMS)) == {"linear", "own", "smooth"}
+
+
+# --- functions of few columns ----------------------------------------------------------------------------------------
+
+ZETA = np.array([[0.3, 0.5, -0.4, 0.6, 0.2], [-0.5, 0.9, 0.1, 0.8, -0.3]])
+
+
+@pytest.fixture(params=["shared", "each", "factor"])
+def thin(request, arm, used):
+    """Return a density by few columns, the same by whole matrices, the likelihood, its errors and coordinates."""
+    own, model, data, pose = arm
+    terms = build_model_error(own, 6, TERMS, (0.01, 0.02), {"smooth": 0.003}, request.param == "each", few=True)
+    zeta = ZETA
+    if request.param == "each":
+        zeta = np.column_stack([ZETA[:, 0], ZETA[:, 0] - 0.3, ZETA[:, 0] + 0.2, ZETA[:, 1:]])
+    if request.param == "factor":
+        terms, zeta = (NoiseFactor("all", np.arange(6) > 2, 0.5), *terms), np.column_stack([[0.4, -0.2], ZETA])
+    errors, theta = Errors(terms), model.layout.nominal
+    likelihood = CalibrationLikelihood(model, data.pick(used), 1.0, pose[used])
+    few = FrozenRows.build(likelihood, errors, theta)
+    acts = [np.where(likelihood.data.present[..., None], one, 0.0) for one in errors.list_acts(likelihood.data)]
+    seen = [np.swapaxes(few.left, -1, -2) @ few.white.rows(one[None])[0] for one in acts]
+    whole = replace(few, few=None, shown=tuple(one.reshape(-1, one.shape[-1]) for one in seen))
+    return few, whole, likelihood, errors, zeta
+
+
+def test_rows_of_few_columns_have_the_density_of_whole_matrices(thin):
+    few, whole, likelihood, errors, zeta = thin
+    assert isinstance(few.few, LowRankComponents)
+    nominal = likelihood.model.layout.nominal
+    theta = nominal + 1e-4 * np.random.default_rng(8).standard_normal((2, len(nominal)))
+    at = likelihood, theta, errors, zeta
+    assert few.density(*at) == pytest.approx(whole.density(*at), rel=1e-9)
+    assert few.density_by_row(*at) == pytest.approx(whole.density_by_row(*at), rel=1e-7)
+    made = [one.linear_rows(likelihood, theta[0], np.eye(theta.shape[1]), errors) for one in (few, whole)]
+    (square, half), (expected, other) = (one.square(zeta[0]) for one in made)
+    assert square == pytest.approx(expected, rel=1e-8, abs=1e-8 * np.abs(expected).max())
+    assert half == pytest.approx(other, rel=1e-9)
+
+
+def test_others_given_rows_of_few_columns_are_those_of_all_together(thin, arm, used):
+    few, _, likelihood, errors, zeta = thin
+    _, model, data, pose = arm
+    theta = np.repeat(model.layout.nominal[None], 2, axis=0)
+    other = CalibrationLikelihood(model, data.pick(~used), 1.0, pose[~used])
+    found = few.density_of_others(likelihood, other, theta, errors, zeta)
+    alone = few.density(likelihood, theta, errors, zeta)
+    for k, row in enumerate(np.flatnonzero(~used)):
+        rows = np.append(np.flatnonzero(used), row)
+        both = CalibrationLikelihood(model, data.pick(rows), 1.0, pose[rows])
+        together = FrozenRows.build(both, errors, theta[0]).density(both, theta, errors, zeta)
+        assert found[:, k] == pytest.approx(together - alone, abs=1e-6)
+
+
+def test_coefficients_of_few_columns_are_drawn_given_the_rows(thin):
+    few, whole, likelihood, errors, zeta = thin
+    theta, n_draws = likelihood.model.layout.nominal[None], 2000
+    rows = whole._find_rows(likelihood, theta)[0][0]
+    amplitudes = errors.amplitudes(zeta[:1])[0]
+    total = assemble(whole._blocks(likelihood, errors, zeta[:1]), whole.parts, amplitudes[None] ** 2)[0]
+    columns = np.concatenate([size * one for size, one in zip(amplitudes, whole.shown, strict=True)], axis=1)
+    gain = np.linalg.solve(total, columns).T
+    drawn = few.draw(
+        likelihood, np.tile(theta, (n_draws, 1)), errors, np.tile(zeta[:1], (n_draws, 1)), np.random.default_rng(3)
+    )
+    sd = np.sqrt(1.0 - np.einsum("ij,ji->i", gain, columns))
+    assert np.abs((drawn.mean(axis=0) - gain @ rows) / sd).max() < 4.5 / np.sqrt(n_draws)
+    assert drawn.std(axis=0) == pytest.approx(sd, rel=0.08)
+
+
+def test_what_few_columns_leave_out_is_noise(arm, used):
+    own, _, data, _ = arm
+    whole, few = (build_model_error(own, 6, TERMS, (0.01, 0.02), {}, False, few=one) for one in (False, True))
+    zeta = np.array([[0.4]])
+    for one, other in zip(whole[1:], few[1:], strict=True):
+        square = (one.columns(zeta, data.pick(used))[0] ** 2).sum(axis=-1)
+        made = (other.columns(zeta, data.pick(used))[0] ** 2).sum(axis=-1) + other.variance(zeta, data)[0]
+        assert (made[:, :3] * own.levers**2).mean() == pytest.approx((square[:, :3] * own.levers**2).mean(), rel=1e-9)
+        step, found = 1e-6, other.slopes(zeta[0], data)
+        up, down = other.variance(zeta + step, data), other.variance(zeta - step, data)
+        slope = np.broadcast_to((up - down) / (2.0 * step), found.variance.shape)
+        assert found.variance == pytest.approx(slope, rel=1e-6, abs=1e-12 * max(1e-9, np.abs(up).max()))
+    assert few[4].left > 0.01

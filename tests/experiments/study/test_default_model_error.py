@@ -7,7 +7,8 @@ import pytest
 import studies
 from experiments.study.test_instrument_study import FRAMES, write_points
 
-from bayescal.density.functions import SORTS, FunctionLikelihood
+from bayescal.density.functions import FunctionLikelihood
+from bayescal.density.sorts import SORTS
 from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.frame.run import compute_experiment
@@ -61,7 +62,7 @@ def test_every_instrument_tells_the_terms(instrument, tmp_path):
     results = compute_experiment(load_experiment(config), tmp_path)
     legs, names = [f"leg {k}" for k in range(1, 7)], list(inputs.names)
     terms = results.table("model_error")
-    assert list(terms["term"]) == ["independent", *SORTS]
+    assert list(terms["term"]) == ["independent", *SORTS, "together"]
     assert (terms["q05_um"] <= terms["median_um"]).all()
     assert (terms["median_um"] <= terms["q95_um"]).all()
     # but for points the twin has a deformation matrix of some 1e-3, which the machine of the variant lacks
@@ -79,7 +80,7 @@ def test_every_instrument_tells_the_terms(instrument, tmp_path):
     assert list(found)[-5:] == SCALES
     fit = results.summary["variants"][NAME]
     assert fit["n_parameters"] == fit["without_model_error"]["n_parameters"] + 5
-    assert "exact_density_shift" not in fit
+    assert ("exact_density_shift" in fit) == (instrument in ("targets", "poses"))
     gain = fit["log_evidence"] - fit["without_model_error"]["log_evidence"]
     assert gain > 10.0 if deformed else -30.0 < gain < 0.0
     assert (fit["elpd"] > fit["without_model_error"]["elpd"]) == deformed
@@ -91,6 +92,11 @@ def test_every_instrument_tells_the_terms(instrument, tmp_path):
     own = results.table("errors")
     size = np.sqrt((poses["mean_um"] ** 2).mean())
     assert (1e3 * own["model_error"] > 0.3 * size).all()
+    # the mean of all functions is not larger than they are themselves
+    used = poses[poses["use"] == "calibration"]
+    together = terms.set_index("term").loc["together"]
+    assert np.sqrt((used["mean_um"] ** 2).mean()) < together["q95_um"]
+    assert np.sqrt((1e6 * own["model_error"] ** 2).mean()) > together["q05_um"]
 
 
 def test_functions_stand_where_no_term_is_named(silent):
@@ -180,10 +186,16 @@ def test_what_cannot_be_is_refused_in_a_line(silent, sections, fault):
     assert "\n" not in str(caught.value)
 
 
-def test_too_many_poses_are_refused_before_their_covariance_is_built(silent, monkeypatch):
-    monkeypatch.setattr("bayescal.experiments.study.inputs.MOST_POSES", 12)
-    with pytest.raises(InputError, match=r"found 13 calibration poses with the terms .* expected at most 12, or"):
-        studies.load_study(silent)
+def test_poses_that_memory_cannot_hold_are_refused_before_their_columns_are_made(silent, monkeypatch):
+    inputs = studies.load_study(silent)
+    variant = inputs.config.variants[0]
+    base = inputs.likelihood(variant, verification=False)
+    monkeypatch.setattr("bayescal.experiments.frame.memory.measure_available", lambda: 1e6)
+    monkeypatch.setattr("bayescal.experiments.study.inputs.FunctionLikelihood", None)
+    with pytest.raises(
+        InputError, match=r"13 calibration poses with errors that .* fewer poses or \[model_error\] with"
+    ):
+        inputs.give_functions(base, variant)
 
 
 def test_terms_that_too_few_poses_cannot_show_are_left_out_and_said(silent):

@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from bayescal.config.classes import choose, name_failures
-from bayescal.density.calibration.frozen import MOST_ROWS
 from bayescal.density.calibration.functions import FunctionErrors
 from bayescal.density.calibration.measurements import Measurements
-from bayescal.density.calibration.model_error import BY_ROW, OwnChannels, build_model_error
+from bayescal.density.calibration.model_error import OwnChannels, build_model_error
 from bayescal.density.calibration.terms import Errors, ErrorTerm, TermRows, check_term
+from bayescal.density.components import MOST_ROWS
 from bayescal.density.priors import Prior
-from bayescal.density.schema import ALONE, TERMS, TermName
+from bayescal.density.schema import TERMS, TermName
 from bayescal.errors import InputError, name_faults
 from bayescal.experiments.shared.function_errors import check_functions
 from bayescal.experiments.shared.readings.noise import group_channels
@@ -129,8 +129,8 @@ def build_terms_of_model(
     Raises
     ------
     InputError
-        For terms beside errors by channel, terms asked for by name that there cannot be, a floor beyond all
-        tolerances, and more rows than the covariance of all is made for.
+        For terms beside errors by channel, terms asked for by name that there cannot be, and a floor beyond all
+        tolerances.
     """
     error, terms = config.leg_error, config.leg_error.terms_for(section)
     if terms and config.channel_errors:
@@ -145,12 +145,6 @@ def build_terms_of_model(
     floors = error.floors()
     check_floors(floors, [prior.sd for name, prior in tolerances.items() if _is_length(model, name)])
     there = [name for name in terms if name not in missing]
-    n_rows, n_equations = int(used.sum()), len(model.channels) - start.shape[1]
-    if n_rows * n_equations > MOST_ROWS and set(there) & set(BY_ROW):
-        raise InputError(
-            f"model_error: found {n_rows} calibration rows of {len(model.channels)} channels with errors by which rows "
-            f"depend on each other, expected at most {MOST_ROWS // n_equations}, or terms = {ALONE}"
-        )
     left = build_model_error(
         own,
         len(model.channels),
@@ -158,6 +152,7 @@ def build_terms_of_model(
         (MICROMETRE * error.scale_um, MICROMETRE * error.functions_um),
         {name: MICROMETRE * floor for name, floor in floors.items()},
         error.per_leg,
+        few=data.n_poses * (len(model.channels) - start.shape[1]) > MOST_ROWS,
     )
     without = [([name for name, why in missing.items() if why == one], one) for one in dict.fromkeys(missing.values())]
     said = [f"no term{'s' * (len(names) > 1)} {', '.join(names)}, as {why}" for names, why in without]

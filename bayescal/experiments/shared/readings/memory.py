@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from bayescal.density.calibration.model_error import FunctionsOfPose
+from bayescal.density.calibration.model_error import FunctionsOfPose, ThinFunctionsOfPose
 from bayescal.density.components import AT_ONCE
+from bayescal.density.few_columns import list_gram_arrays
 from bayescal.experiments.frame.memory import Need, estimate_arrays
 from bayescal.experiments.shared.readings.inputs import ReadingInputs, Variant
 from bayescal.experiments.shared.search_memory import list_readings, list_sampling, list_saved
@@ -25,14 +26,22 @@ def list_variant(variant: Variant) -> list[Sequence[float]]:
 
 def _list_functions(variant: Variant, n_readings: int, n_equations: int) -> list[Sequence[float]]:
     """Return the arrays of errors that are functions of the pose."""
-    widths = [one.most_columns for one in variant.errors.terms if isinstance(one, FunctionsOfPose)]
-    if not widths:
+    terms = [one for one in variant.errors.terms if isinstance(one, FunctionsOfPose)]
+    n_columns = sum(one.most_columns for one in terms)
+    if not terms:
         return []
+    if any(isinstance(one, ThinFunctionsOfPose) for one in terms):
+        n = terms[0].own.readings.shape[1]
+        return [
+            (ACTED, n_readings, n_columns),
+            (1, n_equations, n_columns / n),
+            *list_gram_arrays(n_equations, n_columns),
+        ]
     return [
-        (len(widths), n_equations, n_equations),
+        (len(terms), n_equations, n_equations),
         (WHOLE, n_readings, n_readings),
         (TOGETHER, max(AT_ONCE, n_equations**2)),
-        (ACTED, n_readings, sum(widths)),
+        (ACTED, n_readings, n_columns),
     ]
 
 

@@ -1,0 +1,472 @@
+"""Normal rows of many poses, whose covariance is block diagonal but for few columns: linear in the poses.
+
+Where poses are many, functions that rows see by F are made of few columns each, and what these leave out, l_t, is
+independent from pose to pose (`bayescal.density.sorts`): `bayescal.density.components` with
+
+    S = D + Σ_t v_t Φ_t Φ_tᵀ,    D = K + Σ_g v_g B_g + Σ_t v_t l_t F Fᵀ.
+
+With s the root of each column's variance and A = 1 + s ΦᵀD⁻¹Φ s (Woodbury's identity and the determinant's lemma)
+
+    S⁻¹ = D⁻¹ - D⁻¹Φ s A⁻¹ s ΦᵀD⁻¹,    log |S| = log |D| + log |A|,
+
+whose cost is linear in the poses but for the Gram matrix ΦᵀD⁻¹Φ. Where Σ B_g = F Fᵀ and all v_g are equal, so that
+D = K + v F Fᵀ, rows of each pose are turned once so that D is diagonal with entries 1 + v λ. Then (1 + v Λ) ΦᵀD⁻¹Φ, Λ
+the largest λ, is a smooth function of x = log(1 + v Λ), all of whose singularities are at a distance of π from the real
+line or farther: it is interpolated, entry by entry, by polynomials between Chebyshev nodes, without loss of digits that
+matter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+from numpy.polynomial.chebyshev import chebvander
+from scipy.linalg import cho_solve, cholesky, solve_triangular
+
+from bayescal.density.components import Factorised, carry, weigh_left_out
+from bayescal.numerics.geometry import Array
+
+WIDTH: Final = 4.0  # of x, over which one polynomial interpolates
+NODES: Final = 24  # which leave 1e-12 of the Gram matrix there
+GRAMS: Final = 3_000_000  # numbers of Gram matrices that are factorised together
+
+
+def list_gram_arrays(n_rows: int, n_columns: int) -> list[tuple[float, ...]]:
+    """Return what is held of M rows and R columns beside these: how many arrays alike, then their shape."""
+    return [(3.0 * NODES, n_columns, n_columns), (3.0, GRAMS), (3.0, GRAMS / n_columns**2, n_rows)]
+
+
+@dataclass(frozen=True, eq=False)
+class Thin:
+    """`Factorised` by few columns beside a block diagonal.
+
+    Attributes
+    ----------
+    turn : ndarray, shape (P, n, n)
+        What makes rows white but for the functions.
+    seen : ndarray, shape (P, n, N)
+        What such rows see of N functions.
+    basis : ndarray, shape (N, P, A)
+        What each function is made of.
+    scale : ndarray, shape (R,)
+        s, with R = N A.
+    gram : ndarray, shape (R, R)
+        ΦᵀD⁻¹Φ.
+    half_log_det_of_noise : float
+        ½ log |D|.
+    """
+
+    turn: Array
+    seen: Array
+    basis: Array
+    scale: Array
+    gram: Array
+    half_log_det_of_noise: float
+
+    @cached_property
+    def _inner(self) -> Array:
+        return self.scale[:, None] * self.gram * self.scale
+
+    @cached_property
+    def _factor(self) -> Array:
+        return np.asarray(cholesky(np.eye(len(self.scale)) + self._inner, lower=True, check_finite=False))
+
+    @cached_property
+    def root(self) -> Array:
+        """U (R, R) with U Uᵀ the covariance of the coefficients given rows."""
+        both = solve_triangular(self._factor, np.diag(self.scale), lower=True, check_finite=False)
+        return np.ascontiguousarray(both.T)
+
+    @property
+    def half_log_det(self) -> float:
+        """½ log |S|."""
+        return self.half_log_det_of_noise + float(np.log(np.diag(self._factor)).sum())
+
+    def _whiten(self, seen: Array) -> Array:
+        return np.asarray(self.turn @ seen.reshape(*self.turn.shape[:2], -1))
+
+    def project(self, white: Array) -> Array:
+        """Return ΦᵀD⁻¹ times rows that are white but for the functions, (P, n, m) to (R, m)."""
+        return project(self.seen, self.basis, white)
+
+    def _spread(self, coefficients: Array) -> Array:
+        values = self.basis @ coefficients.reshape(len(self.basis), self.basis.shape[-1], -1)
+        return np.asarray(self.seen @ values.transpose(1, 0, 2))
+
+    def expect(self, seen: Array) -> Array:
+        """Return the mean of the coefficients given rows (M, m), shape (R, m)."""
+        return self._expect(self._whiten(seen))
+
+    def _expect(self, white: Array) -> Array:
+        told = self.scale[:, None] * self.project(white)
+        return self.scale[:, None] * np.asarray(cho_solve((self._factor, True), told, check_finite=False))
+
+    def draw(self, row: Array, normal: Array) -> Array:
+        """Return coefficients over s given rows (M,), (R,), from normal numbers (R,): N(0, 1) without rows."""
+        told = self.scale * self.project(self._whiten(row))[:, 0]
+        white = solve_triangular(self._factor, told, lower=True, check_finite=False) + normal
+        return np.asarray(solve_triangular(self._factor, white, lower=True, trans="T", check_finite=False))
+
+    def predict(self, row: Array, shown: Array, basis: Array) -> tuple[Array, Array]:
+        """Return what functions are expected to do to rows of Q other poses given rows (M,), and the covariance.
+
+        They are (Q, k) and (Q, k, k) for other poses' rows that see functions by (Q, k, N), of bases (N, Q, A).
+        """
+        values = (basis @ self.expect(row[:, None]).reshape(len(basis), -1, 1))[..., 0]
+        spread = shown @ spread_at_poses(basis, self.root @ self.root.T) @ np.swapaxes(shown, -1, -2)
+        return np.einsum("qki,iq->qk", shown, values), spread
+
+    @cached_property
+    def _shrink(self) -> Array:
+        """What a symmetric root takes from white rows, (R, R): with values μ of s G s 1 / (r (r + 1)), r² = 1 + μ."""
+        values, vectors = np.linalg.eigh(self._inner)
+        size = np.sqrt(1.0 + np.maximum(values, 0.0))
+        spread = self.scale[:, None] * vectors
+        return (spread / (size * (size + 1.0))) @ spread.T
+
+    def rows(self, seen: Array) -> Array:
+        """Return white rows of (M, ...), by a symmetric root of S⁻¹ between those that are white but for functions."""
+        white = self._whiten(seen)
+        return np.asarray((white - self._spread(self._shrink @ self.project(white))).reshape(seen.shape))
+
+    def square(self, seen: Array) -> Array:
+        """Return XᵀS⁻¹X of X (M, m), shape (m, m)."""
+        white = self._whiten(seen)
+        flat = white.reshape(-1, white.shape[-1])
+        told = solve_triangular(self._factor, self.scale[:, None] * self.project(white), lower=True, check_finite=False)
+        return np.asarray(flat.T @ flat - told.T @ told)
+
+    def solve(self, seen: Array) -> Array:
+        """Return S⁻¹ times (M, ...)."""
+        white = self._whiten(seen)
+        left = white - self._spread(self._expect(white))
+        return np.asarray((np.swapaxes(self.turn, -1, -2) @ left).reshape(seen.shape))
+
+    def precision(self) -> Array:
+        """Return the blocks of S⁻¹, shape (P, n, n)."""
+        inner = spread_at_poses(self.basis, self.root @ self.root.T)
+        left = np.eye(self.turn.shape[1]) - self.seen @ inner @ np.swapaxes(self.seen, -1, -2)
+        return np.asarray(np.swapaxes(self.turn, -1, -2) @ left @ self.turn)
+
+
+def project(seen: Array, basis: Array, white: Array) -> Array:
+    """Return Φᵀ times rows (P, n, m), with Φ what rows see, (P, n, N), of functions made of bases (N, P, A): (R, m)."""
+    by_function = (np.swapaxes(seen, -1, -2) @ white).transpose(1, 0, 2)
+    return np.asarray(np.swapaxes(basis, -1, -2) @ by_function).reshape(-1, white.shape[-1])
+
+
+def find_gram(basis: Array, weights: Array) -> Array:
+    """Return Σ_p w_pij φ_ipa φ_jpb of bases (N, P, A) with symmetric weights (P, N, N), shape (N A, N A)."""
+    n, _, a = basis.shape
+    found = np.empty((n, a, n, a))
+    for i in range(n):
+        for j in range(i + 1):
+            found[i, :, j] = (basis[i] * weights[:, i, j, None]).T @ basis[j]
+            found[j, :, i] = found[i, :, j].T
+    return found.reshape(n * a, n * a)
+
+
+def spread_at_poses(basis: Array, covariance: Array) -> Array:
+    """Return the covariance of N functions at each pose, (P, N, N), from that of coefficients (N A, N A)."""
+    n, n_poses, a = basis.shape
+    blocks, found = covariance.reshape(n, a, n, a), np.empty((n_poses, n, n))
+    for i in range(n):
+        for j in range(i + 1):
+            found[:, i, j] = np.einsum("pb,pb->p", basis[i] @ blocks[i, :, j], basis[j])
+            found[:, j, i] = found[:, i, j]
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Interpolated:
+    """Sums over rows of something divided by 1 + v λ, as functions of v.
+
+    Attributes
+    ----------
+    values : ndarray, shape (P, n)
+        λ.
+    find : callable
+        From weights of rows (P, n) to the sums (S,), linear.
+    """
+
+    values: Array
+    find: Callable[[Array], Array]
+
+    @cached_property
+    def _largest(self) -> float:
+        """Λ; any positive number where all λ are zero."""
+        return float(self.values.max()) or 1.0
+
+    @cached_property
+    def _polynomials(self) -> dict[int, Array]:
+        return {}
+
+    def __call__(self, v: Array) -> Array:
+        """Return the sums, (B,) to (B, S)."""
+        x = np.log1p(v * self._largest)
+        number = (x / WIDTH).astype(int)
+        found = np.empty((len(v), self._find_polynomial(int(number[0])).shape[1]))
+        for k in np.unique(number):
+            some = number == k
+            found[some] = chebvander(2.0 * (x[some] / WIDTH - k) - 1.0, NODES - 1) @ self._find_polynomial(int(k))
+        found *= np.exp(-x)[:, None]
+        return found
+
+    def _find_polynomial(self, number: int) -> Array:
+        """Return coefficients of Chebyshev polynomials of 1 + v Λ times the sums, (NODES, S), over a range of x."""
+        if number not in self._polynomials:
+            place = np.cos(np.pi * (np.arange(NODES) + 0.5) / NODES)
+            x = WIDTH * (number + 0.5 * (place + 1.0))
+            sums = [np.exp(one) * self.find(1.0 / (1.0 + np.expm1(one) / self._largest * self.values)) for one in x]
+            change = 2.0 / NODES * chebvander(place, NODES - 1).T
+            change[0] *= 0.5
+            self._polynomials[number] = change @ np.stack(sums)
+        return self._polynomials[number]
+
+
+@dataclass(frozen=True, eq=False)
+class LowRankComponents:
+    """`Components` whose E_t are of few columns: rows see N functions of the pose, each made of a basis.
+
+    Attributes
+    ----------
+    known : ndarray, shape (P, n, n)
+        K.
+    blocks : ndarray, shape (G, P, n, n)
+        B_g.
+    shown : ndarray, shape (P, n, N)
+        What rows see of each function.
+    basis : ndarray, shape (N, P, A)
+        What each function is made of at the poses.
+    sorts : ndarray of int, shape (A,)
+        Which of the C variances each entry of the basis has.
+    left : ndarray, shape (C,)
+        l.
+    """
+
+    known: Array
+    blocks: Array
+    shown: Array
+    basis: Array
+    sorts: np.ndarray
+    left: Array
+
+    @property
+    def size(self) -> int:
+        """Number M of rows."""
+        return self.known.shape[0] * self.known.shape[1]
+
+    @property
+    def n_columns(self) -> int:
+        """Number R of columns."""
+        return self.basis.shape[0] * self.basis.shape[2]
+
+    def _scales(self, variances: Array) -> Array:
+        """Return s of variances (..., C), shape (..., R)."""
+        return np.tile(np.sqrt(variances)[..., self.sorts], len(self.basis))
+
+    # --- noise -------------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def _every(self) -> Array:
+        """F Fᵀ, shape (P, n, n)."""
+        return np.asarray(self.shown @ np.swapaxes(self.shown, -1, -2))
+
+    @cached_property
+    def _adds_up(self) -> bool:
+        """Whether Σ B_g is F Fᵀ."""
+        return bool(np.allclose(self.blocks.sum(axis=0), self._every, rtol=1e-9, atol=0.0)) or not len(self.blocks)
+
+    def _find_equal(self, variances: Array) -> Array:
+        """Return v of variances (B, G + C), shape (B,); NaN where D is not K + v F Fᵀ."""
+        own, weights = np.split(variances, [len(self.blocks)], axis=1)
+        first = own[:, :1].sum(axis=1)
+        equal = self._adds_up & (own == first[:, None]).all(axis=1)
+        return np.where(equal, first + weights @ self.left, np.nan)
+
+    @cached_property
+    def _turned(self) -> tuple[Array, Array, Array]:
+        """What makes K + v F Fᵀ diagonal, (P, n, n), λ (P, n), and what turned rows see of functions (P, n, N)."""
+        inverse = np.linalg.inv(np.linalg.cholesky(self.known))
+        values, vectors = np.linalg.eigh(inverse @ self._every @ np.swapaxes(inverse, -1, -2))
+        turn = np.swapaxes(vectors, -1, -2) @ inverse
+        return turn, np.maximum(values, 0.0), turn @ self.shown
+
+    @cached_property
+    def _half_log_det_of_known(self) -> float:
+        return 0.5 * float(np.linalg.slogdet(self.known)[1].sum())
+
+    def _half_log_det_of_noise(self, v: Array) -> Array:
+        """Return ½ log |D| of v (B,), shape (B,)."""
+        values = self._turned[1].ravel()
+        return self._half_log_det_of_known + 0.5 * np.array([np.log1p(one * values).sum() for one in v])
+
+    @cached_property
+    def _grams(self) -> Interpolated:
+        """ΦᵀD⁻¹Φ, R² numbers."""
+        _, values, seen = self._turned
+
+        def find(weights: Array) -> Array:
+            weighed = np.swapaxes(seen, -1, -2) @ (weights[..., None] * seen)
+            return find_gram(self.basis, weighed).ravel()
+
+        return Interpolated(values, find)
+
+    # --- density -----------------------------------------------------------------------------------------------------
+
+    def factorise(self, variances: Array) -> Thin:
+        """Return S of variances (G + C,)."""
+        own, weights = np.split(variances, [len(self.blocks)])
+        v = float(self._find_equal(variances[None])[0])
+        if np.isnan(v):
+            return self.factorise_beside(self.known + np.tensordot(own, self.blocks, 1), weights)
+        turn, values, seen = self._turned
+        size = 1.0 / np.sqrt(1.0 + v * values)[..., None]
+        return Thin(
+            size * turn,
+            size * seen,
+            self.basis,
+            self._scales(weights),
+            self._grams(np.array([v])).reshape(2 * [self.n_columns]),
+            float(self._half_log_det_of_noise(np.array([v]))[0]),
+        )
+
+    def square(self, seen: Array) -> Callable[[Array], tuple[Array, float]]:
+        """Return what takes variances (G + C,) to XᵀS⁻¹X of X (M, m), shape (m, m), and ½ log |S|."""
+        (turn, values, shown), m, n = self._turned, seen.shape[1], self.n_columns
+        turned = turn @ seen.reshape(*values.shape, m)
+
+        def find(weights: Array) -> Array:
+            weighed = weights[..., None] * turned
+            own = weighed.reshape(-1, m).T @ turned.reshape(-1, m)
+            return np.concatenate([own.ravel(), project(shown, self.basis, weighed).ravel()])
+
+        sums = Interpolated(values, find)
+
+        def evaluate(variances: Array) -> tuple[Array, float]:
+            v = self._find_equal(variances[None])
+            if np.isnan(v[0]):
+                white = self.factorise(variances)
+                return white.square(seen), white.half_log_det
+            own, across = np.split(sums(v)[0], [m * m])
+            scale = self._scales(variances[len(self.blocks) :])
+            inner = scale[:, None] * self._grams(v).reshape(n, n) * scale
+            np.einsum("ii->i", inner)[:] += 1.0
+            factor = cholesky(inner, lower=True, overwrite_a=True, check_finite=False)
+            told = solve_triangular(factor, scale[:, None] * across.reshape(n, m), lower=True, check_finite=False)
+            half_log_det = self._half_log_det_of_noise(v)[0] + np.log(np.diag(factor)).sum()
+            return own.reshape(m, m) - told.T @ told, float(half_log_det)
+
+        return evaluate
+
+    def factorise_beside(self, noise: Array, weights: Array) -> Thin:
+        """Return S where K + Σ v_g B_g is as given, (P, n, n), for the functions' variances (C,)."""
+        factor = np.linalg.cholesky(noise + float(weights @ self.left) * self._every)
+        turn = np.linalg.inv(factor)
+        seen = turn @ self.shown
+        gram = find_gram(self.basis, np.swapaxes(seen, -1, -2) @ seen)
+        half_log_det = float(np.log(np.diagonal(factor, axis1=1, axis2=2)).sum())
+        return Thin(turn, seen, self.basis, self._scales(weights), gram, half_log_det)
+
+    def weigh(self, variances: Array, rows: Array) -> Array:
+        """Return normal log-densities of rows (B, M) but for 2 π, shape (B,), for variances (B, G + C)."""
+        found, v = np.empty(len(rows)), self._find_equal(variances)
+        for k in np.flatnonzero(np.isnan(v)):
+            found[k] = weigh_by(self.factorise(variances[k]), rows[k])
+        index, most = np.flatnonzero(~np.isnan(v)), max(1, GRAMS // self.n_columns**2)
+        for some in (index[k : k + most] for k in range(0, len(index), most)):
+            scale = self._scales(variances[some, len(self.blocks) :])
+            found[some] = self._weigh_turned(v[some], scale, rows[some])
+        return found
+
+    def _weigh_turned(self, v: Array, scale: Array, rows: Array) -> Array:
+        """Return log-densities of rows (B, M) where D is K + v F Fᵀ, for v (B,) and s (B, R)."""
+        turn, values, seen = self._turned
+        turned = turn @ rows.T.reshape(*turn.shape[:2], -1)
+        weighed = turned / (1.0 + v * values[..., None])
+        inner = self._grams(v).reshape(len(v), self.n_columns, -1)
+        inner *= scale[:, :, None]
+        inner *= scale[:, None]
+        np.einsum("bii->bi", inner)[:] += 1.0
+        half_log_det, told = carry(inner, scale * project(seen, self.basis, weighed).T)
+        square = np.einsum("pib,pib->b", turned, weighed) - told
+        return np.asarray(-self._half_log_det_of_noise(v) - half_log_det - 0.5 * square)
+
+    def weigh_given(self, root: Array, row: Array) -> float:
+        """Return the log-density of rows (M,) but for 2 π, for coefficients of covariance U Uᵀ, U (R, R), D being K."""
+        white = self.factorise_beside(self.known, np.zeros(len(self.left)))
+        turned = white.turn @ row.reshape(*self.known.shape[:2], 1)
+        factor = cholesky(np.eye(len(root)) + root.T @ white.gram @ root, lower=True, check_finite=False)
+        told = solve_triangular(factor, root.T @ white.project(turned)[:, 0], lower=True, check_finite=False)
+        half_log_det = white.half_log_det_of_noise + float(np.log(np.diag(factor)).sum())
+        return -half_log_det - 0.5 * float((turned**2).sum() - told @ told)
+
+    def leave_out(self, variances: Array, rows: Array) -> tuple[Array, Array]:
+        """Return by how much each pose's rows deviate from what all others predict, (B, P, n), and their precision."""
+        found = [leave_out_by(self.factorise(one), row) for one, row in zip(variances, rows, strict=True)]
+        return np.stack([one for one, _ in found]), np.stack([one for _, one in found])
+
+    def weigh_each(self, variances: Array, rows: Array) -> tuple[Array, Array]:
+        """Return log p(e_n | all other rows) but for 2 π of each pose and its squared deviation, shapes (B, P)."""
+        return weigh_left_out(*self.leave_out(variances, rows))
+
+    # --- derivatives -------------------------------------------------------------------------------------------------
+
+    def act(self, alpha: Array) -> Array:
+        """Return B_g α and E_t α, (M,) to (G + C, M)."""
+        shape, (n, _, a) = self.known.shape[:2], self.basis.shape
+        rows = alpha.reshape(*shape, 1)
+        told = project(self.shown, self.basis, rows).reshape(n, a)
+        found, beside = [(self.blocks @ rows).reshape(-1, self.size)], (self._every @ rows)[..., 0]
+        for sort, left in enumerate(self.left):
+            values = np.einsum("ipa,ia->pi", self.basis, told * (self.sorts == sort))
+            own = np.einsum("pki,pi->pk", self.shown, values) + left * beside
+            found.append(own.reshape(1, -1))
+        return np.concatenate(found)
+
+    def traces(self, variances: Array) -> tuple[Array, Array]:
+        """Return tr S⁻¹ E_k of all K = G + C parts, B_g and E_t, and tr S⁻¹ E_k S⁻¹ E_l, shapes (K,) and (K, K)."""
+        white, c = self.factorise(variances), len(self.left)
+        g = len(self.blocks) + 1  # F Fᵀ behind the blocks
+        of_sort = (np.tile(self.sorts, len(self.basis))[:, None] == np.arange(c)).astype(float)  # (R, C)
+        first, second = np.zeros(g + c), np.zeros((g + c, g + c))
+        covariance = white.root @ white.root.T
+        reduced = np.eye(self.n_columns) - covariance @ white.gram  # S⁻¹Φ = D⁻¹Φ times it
+        through = white.gram @ reduced
+        first[g:] = np.diag(through) @ of_sort
+        second[g:, g:] = of_sort.T @ through**2 @ of_sort
+        blocks = np.concatenate([self.blocks, self._every[None]])
+        own = white.turn @ blocks @ np.swapaxes(white.turn, -1, -2)  # B_g where D is one
+        first[:g] = np.einsum("pij,gpji->g", white.precision(), blocks, optimize=True)
+        seen_by = own @ white.seen
+        grams = np.stack([find_gram(self.basis, np.swapaxes(white.seen, -1, -2) @ one) for one in seen_by])
+        second[:g, g:] = np.einsum("ri,gru,ui->gi", reduced, grams, reduced, optimize=True) @ of_sort
+        second[g:, :g] = second[:g, g:].T
+        pulled = grams @ covariance
+        second[:g, :g] = np.einsum("gpij,hpji->gh", own, own, optimize=True)
+        second[:g, :g] += np.einsum("gij,hji->gh", pulled, pulled, optimize=True)
+        for i in range(g):
+            for j in range(i + 1):
+                weights = np.swapaxes(seen_by[i], -1, -2) @ seen_by[j]
+                gram = find_gram(self.basis, 0.5 * (weights + np.swapaxes(weights, -1, -2)))
+                second[i, j] -= 2.0 * np.sum(gram * covariance)
+                second[j, i] = second[i, j]
+        change = np.delete(np.eye(g + c), g - 1, axis=0)
+        change[g - 1 :, g - 1] = self.left
+        return change @ first, change @ second @ change.T
+
+
+def weigh_by(white: Factorised, row: Array) -> float:
+    """Return the log-density of rows (M,) but for 2 π."""
+    return -white.half_log_det - 0.5 * float(white.square(row[:, None])[0, 0])
+
+
+def leave_out_by(white: Thin, row: Array) -> tuple[Array, Array]:
+    """Return what `leave_out` finds of rows (M,), shapes (P, n) and (P, n, n)."""
+    precision = white.precision()
+    alpha = white.solve(row).reshape(precision.shape[:2])
+    return np.linalg.solve(precision, alpha[..., None])[..., 0], precision

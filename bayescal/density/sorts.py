@@ -1,0 +1,229 @@
+"""Sorts of functions of the pose: their covariances, and the few columns that they are made of where poses are many.
+
+Functions of the travel z = (ρ - ρ_home) / range and of the place in measuring order t in [0, 1), k at two poses:
+
+    linear   z_p · z_q                       every actuator moves every leg: a coupling
+    own      z_ip z_iq                       each leg by its own actuator: a lead error, a scale
+    smooth   k(z_p, z_q), length one range   anything smooth: joints, gravity, waves
+    drift    min(t_p, t_q) + 0.02            a session's drift: temperature
+
+With many poses k is replaced by φ_p · φ_q, φ of few entries. Those of linear functions leave nothing out. Smooth ones
+are made of the principal components over the poses of what values at some poses, chosen by a pivoted Cholesky factor,
+tell of all (Nyström's approximation: Williams and Seeger 2001). A drift is a random walk, made of the leading functions
+of its Karhunen-Loève expansion, √2 sin(ω t) / ω with ω = π / 2, 3 π / 2, ..., and of its value at the first pose. The
+variance that is left out is that of errors which are independent from pose to pose.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Final, NamedTuple
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from bayescal.density.priors import SmoothKernel
+from bayescal.errors import InputError
+from bayescal.numerics.geometry import Array
+
+FEWEST_POSES: Final = 3
+START: Final = 0.02  # of a drift, that is there at the first pose
+MOST_SMOOTH, MOST_DRIFT = 30, 12  # columns
+MOST_CHOSEN = 200  # poses whose values tell of smooth functions everywhere
+LEFT = 1e-12  # of a variance, which is taken for zero
+AT_ONCE = 2048  # poses at which smooth functions are evaluated together
+
+
+class Place(NamedTuple):
+    """Where functions are evaluated: P poses."""
+
+    travel: Array  # (P, N): z, ranges
+    time: Array | None  # (P,): place in measuring order, 0 to 1; None where there is no order
+
+    def join(self, other: Place) -> Place:
+        """Return the poses of both, one behind the other."""
+        time = None if self.time is None or other.time is None else np.concatenate([self.time, other.time])
+        return Place(np.concatenate([self.travel, other.travel]), time)
+
+
+class Sort(ABC):
+    """A sort of functions, k; of each of N legs, or the same of all, where the first axis is of length one."""
+
+    @abstractmethod
+    def between(self, first: Place, second: Place) -> Array:
+        """Return k between P and Q poses, (N or 1, P, Q)."""
+
+    @abstractmethod
+    def variance(self, place: Place) -> Array:
+        """Return k of poses with themselves, (N or 1, P)."""
+
+    @abstractmethod
+    def truncate(self, place: Place) -> Callable[[Place], Array]:
+        """Return φ as a function of P poses, (N or 1, P, A), that suits some poses."""
+
+
+class Linear(Sort):
+    """z_p · z_q."""
+
+    def between(self, first: Place, second: Place) -> Array:
+        """Return k."""
+        return np.asarray(first.travel @ second.travel.T)[None]
+
+    def variance(self, place: Place) -> Array:
+        """Return |z|²."""
+        return np.asarray((place.travel**2).sum(axis=1))[None]
+
+    def truncate(self, place: Place) -> Callable[[Place], Array]:
+        """Return z."""
+        del place
+        return lambda other: other.travel[None]
+
+
+class Own(Sort):
+    """z_ip z_iq."""
+
+    def between(self, first: Place, second: Place) -> Array:
+        """Return k."""
+        return np.asarray(first.travel.T[:, :, None] * second.travel.T[:, None, :])
+
+    def variance(self, place: Place) -> Array:
+        """Return z_i²."""
+        return np.asarray(place.travel.T**2)
+
+    def truncate(self, place: Place) -> Callable[[Place], Array]:
+        """Return z_i."""
+        del place
+        return lambda other: other.travel.T[:, :, None]
+
+
+class Smooth(Sort):
+    """A squared exponential of length one range, held to zero at home."""
+
+    def between(self, first: Place, second: Place) -> Array:
+        """Return k."""
+        return SmoothKernel(1.0)(first.travel, second.travel)[None]
+
+    def variance(self, place: Place) -> Array:
+        """Return 2 (1 - exp(-|z|² / 2))."""
+        return np.asarray(-2.0 * np.expm1(-0.5 * (place.travel**2).sum(axis=1)))[None]
+
+    def truncate(self, place: Place) -> Callable[[Place], Array]:
+        """Return principal components over the poses of k between poses and chosen ones."""
+        kernel, travel = SmoothKernel(1.0), place.travel
+        left = self.variance(place)[0]
+        factor, chosen, least = np.zeros((len(travel), min(MOST_CHOSEN, len(travel)))), list[int](), LEFT * left.max()
+        while len(chosen) < factor.shape[1] and left.max() > least:
+            k, pivot = len(chosen), int(left.argmax())
+            column = kernel(travel, travel[pivot : pivot + 1])[:, 0] - factor[:, :k] @ factor[pivot, :k]
+            factor[:, k] = column / np.sqrt(column[pivot])
+            left = np.maximum(left - factor[:, k] ** 2, 0.0)
+            chosen.append(pivot)
+        factor = factor[:, : len(chosen)]
+        axes = np.linalg.eigh(factor.T @ factor)[1][:, ::-1][:, :MOST_SMOOTH]
+        change, nodes = solve_triangular(factor[chosen], axes, lower=True, trans="T"), travel[chosen]
+
+        def evaluate(other: Place) -> Array:
+            parts = [other.travel[k : k + AT_ONCE] for k in range(0, len(other.travel), AT_ONCE)]
+            return np.concatenate([kernel(one, nodes) @ change for one in parts])[None]
+
+        return evaluate
+
+
+class Drift(Sort):
+    """min(t_p, t_q) + 0.02."""
+
+    def between(self, first: Place, second: Place) -> Array:
+        """Return k."""
+        return (np.minimum.outer(_time(first), _time(second)) + START)[None]
+
+    def variance(self, place: Place) -> Array:
+        """Return t + 0.02."""
+        return (_time(place) + START)[None]
+
+    def truncate(self, place: Place) -> Callable[[Place], Array]:
+        """Return what is there at the first pose, and the leading functions of the random walk."""
+        del place
+        rate = np.pi * (np.arange(MOST_DRIFT - 1) + 0.5)
+
+        def evaluate(other: Place) -> Array:
+            waves = np.sqrt(2.0) * np.sin(_time(other)[:, None] * rate) / rate
+            return np.concatenate([np.full((len(waves), 1), np.sqrt(START)), waves], axis=1)[None]
+
+        return evaluate
+
+
+def _time(place: Place) -> Array:
+    assert place.time is not None
+    return place.time
+
+
+SORTS: Final[Mapping[str, Sort]] = {"linear": Linear(), "own": Own(), "smooth": Smooth(), "drift": Drift()}
+
+
+@dataclass(frozen=True, eq=False)
+class PoseFunctions:
+    """Sorts of functions, normalised over the calibration poses.
+
+    Attributes
+    ----------
+    sorts : tuple of str
+        Names in `SORTS`.
+    place : Place
+        Of the calibration poses.
+    of_few : Place, optional
+        Poses whose functions are made of few columns, and so are those at all others; by default nothing is left out.
+    """
+
+    sorts: tuple[str, ...]
+    place: Place
+    of_few: Place | None = None
+
+    @cached_property
+    def norms(self) -> Array:
+        """c_t of each sort, shape (C,)."""
+        found = np.array([SORTS[name].variance(self.place).mean() for name in self.sorts])
+        if not (found > 0.0).all():
+            raise InputError("model_error: found all calibration poses at home, expected actuators that move")
+        return found
+
+    @cached_property
+    def _truncated(self) -> list[Callable[[Place], Array]]:
+        assert self.of_few is not None
+        return [SORTS[name].truncate(self.of_few) for name in self.sorts]
+
+    def list_bases(self, place: Place) -> list[Array]:
+        """Return the columns φ of each sort, where there are few, (N or 1, P, A_t) each."""
+        return [one(place) / np.sqrt(norm) for one, norm in zip(self._truncated, self.norms, strict=True)]
+
+    def join_bases(self, place: Place) -> tuple[Array, np.ndarray]:
+        """Return the columns φ of all sorts for each of N legs, (N, P, A), and which sort each is of, (A,)."""
+        bases, n = self.list_bases(place), place.travel.shape[1]
+        sorts = np.repeat(np.arange(len(bases)), [one.shape[-1] for one in bases])
+        return np.concatenate([np.broadcast_to(one, (n, *one.shape[1:])) for one in bases], axis=-1), sorts
+
+    def between(self, first: Place, second: Place) -> list[Array]:
+        """Return k_t / c_t of each sort between poses, (N or 1, P, Q) each."""
+        if self.of_few is None:
+            return [
+                SORTS[name].between(first, second) / norm for name, norm in zip(self.sorts, self.norms, strict=True)
+            ]
+        pairs = zip(self.list_bases(first), self.list_bases(second), strict=True)
+        return [one @ np.swapaxes(other, -1, -2) for one, other in pairs]
+
+    def variances(self, place: Place) -> list[Array]:
+        """Return the same of poses with themselves, (N or 1, P) each."""
+        if self.of_few is None:
+            return [SORTS[name].variance(place) / norm for name, norm in zip(self.sorts, self.norms, strict=True)]
+        return [(one**2).sum(axis=-1) for one in self.list_bases(place)]
+
+    @cached_property
+    def left(self) -> Array:
+        """What few columns leave out of each sort's variance on average over the poses they suit, shape (C,)."""
+        if self.of_few is None:
+            return np.zeros(len(self.sorts))
+        whole = replace(self, of_few=None).variances(self.of_few)
+        pairs = zip(whole, self.variances(self.of_few), strict=True)
+        return np.array([max(0.0, float(one.mean() - other.mean())) for one, other in pairs])
