@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from bayescal.density.calibration.model_error import ThinFunctionsOfPose
 from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.shared.readings import errors
@@ -171,9 +172,10 @@ def test_tables_of_random_errors_alone_have_their_size(tmp_path):
     assert row["q05_um"] >= 4.0
 
 
-def test_more_rows_than_their_covariance_is_made_for_are_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(errors, "MOST_ROWS", 44)
-    said = "found 25 calibration rows of 6 channels with errors by which rows depend on each other, expected at most 14"
-    with pytest.raises(InputError, match=rf"{said}, or terms = \['independent'\]"):
-        read(write(tmp_path))
-    assert names_of(read(write(tmp_path / "other", 'terms = ["independent", "own"]'))) == ("tau", "sigma_own")
+def test_of_more_rows_than_their_covariance_is_made_for_functions_are_of_few_columns(tmp_path, monkeypatch):
+    path = write(tmp_path)
+    for most, few in ((89, True), (90, False)):  # 30 rows of three equations
+        monkeypatch.setattr(errors, "MOST_ROWS", most)
+        tau, *functions = read(path).variants["all"].errors.terms
+        assert not isinstance(tau, ThinFunctionsOfPose)
+        assert [isinstance(one, ThinFunctionsOfPose) for one in functions] == [few] * 4
