@@ -205,13 +205,61 @@ def test_slopes_of_terms_are_those_of_differences(zeta, floor, arm):
             np.testing.assert_allclose(found.columns, (up - down) / (2.0 * step), atol=1e-6 * size)
 
 
-def test_gradient_of_a_posterior_is_that_of_differences(arm, used):
+def posterior_of(arm, used):
+    """Return the posterior of an arm's lengths with all terms, by columns."""
     own, model, data, pose = arm
     layout = model.layout
     priors = {name: NormalPrior(float(x), 0.5) for name, x in zip(layout.names, layout.nominal, strict=True)}
     priors = {name: one for name, one in priors.items() if not name.startswith("o")}
     likelihood = CalibrationLikelihood(model, data.pick(used), 1.0, pose[used])
-    posterior = Posterior(likelihood, priors, Errors(terms_of(own)))  # not anchored: by columns
+    return Posterior(likelihood, priors, Errors(terms_of(own)))
+
+
+def test_rows_held_back_have_the_same_density_given_the_others_by_columns(arm, used):
+    """Of the covariance of all rows about the anchor, for machines and sizes that differ."""
+    _, model, data, pose = arm
+    anchored, rng = posterior_of(arm, used).anchored(), np.random.default_rng(3)
+    held = CalibrationLikelihood(model, data.pick(~used), 1.0, pose[~used])
+    y = np.tile(anchored.polish(np.zeros(anchored.n_parameters)), (5, 1))
+    y[:, : anchored.n_geometry] += 3e-4 * rng.standard_normal((5, anchored.n_geometry))
+    y[:, anchored.n_geometry :] += 0.7 * rng.standard_normal((5, 5))
+    by_columns = anchored.finer().predict_density(held, y)
+    np.testing.assert_allclose(anchored.predict_density(held, y), by_columns, atol=0.01)
+    alone = held.density_by_row(*anchored.at(y))  # that others tell something of them shows
+    assert np.abs(alone - by_columns).max() > 1.0
+    y[2, 0] = np.nan
+    assert (anchored.predict_density(held, y)[2] == -np.inf).all()
+
+
+def test_draws_of_functions_given_the_rows_are_those_by_columns(arm, used):
+    """Mean and covariance of the errors at all rows, the held-back ones too: Matheron's rule beside coefficients."""
+    _, _, data, _ = arm
+    anchored, rng, n = posterior_of(arm, used).anchored(), np.random.default_rng(3), 4000
+    y = np.tile(anchored.polish(np.zeros(anchored.n_parameters)), (n, 1))
+    y[:, anchored.n_geometry :] += [0.4, 1.0, -0.5, 0.3, 0.8]
+    found = [one.likelihood.draw_common(*one.at(y), rng).at(data) for one in (anchored, anchored.finer())]
+    sd = found[1][..., :3].reshape(n, -1).std(axis=0)
+    first, second = (one[..., :3].reshape(n, -1) / sd for one in found)
+    error = np.sqrt(2.0 / n)
+    assert np.abs(first.mean(axis=0) - second.mean(axis=0)).max() < 5.0 * error
+    assert np.abs(first.mean(axis=0)).max() > 20.0 * error
+    assert np.abs(np.log(first.std(axis=0))).max() < 5.0 * error / np.sqrt(2.0)
+    assert np.abs(np.corrcoef(first.T) - np.corrcoef(second.T)).max() < 5.0 * error
+
+
+def test_functions_drawn_before_anything_is_read_have_the_sizes_of_their_terms(arm, used):
+    own, _, data, _ = arm
+    errors = Errors(terms_of(own))
+    zeta = np.tile([0.1, 0.4, -0.2, 0.3, 0.8], (2000, 1))
+    _, *drawn = errors.draw_prior(zeta, data, np.random.default_rng(1)).by_term(data.pick(used))
+    for term, one in zip(errors.terms[1:], drawn, strict=True):
+        size = float(term.amplitude(zeta[:1, 1:2] * 0.0 + zeta[0, errors.terms.index(term)])[0])
+        square = np.mean((one[..., :3] * own.levers) ** 2, axis=0).mean()
+        assert np.sqrt(square) == pytest.approx(size, rel=0.05)
+
+
+def test_gradient_of_a_posterior_is_that_of_differences(arm, used):
+    posterior = posterior_of(arm, used)  # not anchored: by columns
     y = posterior.polish(np.zeros(posterior.n_parameters))
     y[posterior.n_geometry :] += [0.4, -0.6, 0.1, -0.3, 0.2]
     y[: posterior.n_geometry] += 1e-3
@@ -230,6 +278,7 @@ def test_terms_that_there_cannot_be(arm, used):
     alone = OwnChannels.find(model, data, pose, used, home, np.array([0.0, 0.4, 0.0, 9.0, 9.0, 9.0]))
     assert alone.find_missing(TERMS) == {"own": "of one channel it is the linear one"}
     assert not alone.find_missing(("own",))
+    assert own.find_missing(TERMS, "it costs too much") == dict.fromkeys(("smooth", "drift"), "it costs too much")
     nothing = OwnChannels.find(model, data, pose, used, home, np.array([0.0, 0.0, 0.0, 9.0, 9.0, 9.0]))
     assert set(nothing.find_missing(TERMS)) == set(TERMS)
     standing = replace(data, values=np.where(np.arange(6) < 3, np.append(HOME, np.zeros(3)), data.values))

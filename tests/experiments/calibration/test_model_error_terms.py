@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import calibrations
 import numpy as np
+import pandas as pd
 import pytest
 
+from bayescal.density.calibration.model_error import ThinFunctionsOfPose
 from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load
+from bayescal.experiments.shared.readings import errors
+from bayescal.experiments.shared.study_inputs import Task
 from bayescal.experiments.study.by_tables import ReadingStudy
 
 TERMS = ("tau", "sigma_linear", "sigma_own", "sigma_smooth", "sigma_drift")
@@ -70,6 +74,13 @@ def test_terms_that_there_cannot_be_are_left_out_and_said(tmp_path):
     assert said in study.outlook()
 
 
+def test_where_rows_may_be_outliers_functions_are_those_of_few_coefficients(tmp_path):
+    study = read(write(tmp_path, variant="robust = 4.0"))
+    assert names_of(study) == ("tau", "sigma_linear", "sigma_own")
+    assert names_of(study, "one_rod") == TERMS
+    assert "variant 'all': the model error has no terms smooth, drift, as single rows may be outliers" in study.missing
+
+
 REFUSED = {
     "a term that there cannot be": (
         "",
@@ -80,6 +91,11 @@ REFUSED = {
         'terms = ["independent"]',
         'sensors = ["cam_x", "cam_y", "height"]',
         "model_error: found term 'independent', but no channel of the machine itself moves",
+    ),
+    "many coefficients beside outliers": (
+        "",
+        'robust = 4.0\nmodel_error = ["smooth"]',
+        "variant 'all': model_error: found term 'smooth', but single rows may be outliers, expected other terms",
     ),
     "a floor beyond the tolerances": (
         "at_least_um = { linear = 600.0 }",
@@ -101,3 +117,65 @@ def test_what_is_refused(case, tmp_path):
         read(write(tmp_path, section, variant))
     assert text in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+# --- what is found -------------------------------------------------------------------------------------------------
+
+
+def err(path, size):
+    """Let the carriages of a study's tables err by one another's travel, so many µm rms; return the errors, µm."""
+    table = pd.read_csv(path.parent / "data" / "readings.csv", comment="#")
+    travel = read(path).variants["all"].posterior().errors.terms[1].own.place.travel
+    error = travel @ np.array([[0.3, 1.0, -0.6], [-0.8, 0.2, 0.7], [0.9, -0.5, 0.4]])
+    error *= size / np.sqrt(np.mean(error[table["use"] == "calibration"] ** 2))
+    table[["s_1_mm", "s_2_mm", "s_3_mm"]] += error / 1000.0
+    table.to_csv(path.parent / "data" / "readings.csv", index=False)
+    return table, error
+
+
+@pytest.mark.runs
+def test_a_coupling_is_found_in_size_place_and_course(tmp_path):
+    path = write(tmp_path)
+    table, error = err(path, 100.0)
+    study = read(path)
+    variant = study.variants["all"]
+    tables = study.fit(Task("all")).model_error
+    sizes = tables["model_error"].set_index("term")
+    assert list(sizes.index) == ["independent", "linear", "own", "smooth", "drift", "together"]
+    assert (sizes["q05_um"] <= sizes["median_um"]).all()
+    assert (sizes["median_um"] <= sizes["q95_um"]).all()
+    assert sizes["median_um"].drop("together").idxmax() == "linear"
+    poses = tables["model_error_poses"]
+    assert list(poses["member"][:3]) == ["s[1]", "s[2]", "s[3]"]
+    assert list(poses["pose"][::3]) == list(variant.data.poses) == list(table["pose"])
+    assert list(poses["use"][::3]) == list(table["use"])
+    members = tables["model_error_members"]
+    assert list(members["term"][:4]) == ["linear", "own", "smooth", "drift"]
+    largest = members[members["term"] == "linear"].set_index("member")["rms_um"]
+    expected = np.sqrt(np.mean(error[table["use"] == "calibration"] ** 2, axis=0))
+    np.testing.assert_allclose(largest, expected, rtol=0.4)
+    assert sizes["q05_um"]["together"] < 100.0 < sizes["q95_um"]["together"] < 150.0
+    there = (poses["low_um"] <= error.ravel()) & (error.ravel() <= poses["high_um"])
+    assert there.mean() > 0.8
+
+
+def test_tables_of_random_errors_alone_have_their_size(tmp_path):
+    path = write(tmp_path, 'terms = ["independent"]\nat_least_um = { independent = 4.0 }\nper_leg = true')
+    fit = read(path).fit(Task("all"))
+    assert set(fit.model_error) == {"model_error"}
+    (row,) = fit.model_error["model_error"].to_dict("records")
+    taus = [k for k, name in enumerate(fit.names) if name.startswith("tau[")]
+    assert len(taus) == 3
+    draws = fit.draws.reshape(-1, fit.draws.shape[-1])[:, taus]
+    expected = 1000.0 * np.median(np.sqrt(np.mean(draws**2, axis=1) + 0.004**2))
+    assert row["median_um"] == pytest.approx(expected, rel=0.05)
+    assert row["q05_um"] >= 4.0
+
+
+def test_of_more_rows_than_their_covariance_is_made_for_functions_are_of_few_columns(tmp_path, monkeypatch):
+    path = write(tmp_path)
+    for most, few in ((89, True), (90, False)):  # 30 rows of three equations
+        monkeypatch.setattr(errors, "MOST_ROWS", most)
+        tau, *functions = read(path).variants["all"].errors.terms
+        assert not isinstance(tau, ThinFunctionsOfPose)
+        assert [isinstance(one, ThinFunctionsOfPose) for one in functions] == [few] * 4
