@@ -133,10 +133,20 @@ class FunctionLikelihood(Likelihood):
         """Those of the poses: joints are hardly known where errors may be functions of the pose."""
         return None if self.base.of_poses is None else self.base.of_poses.poses
 
-    def of_errors_at(self, poses: PoseLikelihood) -> FunctionLikelihood:
-        """Return the density of other poses with such errors; in their own order where any is not known here."""
+    @property
+    def n_places(self) -> int:
+        """How many places in measuring order there are; as many as poses where there is no order."""
+        return len(self._order) or self.n_poses
+
+    def of_errors_at(self, poses: PoseLikelihood, rows: np.ndarray | None = None) -> FunctionLikelihood:
+        """Return the density of other poses with such errors; in their own order where any is not known here.
+
+        Where they are poses of these measured again, ``rows`` says which, and they have the places of these in order.
+        """
         names, order = poses.pose_names, self._order
-        if order and not set(names) <= set(order):
+        if rows is not None and self.place.time is not None:
+            order = dict(zip(names, self.place.time[rows].tolist(), strict=True))
+        elif order and not set(names) <= set(order):
             order = {name: k / len(names) for k, name in enumerate(names)}
         return FunctionLikelihood(poses, self.functions.sorts, self._travel, order, self.functions)
 

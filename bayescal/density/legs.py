@@ -185,8 +185,12 @@ class Likelihood(Elimination[LegSampling, LegErrors]):
         """Return a density of other poses that leaves out as much as this one does."""
         return (other.finer() or other) if self.is_solved else other
 
-    def of_errors_at(self, poses: PoseLikelihood) -> Likelihood:
-        """Return the density of other poses whose errors depend on each other as here; by default they do not."""
+    def of_errors_at(self, poses: PoseLikelihood, rows: np.ndarray | None = None) -> Likelihood:
+        """Return the density of other poses whose errors depend on each other as here; by default they do not.
+
+        ``rows`` says which of these poses they are, measured again, where they are that.
+        """
+        del rows
         return poses
 
     # --- densities -----------------------------------------------------------------------------------------------

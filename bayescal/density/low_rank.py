@@ -162,6 +162,8 @@ def find_low_rank(pose: Array, measured: Array, known: Array) -> LowRank | None:
 BUDGET = 1 << 17  # numbers of the columns of all machines that are worked on together
 STEP_TOLERANCE = 1e-7  # of a coefficient's prior standard deviation: what it leaves enters the density squared
 MAX_ITERATIONS = 200
+SMALLEST_SHARE = 1e-10
+"""Of the largest variance by columns, that rows have beside, so that their covariance is definite."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -351,3 +353,15 @@ def _flatten(rows: Array) -> Array:
 def _act(columns: Array, mean: Array) -> Array:
     """Return A u, (B, P, m)."""
     return (_flatten(columns) @ mean[..., None]).reshape(columns.shape[:-1])
+
+
+def gather_columns(columns: Array) -> Array:
+    """Return columns (..., P, m, N') of the covariance of others (..., P, m, N), where these are more than rows."""
+    shape, n_rows = columns.shape[:-1], columns.shape[-3] * columns.shape[-2]
+    if columns.shape[-1] <= n_rows:
+        return columns
+    flat = columns.reshape(*shape[:-2], n_rows, -1)
+    covariance = flat @ np.swapaxes(flat, -1, -2)
+    own = np.einsum("...ii->...i", covariance)
+    own += SMALLEST_SHARE * own.max(axis=-1, keepdims=True)
+    return np.linalg.cholesky(covariance).reshape(*shape, -1)

@@ -99,10 +99,14 @@ class ReadingRows:
             found = stated @ likelihood.correlation @ np.swapaxes(stated, 1, 2) + added @ np.swapaxes(added, 1, 2)
             return np.asarray(found + absent)
 
+        terms, data = self.posterior.errors, likelihood.data
+        shown = [left @ act for act in terms.list_acts(data, likelihood.error_gain)]
+
         def common(zeta: Array) -> Array:
-            return np.asarray(
-                left @ self.posterior.errors.columns(zeta[None], likelihood.data, likelihood.error_gain)[0]
-            )
+            if shown:  # of one amplitude each
+                sizes = terms.amplitudes(zeta[None])[0]
+                return np.concatenate([size * one for size, one in zip(sizes, shown, strict=True)], axis=-1)
+            return np.asarray(left @ terms.columns(zeta[None], data, likelihood.error_gain)[0])
 
         errors = (across @ error[0][..., None])[..., 0]
         slope = -(across @ by_parameters[0])

@@ -22,6 +22,7 @@ DRIFT = 25.0  # in the stated noise, from the first to the last row
 OFFSET = {"mm": 3.0, "rad": 0.02}  # or as many times the noise as LOUD says
 LOUD = 100.0
 SCALE = 0.02
+NOTHING = -9.0  # coordinate of an error's size at which there is none
 
 type Planted = tuple[Array, str, tuple[str, ...]]
 """Readings, fault, words."""
@@ -34,10 +35,17 @@ def simulate(subject: Subject, rng: np.random.Generator, noise: Array | float = 
     loud = replace(likelihood, data=replace(likelihood.data, sd=likelihood.data.sd * noise), expansion=None)
     noisy = Subject(replace(subject.measured, posterior=replace(posterior, likelihood=loud)))
     for _ in range(100):
-        found = noisy.simulate(subject.posterior.draw_prior(1, rng)[0], rng)
+        found = noisy.simulate(draw_machine(subject, rng), rng)
         if found is not None:
             return found
     raise RuntimeError("found no machine that takes the poses")
+
+
+def draw_machine(subject: Subject, rng: np.random.Generator) -> Array:
+    """Return a machine of the priors (n,) whose model does not err."""
+    y = subject.posterior.draw_prior(1, rng)[0]
+    y[[name.startswith(("sigma_", "tau")) for name in subject.posterior.names]] = NOTHING
+    return y
 
 
 def _channels(subject: Subject) -> tuple[list[str], list[str], np.ndarray]:
@@ -143,7 +151,7 @@ def tolerance(subject: Subject, rng: np.random.Generator) -> Planted:
     """Plant a parameter eight of its tolerances off, of machines that take the poses all the same."""
     posterior = subject.posterior
     for _ in range(100):
-        y, k = posterior.draw_prior(1, rng)[0], int(rng.integers(posterior.n_geometry))
+        y, k = draw_machine(subject, rng), int(rng.integers(posterior.n_geometry))
         own, prior = posterior.natural(y[None])[0], posterior.priors[posterior.names[k]]
         wanted = prior.mean + rng.choice([-1.0, 1.0]) * TOLERANCES * prior.sd
         values = subject.simulate(_solve(posterior, y, k, wanted - own[k]), rng)

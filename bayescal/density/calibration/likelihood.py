@@ -14,7 +14,7 @@ from bayescal.density.calibration.poses import PoseElimination, Stand
 from bayescal.density.calibration.terms import CommonDraws, Errors
 from bayescal.density.components import LinearRows
 from bayescal.density.elimination import Whitening, invert, left_of, orthonormalise, project_out
-from bayescal.density.low_rank import Coefficients, find_coefficients, split
+from bayescal.density.low_rank import Coefficients, find_coefficients, gather_columns, split
 from bayescal.density.outliers import Outliers
 from bayescal.density.posterior import Elimination, Funnel, Posterior
 from bayescal.density.priors import Prior
@@ -37,6 +37,10 @@ class CalibrationLikelihood(PoseElimination, Elimination[AffineSampling, Errors]
     """
 
     frozen: FrozenRows | None = None
+
+    def pick(self, which: np.ndarray) -> Self:
+        """Return the density of the readings of some poses, which is not frozen."""
+        return replace(super().pick(which), frozen=None)
 
     @property
     def layout(self) -> ParameterLayout:  # type: ignore[override]
@@ -432,7 +436,6 @@ type CalibrationPosterior = Posterior[CalibrationLikelihood, AffineSampling, Err
 """The posterior of any machine, from its readings."""
 
 
-SMALLEST = 1e-12  # of the largest eigenvalue of columns' covariance, below which directions are left out
 DAMPING, LARGEST_DAMPING = 1e-3, 1e12
 GAIN = 1e-12  # of the squares, below which the search has arrived
 STILL = 1e-8  # of a coordinate, below which a step that leads nowhere is the last: shorter ones lead nowhere, too
@@ -466,7 +469,7 @@ class JointFit:
         """
         zeta, damping = self.zeta[None], DAMPING
         white = self.likelihood.whiten(*self.likelihood.noise(self.errors, zeta))
-        columns = _gather(self.likelihood.white_columns(self.errors, zeta, white))
+        columns = gather_columns(self.likelihood.white_columns(self.errors, zeta, white))
         pose = np.broadcast_to(pose, (1, *pose.shape[-2:]))
         here = self._rows(y, white, pose)
         residual, cost = self._cost(y, here[0], columns)
@@ -537,15 +540,3 @@ class JointFit:
         move = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), side)
         common = columns @ np.linalg.solve(inner, shown - across @ move)
         return move, left_of(stiff, error - by_parameters @ move - common)
-
-
-def _gather(columns: Array) -> Array:
-    """Return columns (1, P, K, N') of the same covariance as others (1, P, K, N), where these are more than rows."""
-    shape = columns.shape[:-1]
-    n_rows = int(np.prod(shape))
-    if columns.shape[-1] <= n_rows:
-        return columns
-    flat = columns.reshape(n_rows, -1)
-    values, vectors = np.linalg.eigh(flat @ flat.T)
-    there = values > SMALLEST * values[-1]
-    return np.asarray((vectors[:, there] * np.sqrt(values[there])).reshape(*shape, -1))

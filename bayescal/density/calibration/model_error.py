@@ -56,6 +56,8 @@ class OwnChannels:
         By how many mm one unit of each moves the tool.
     order : ndarray of int, shape (M,)
         Places of the rows in measuring order.
+    n_places : int
+        How many places there are.
     expected, readings : ndarray, shape (M, N)
         What the nominal machine reads at the rows, and what was read, in the channels' units; NaN where nothing was.
     used : ndarray of bool, shape (M,)
@@ -68,6 +70,7 @@ class OwnChannels:
     range: Array
     levers: Array
     order: np.ndarray
+    n_places: int
     expected: Array
     readings: Array
     used: np.ndarray
@@ -102,6 +105,7 @@ class OwnChannels:
             2.0 * reach[places],
             _find_levers(model, data.pick(used), pose[used], places, reach[places], noise[places]),
             data.order,
+            int(data.order.max()) + 1,
             np.where(np.isfinite(expected), expected, home[places]),
             data.values[:, places],
             used,
@@ -119,7 +123,7 @@ class OwnChannels:
 
     def _locate(self, readings: Array, expected: Array, order: np.ndarray) -> Place:
         beyond = self.comparison.subtract(np.where(np.isfinite(readings), readings, expected), expected)
-        return Place((expected + beyond - self.home) / self.range, order / (self.order.max() + 1.0))
+        return Place((expected + beyond - self.home) / self.range, order / self.n_places)
 
     def at(self, rows: np.ndarray) -> Place:
         """Return the same of some of the rows."""

@@ -197,7 +197,9 @@ def _collect(held: CalibrationLikelihood, parts: list[tuple[np.ndarray, int, Arr
 # --- simulated readings ------------------------------------------------------------------------------------------
 
 
-def draw_readings(posterior: CalibrationPosterior, y: Array, pose: Array, rng: np.random.Generator) -> Array:
+def draw_readings(
+    posterior: CalibrationPosterior, y: Array, pose: Array, rng: np.random.Generator, common: Array | None = None
+) -> Array:
     """Return readings (P, K) of a machine at poses (P, q), with the noise of the density, NaN where none is taken.
 
     Parameters
@@ -208,6 +210,8 @@ def draw_readings(posterior: CalibrationPosterior, y: Array, pose: Array, rng: n
         The machine and its noise; NaN are readings that it does not have.
     pose : ndarray, shape (P, q)
     rng : Generator
+    common : ndarray, shape (P, K), optional
+        Errors common to all rows, as they show in the readings; drawn from their prior where they are not given.
     """
     likelihood = posterior.likelihood
     own, tau = (one[0] for one in posterior.likelihood.noise(posterior.errors, posterior.zeta(y[None])))
@@ -217,4 +221,8 @@ def draw_readings(posterior: CalibrationPosterior, y: Array, pose: Array, rng: n
     beside, gain = tau * rng.standard_normal(own.shape), likelihood.error_gain
     noise += beside if gain is None else (gain @ beside[..., None])[..., 0]
     noise *= np.sqrt(posterior.errors.tails(posterior.zeta(y[None])).draw_wide((1, len(noise), 1), rng)[0])
-    return np.where(likelihood.data.present, likelihood.comparison.add(exact, noise), np.nan)
+    if common is None and posterior.errors.has_columns:
+        drawn = posterior.errors.draw_prior(posterior.zeta(y[None]), likelihood.data, rng)
+        common = drawn.at(likelihood.data, likelihood.error_gain)[0]
+    error = noise if common is None else noise + common
+    return np.where(likelihood.data.present, likelihood.comparison.add(exact, error), np.nan)

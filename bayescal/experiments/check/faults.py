@@ -14,6 +14,7 @@ from scipy.stats import chi2
 from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.density.calibration.measurements import Measurements
 from bayescal.density.calibration.terms import Errors, ErrorTerm
+from bayescal.density.low_rank import gather_columns
 from bayescal.density.sessions import ReadingRows
 from bayescal.errors import NumericalError
 from bayescal.experiments.check.inputs import Subject, draw_posterior
@@ -255,11 +256,15 @@ class Left:
     Attributes
     ----------
     errors : ndarray, shape (P, R)
-        Free of the poses, as large as they would be had nothing been fitted.
+        Free of the poses, as large as they would be had nothing been fitted; those of the machine as expected where
+        some errors are common to all rows.
     covariance : callable
         Takes what is unknown of the errors, (n,), to (P, R, R); see `bayescal.density.sessions.LinearRows`.
     missing : ndarray, shape (P, R, R)
         The part of it that is no reading's; by the stated noise alone the whole is the identity.
+    common : callable
+        Takes the same to columns of errors common to all rows, (P, R, N), and of the machine; none where there are no
+        such errors.
     largest : str
         Kind of the channels that are left with most.
     """
@@ -268,6 +273,7 @@ class Left:
     errors: Array
     covariance: Callable[[Array], Array]
     missing: Array
+    common: Callable[[Array], Array]
     n_errors: int
     largest: str
 
@@ -276,10 +282,12 @@ class Left:
         stated = np.eye(self.errors.shape[1])
         known = factor**2 * (stated - self.missing) + self.missing
         if without or not self.n_errors:
-            return _log_density(self.errors, known), np.zeros(self.n_errors)
+            none = np.full(self.n_errors, -MOST_ERROR)
+            return _log_density(self.errors, known, self.common(none)), np.zeros(self.n_errors)
 
         def cost(zeta: Array) -> float:
-            return 0.5 * float(zeta @ zeta) - _log_density(self.errors, known + self.covariance(zeta) - stated)
+            covariance = known + self.covariance(zeta) - stated
+            return 0.5 * float(zeta @ zeta) - _log_density(self.errors, covariance, self.common(zeta))
 
         bounds = [(-MOST_ERROR, MOST_ERROR)] * self.n_errors
         found = [minimize(cost, np.full(self.n_errors, x), method="L-BFGS-B", bounds=bounds) for x in ERROR_STARTS]
@@ -303,9 +311,18 @@ def _fit_known(measured: MeasuredReadings) -> Left:
     found = ChiSquare(misfit.chi_square.value, max(misfit.dof, 1.0))
     rows = ReadingRows(replace(known, errors=Errors(own.terms))).linearise(known.theta(y[None])[0])
     across = np.swapaxes(rows.basis, 1, 2)
-    errors = (across @ misfit.left[..., None])[..., 0] * np.sqrt(n_spare / found.dof)  # what was fitted is missing
     missing = across @ (~known.likelihood.data.present[..., None] * rows.basis)
-    return Left(found, errors, rows.covariance, missing, own.n_parameters, _name_largest(known, misfit.left))
+    errors, common = (across @ misfit.left[..., None])[..., 0] * np.sqrt(n_spare / found.dof), _have_nothing
+    if own.has_columns:  # the machine is as unknown as it was: it imitates a part of them
+        slope = rows.slope @ known.around(y)[1]
+        errors, common = rows.errors - slope @ y[:m], lambda zeta: np.concatenate([slope, rows.common(zeta)], axis=-1)
+    return Left(found, errors, rows.covariance, missing, common, own.n_parameters, _name_largest(known, misfit.left))
+
+
+def _have_nothing(zeta: Array) -> Array:
+    """Return no columns."""
+    del zeta
+    return np.zeros((1, 1, 0))
 
 
 def _share(legs: MeasuredVariant, n_channels: int) -> SharedErrors:
@@ -330,9 +347,18 @@ def _name_largest(posterior: CalibrationPosterior, white: Array) -> str:
     return max(rms, key=rms.__getitem__)
 
 
-def _log_density(errors: Array, covariance: Array) -> float:
-    square = np.einsum("pi,pi->", errors, np.linalg.solve(covariance, errors[..., None])[..., 0])
-    return -0.5 * float(square + np.sum(np.linalg.slogdet(covariance)[1]))
+def _log_density(errors: Array, covariance: Array, common: Array) -> float:
+    """Return that of rows (P, R), each with a covariance (P, R, R), and columns (P, R, N) of what is common to all."""
+    root = np.linalg.cholesky(covariance)
+    white = np.linalg.solve(
+        root, np.concatenate([np.broadcast_to(common, (*errors.shape, common.shape[-1])), errors[..., None]], axis=-1)
+    )
+    flat, log_det = white.reshape(errors.size, -1), 2.0 * float(np.log(np.diagonal(root, axis1=1, axis2=2)).sum())
+    columns, left = gather_columns(white[..., :-1]).reshape(errors.size, -1), flat[:, -1]
+    inner = np.eye(columns.shape[1]) + columns.T @ columns
+    told = columns.T @ left
+    square = float(left @ left - told @ np.linalg.solve(inner, told))
+    return -0.5 * (square + log_det + float(np.linalg.slogdet(inner)[1]))
 
 
 def check_priors(posterior: Found, draws: Array) -> Finding:

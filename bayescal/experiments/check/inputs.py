@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from bayescal.density.calibration.prediction import draw_readings
+from bayescal.density.calibration.terms import CommonDraws
 from bayescal.density.legs import find_function_of_pose
 from bayescal.errors import InputError, NumericalError
 from bayescal.experiments.check.schema import CheckConfig
@@ -55,11 +56,6 @@ def read_check(config: CheckConfig, folder: Path) -> CheckInputs:
     experiment, study = load(path)
     found = measure_variants(experiment, study, path, config.variants)
     for name, measured in found.items():
-        if measured.posterior.errors.has_columns:
-            raise InputError(
-                f"{path}: variant {name!r}: found errors common to all rows, expected noise of single rows: checks "
-                "have no errors that are functions"
-            )
         if measured.legs is not None:
             _refuse_function(measured.legs, f"{path}: variant {name!r}")
     origin = next(iter(found.values())).origin.partition(": study ")[0]
@@ -109,7 +105,10 @@ class Subject:
         NumericalError
             Where the machine cannot take the poses.
         """
-        values = self.simulate(y, rng)
+        posterior = self.measured.anchored
+        with np.errstate(all="ignore"):
+            drawn = posterior.likelihood.draw_common(*posterior.at(self.measured.adopt(y[None])), rng)
+        values = self.simulate(y, rng, drawn)
         if values is None:
             raise NumericalError("a draw of the posterior cannot take the poses")
         return self.measured.retake(np.concatenate([self.measured.posterior.likelihood.data.values, values])).found
@@ -129,10 +128,11 @@ class Subject:
                 return y, values
         raise NumericalError(f"simulation: found no machine that takes the poses in {TRIES} draws of the priors")
 
-    def simulate(self, y: Array, rng: np.random.Generator) -> Array | None:
+    def simulate(self, y: Array, rng: np.random.Generator, drawn: CommonDraws | None = None) -> Array | None:
         """Return readings (P, K) of a machine (n,) at the poses of the measured ones; None where it has none there.
 
-        A machine that was sent to its poses by commands goes where these take it.
+        A machine that was sent to its poses by commands goes where these take it. Errors common to all rows are those
+        drawn, or of their prior, by the sizes that belong to the machine.
         """
         posterior = self.measured.anchored
         own, likelihood = self.measured.adopt(y[None])[0], posterior.likelihood
@@ -144,7 +144,8 @@ class Subject:
             pose, found = model.locate(theta, data.values[:, places], data.given, pose)
             if not found.all():
                 return None
-        values = draw_readings(posterior, own, pose, rng)
+        common = None if drawn is None or not drawn.parts else drawn.at(data, likelihood.error_gain)[0]
+        values = draw_readings(posterior, own, pose, rng, common)
         return values if (np.isfinite(values) == data.present).all() else None
 
 

@@ -14,8 +14,11 @@ import numpy as np
 from bayescal.calibrated.recheck.plan import place_poses
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.density.calibration.likelihood import CalibrationLikelihood, CalibrationPosterior
-from bayescal.density.calibration.terms import Errors, ModelErrorTerm
-from bayescal.density.errors import TAU
+from bayescal.density.calibration.measurements import Comparison
+from bayescal.density.calibration.model_error import OwnChannels, build_model_error
+from bayescal.density.calibration.terms import Errors, ErrorTerm
+from bayescal.density.errors import FUNCTION_SCALES, TAU, Amplitudes
+from bayescal.density.functions import FunctionLikelihood
 from bayescal.density.legs import LegPosterior
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.posterior import Posterior
@@ -87,14 +90,15 @@ class MeasuredVariant:
         """Return the variant as if actuators and poses had read otherwise, (P, N + 6), mm and rad."""
         n = self.machine.mechanism.n_legs
         rotation = matrix_from_rotation_vector(values[:, n + 3 :])
-        return self.with_poses(
-            replace(self.poses, names=names, position=values[:, n : n + 3], rotation=rotation, actuators=values[:, :n])
+        poses = replace(
+            self.poses, names=names, position=values[:, n : n + 3], rotation=rotation, actuators=values[:, :n]
         )
+        return self.with_poses(poses, np.arange(len(values)))
 
-    def with_poses(self, poses: MeasuredPoses) -> MeasuredVariant:
-        """Return the variant as if other poses had been measured."""
+    def with_poses(self, poses: MeasuredPoses, rows: np.ndarray | None = None) -> MeasuredVariant:
+        """Return the variant as if other poses had been measured; ``rows`` of its own once more, if they are that."""
         likelihood = PoseLikelihood(self.machine, poses, self.actuator_noise, self.actuator_variance)
-        dependent = self.posterior.likelihood.of_errors_at(likelihood)
+        dependent = self.posterior.likelihood.of_errors_at(likelihood, rows)
         return replace(self, poses=poses, posterior=replace(self.posterior, likelihood=dependent))
 
 
@@ -182,7 +186,9 @@ class MeasuredReadings:
         if self.legs is None:
             return y
         own = self.legs.posterior
-        return self.posterior.adopt(own.theta(y), own.zeta(y)[..., own.errors.place(TAU)])
+        places = [own.errors.place(label) for label in (TAU, FUNCTION_SCALES)]
+        zeta = [own.zeta(y)[..., place] for place in places]
+        return self.posterior.adopt(own.theta(y), np.concatenate(zeta, axis=-1))
 
     def adopt_covariance(self, covariance: Array, y: Array) -> Array:
         """Return a covariance (n, n) of coordinates that are found as the geometry's, (m, m), of the readings' at y."""
@@ -260,6 +266,38 @@ def measure_legs(
     return found.legs
 
 
+def _see_errors(measured: MeasuredVariant, model: Legs) -> tuple[ErrorTerm, ...]:
+    """Return what legs err by, each and as functions of the pose, as errors of the readings of their actuators."""
+    errors, likelihood = measured.posterior.errors, measured.posterior.likelihood
+    error, actuators = errors.model_error, measured.poses.actuators
+    terms = [] if error.scale is None else ["independent"]
+    floors, scale, few = {"independent": error.floor}, 0.0, False
+    mechanism, n = model.machine.mechanism, model.n_legs
+    order, n_places = np.arange(len(actuators)), len(actuators)
+    if isinstance(likelihood, FunctionLikelihood):
+        terms += likelihood.functions.sorts
+        scales = next(one for one in errors.terms if isinstance(one, Amplitudes) and one.label == FUNCTION_SCALES)
+        floors |= dict(zip(likelihood.functions.sorts, scales.floors, strict=True))
+        scale, few = scales.priors[0].scale, likelihood.functions.of_few is not None
+        if likelihood.place.time is not None:
+            order, n_places = np.rint(likelihood.n_places * likelihood.place.time).astype(int), likelihood.n_places
+    own = OwnChannels(
+        Comparison(model.channels[:n]),
+        np.arange(n),
+        mechanism.initial_actuator_positions,
+        np.full(n, mechanism.actuator_range),
+        np.ones(n),
+        order,
+        n_places,
+        actuators,
+        actuators,
+        np.ones(len(actuators), dtype=bool),
+    )
+    return build_model_error(
+        own, len(model.channels), terms, (error.scale or 0.0, scale), floors, each=not error.shared, few=few
+    )
+
+
 def see_legs(measured: MeasuredVariant) -> MeasuredReadings:
     """Return poses measured of a machine on legs as readings of its actuators and of its pose."""
     model, poses, own = Legs(measured.machine), measured.poses, measured.posterior
@@ -269,13 +307,8 @@ def see_legs(measured: MeasuredVariant) -> MeasuredReadings:
     sd, legs = data.sd.copy(), np.arange(len(model.channels)) < n
     sd[:, :n] = np.sqrt(measured.actuator_noise**2 + left)
     data = replace(data, sd=sd, commanded=np.tile(legs, (poses.n_poses, 1)))
-    error, terms = own.errors.model_error, tuple[ModelErrorTerm, ...]()
-    if error.scale is not None:
-        each = {model.names[k]: np.arange(len(legs)) == k for k in range(n)}
-        groups = {"actuators": legs} if error.shared else each
-        terms = tuple(ModelErrorTerm(name, one, error.scale, "mm") for name, one in groups.items())
     likelihood = CalibrationLikelihood(model, data, 1.0, pose)
-    posterior: CalibrationPosterior = Posterior(likelihood, own.priors, Errors(terms), own.fixed)
+    posterior: CalibrationPosterior = Posterior(likelihood, own.priors, Errors(_see_errors(measured, model)), own.fixed)
     return MeasuredReadings(
         measured.name, measured.origin, posterior, pose.min(axis=0), pose.max(axis=0), legs, measured
     )

@@ -15,11 +15,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import product
 
 import numpy as np
+from scipy.linalg import cholesky, solve_triangular
 
 from bayescal.density.calibration.likelihood import CalibrationLikelihood, CalibrationPosterior
 from bayescal.density.calibration.poses import search_poses
+from bayescal.density.low_rank import gather_columns
 from bayescal.density.sessions import LinearRows, ReadingRows
 from bayescal.errors import BayescalError
 from bayescal.numerics.geometry import Array
@@ -31,6 +34,7 @@ WIDER = np.array([2.0, 3.0, 5.0, 8.0, 12.0, 20.0, 40.0, 100.0])
 LOST = float(np.log(1e3))  # nats per reading of a row that is left out
 STARTS, SPREAD = 9, 0.6  # poses of the workspace from which others are looked for, in its half widths
 TURN = 2.0 * float(np.pi)
+TURNS = (-2.0, -1.0, 1.0, 2.0), (-1.0, -0.5, 0.5, 1.0)  # steps of single coordinates of errors, turn by turn
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +65,8 @@ class Sight:
     pose: Array
     log_volume: float
     kept: dict[tuple[bytes, bytes], Array] = field(default_factory=dict)
+    columns: dict[bytes, Array] = field(default_factory=dict)
+    gathered: dict[bytes, Array] = field(default_factory=dict)
 
     def split(self, tables: list[Table]) -> list[Sight]:
         """Return the rows of several tables that were seen one below the other."""
@@ -73,7 +79,7 @@ class Sight:
                 return self.covariance(zeta, factor)[part]
 
             def common(zeta: Array, part: slice = part) -> Array:
-                return self.linear.common(zeta)[part]
+                return self.common(zeta)[part]
 
             arrays = (linear.errors, linear.slope, linear.constant, linear.basis, linear.left)
             errors, slope, constant, basis, left = (array[part] for array in arrays)
@@ -91,6 +97,14 @@ class Sight:
             )
         return found
 
+    def common(self, zeta: Array) -> Array:
+        """Return the columns of errors common to all rows, kept for the last errors that were asked for."""
+        key = zeta.tobytes()
+        if key not in self.columns:
+            self.columns.clear()
+            self.columns[key] = self.linear.common(zeta)
+        return self.columns[key]
+
     def covariance(self, zeta: Array, factor: Array | float) -> Array:
         """Return the covariance of all rows, kept for the last errors and factors that were asked for."""
         key = (zeta.tobytes(), np.asarray(factor).tobytes())
@@ -99,15 +113,33 @@ class Sight:
             self.kept[key] = self.linear.covariance(zeta, factor)
         return self.kept[key]
 
-    def whiten(self, zeta: Array, factor: Array | float = 1.0, columns: Array | None = None) -> White:
-        """Return them white by errors ζ and factors (K,) on the stated noise, with columns (P, K, c) of all rows."""
-        extra = self.linear.common(zeta)
+    def _gather(self, zeta: Array) -> Array:
+        """Return the fewest columns of errors common to all rows, kept for the last errors that were asked for."""
+        key = zeta.tobytes()
+        if key not in self.gathered:
+            self.gathered.clear()
+            self.gathered[key] = gather_columns(self.common(zeta))
+        return self.gathered[key]
+
+    def share(self, other: Sight, zeta: Array) -> tuple[Array, Array]:
+        """Return the fewest columns of errors common to all rows of this and of another table, of both."""
+        both = gather_columns(np.concatenate([self.common(zeta), other.common(zeta)]))
+        return both[: len(self.rows)], both[len(self.rows) :]
+
+    def whiten(
+        self, zeta: Array, factor: Array | float = 1.0, columns: Array | None = None, common: Array | None = None
+    ) -> White:
+        """Return them white by errors ζ and factors (K,) on the stated noise, with columns (P, K, c) of all rows.
+
+        Errors common to all rows are the fewest columns, or others (Q, R, N) of the same covariance.
+        """
+        extra = self._gather(zeta) if common is None else common
         shown = np.zeros((*self.errors.shape, 0)) if columns is None else self.linear.left @ columns[self.rows]
         every = np.concatenate([-self.slope, extra, shown, self.errors[..., None]], axis=-1)
         every = np.where(self.stands[:, None, None], every, 0.0)
         covariance = np.where(self.stands[:, None, None], self.linear.covariance(zeta, factor), np.eye(every.shape[1]))
         root = np.linalg.cholesky(covariance)
-        white = np.linalg.solve(root, every)
+        white = np.linalg.inv(root) @ every
         constant = np.where(self.stands, self.linear.constant, 0.0)
         constant = constant - np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1)
         usual = float(np.median(constant[self.stands])) if self.stands.any() else 0.0
@@ -126,17 +158,24 @@ class White:
     log_volume: float
 
     @cached_property
+    def _some(self) -> Array:
+        return np.concatenate([self.rows[..., : self.known], self.rows[..., -1:]], axis=-1)
+
+    @cached_property
+    def _gram(self) -> Array:
+        flat = self._some.reshape(-1, self.known + 1)
+        return np.asarray(flat.T @ flat)
+
+    @cached_property
     def by_row(self) -> Array:
         """Products of what is known and the errors, (Q, m + N + 1, m + N + 1)."""
-        some = self.rows[..., [*range(self.known), self.rows.shape[-1] - 1]]
-        return np.asarray(np.swapaxes(some, 1, 2) @ some)
+        return np.asarray(np.swapaxes(self._some, 1, 2) @ self._some)
 
     def weigh(self, gram: Array | None = None, constant: float | None = None) -> float:
         """Return the log-density without any cause, of other products of rows where these are given."""
-        gram = self.by_row.sum(axis=0) if gram is None else gram
-        inner = np.eye(self.known) + gram[:-1, :-1]
-        root = np.linalg.cholesky(inner)
-        side = np.linalg.solve(root, gram[:-1, -1])
+        gram = self._gram if gram is None else gram
+        root = cholesky(np.eye(self.known) + gram[:-1, :-1], lower=True, check_finite=False)
+        side = solve_triangular(root, gram[:-1, -1], lower=True, check_finite=False)
         constant = float(self.constant.sum()) if constant is None else constant
         return constant + self.log_volume - 0.5 * float(gram[-1, -1] - side @ side) - float(np.log(np.diag(root)).sum())
 
@@ -274,8 +313,8 @@ def profile(weigh: Weigh, n_errors: int) -> tuple[Array, float]:
     if n_errors:
         for size in (-3.0, -2.0, -1.0, 1.0, 2.0, 3.0, 4.0, 5.0):
             attempt(np.full(n_errors, size))
-        for k in range(n_errors) if n_errors > 1 else ():
-            for step in (-2.0, -1.0, 1.0, 2.0):
+        for steps in TURNS if n_errors > 1 else ():
+            for k, step in product(range(n_errors), steps):
                 zeta = best.copy()
                 zeta[k] += step
                 attempt(zeta)

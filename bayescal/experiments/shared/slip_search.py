@@ -45,6 +45,7 @@ ALIKE = 3.0
 SLOPS = np.array([1.0, 1.5, 2.5, 5.0, 10.0, 30.0, 100.0, 1e3, 1e4])
 """Factors on all noise about the machine as expected, for what the first order leaves."""
 FACTORS = np.array([0.05, 0.1, 0.15, 0.2, 0.3, 0.5, 2.0, 3.0, 4.0, 5.0, 7.0, 10.0, 20.0, 50.0, 100.0, 1e3, 1e4])
+BESIDE = 2  # how many factors on either side of the best one are tried as errors change
 USUAL_FACTOR = 1.5  # sd of the logarithm of a factor on the noise
 FINAL, EACH = 8, 3  # causes that are fitted: of all, and of each kind
 FITS_WELL, HOPELESS = 1.2, 300.0  # rms of a cause that leaves little, and nats below it of what is not fitted then
@@ -54,7 +55,7 @@ MOST_ROWS = 10  # of which other tables are tried first
 MISFIT = 1.4
 """Rms of the rows in their noise below which no other table is tried."""
 UNFIT = -1e9  # log-density of readings that no machine has at all
-PATIENCE = 25.0  # s of CPU time after which no more causes are tried
+PATIENCE = 60.0  # s of CPU time after which no more causes are tried
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,13 +225,13 @@ class _Search:
         broad = white.constant[rows] - n * (np.log(np.maximum(size, 1.0)) + 0.5)
         return white.weigh(white.by_row[kept].sum(axis=0), float(white.constant[kept].sum() + broad.sum()))
 
-    def _try_noise(self, here: Sight, cause: Cause, zeta: Array) -> tuple[float, float]:
-        """Return the log-density by the best factor on some channels' noise, and that.
+    def _try_noise(self, here: Sight, cause: Cause, zeta: Array, sizes: Array = FACTORS) -> tuple[float, float]:
+        """Return the log-density by the best of some factors on some channels' noise, and that.
 
         The prior of a factor is log-normal.
         """
         found = []
-        for size in FACTORS:
+        for size in sizes:
             factor = np.ones(len(self.model.channels))
             factor[list(cause.noise)] = size
             more = -0.5 * (np.log(size) / USUAL_FACTOR) ** 2
@@ -273,8 +274,7 @@ class _Search:
         kinds = join_words(list(dict.fromkeys(self.model.channels[k].kind for k in own)))
         if n < 4 or not len(own) or len(own) == values.shape[1]:
             return found
-        bases = [here.whiten(self.zeta, slop) for slop in SLOPS]
-        usual = max(one.weigh() for one in bases)
+        usual = max(here.whiten(self.zeta, slop).weigh() for slop in SLOPS)
         for step in (1, -1):  # rows hold what belongs to the one before them, or after them
             chosen = np.arange(n - 1) if step > 0 else np.arange(1, n)
             moved = values.copy()
@@ -282,7 +282,11 @@ class _Search:
             seen = self.readings.see(Table(moved[chosen], chosen), np.zeros(self.m), here.pose, 3)
             if seen is None:
                 continue
-            both = list(zip(bases, (seen.whiten(self.zeta, slop) for slop in SLOPS), strict=True))
+            mine, common = here.share(seen, self.zeta)
+            both = [
+                (here.whiten(self.zeta, slop, common=mine), seen.whiten(self.zeta, slop, common=common))
+                for slop in SLOPS
+            ]
             for k in range(1, n - 1):
                 there = chosen >= k if step > 0 else chosen <= k
                 value = max(self._splice(base, white, chosen[~there], there) for base, white in both)
@@ -343,7 +347,9 @@ class _Search:
         def weigh(zeta: Array) -> tuple[float, Array, Array, float, float]:
             which, size, nothing = np.empty(0, dtype=int), 0.0, np.zeros(0)
             if cause.noise:
-                value, size = self._try_noise(seen, cause, zeta)
+                value, size = self._try_noise(seen, cause, zeta, near[-1])
+                place = int(np.searchsorted(FACTORS, size))
+                near.append(FACTORS[max(place - BESIDE, 0) : place + BESIDE + 1])
                 factor = np.ones(len(self.model.channels))
                 factor[list(cause.noise)] = size
                 return value, *self._solve(seen.whiten(zeta, factor), which, nothing), size, 1.0
@@ -364,7 +370,7 @@ class _Search:
             y, unknown = self._solve(white, which, scale)
             return value, y, unknown, size, white.misfit(y, which, unknown)
 
-        widths = 0 if columns is None else columns.shape[-1]
+        widths, near = 0 if columns is None else columns.shape[-1], [FACTORS]
         return weigh
 
     def _solve(self, white: White, which: np.ndarray, scale: Array) -> tuple[Array, Array]:
