@@ -78,10 +78,6 @@ steps = {steps}
 draws = 1000
 max_draws = 1000
 """
-NO_ERROR = """
-[model_error]
-terms = []
-"""
 TOGETHER = """
 [[variants]]
 name = "together"
@@ -208,7 +204,7 @@ class Readings:
         _write(
             folder / "study.toml",
             "study",
-            STUDY + known + VARIANTS.format(few=self.few) + NO_ERROR + SAMPLER.format(steps=40),
+            STUDY + known + VARIANTS.format(few=self.few) + SAMPLER.format(steps=40),
         )
         keys = {"scale": 1e-4, "function": "scale_arcsec = 5.0"} if self.turns else {}
         together = TOGETHER.format(

@@ -12,6 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
+from bayescal.calibrated.functions import KnownFunctions
 from bayescal.density.calibration.measurements import Comparison
 from bayescal.errors import InputError
 from bayescal.machines.deformations import (
@@ -279,6 +280,8 @@ class CalibratedMachine:
         That file and the code of a class of its own, by their names.
     noise : ndarray, shape (K,), or None
         Of each channel as the calibration found it; NaN where that is not known. None where nothing is.
+    functions : KnownFunctions or None
+        What is known of errors that are functions of the pose, together with the uncertain parameters.
 
     Examples
     --------
@@ -299,6 +302,7 @@ class CalibratedMachine:
     machine_file: str = ""
     files: Mapping[str, bytes] = field(default_factory=dict)
     noise: Array | None = None
+    functions: KnownFunctions | None = None
 
     @property
     def name(self) -> str:

@@ -224,7 +224,7 @@ class _Choice:
     def find_best(self, chosen: list[int]) -> int:
         """Return the candidate with which, beside those chosen, most is known of the shift that is known least."""
         knowledge = self.knowledge
-        information = knowledge.add_each(knowledge.gram[chosen].sum(axis=0), self.demand.sessions)
+        information = knowledge.add_each(knowledge.total(chosen), self.demand.sessions)
         rate = information.min(axis=1) + 1e-3 * information.mean(axis=1)  # ties to those that say more
         rate[chosen] = -np.inf
         return int(np.argmax(rate))
@@ -242,14 +242,14 @@ class _Choice:
 
     def seems_enough(self, chosen: list[int]) -> bool:
         """Return whether the worst parameter's own statistic might pass the lowest threshold that there can be."""
-        demand, gram = self.demand, self.knowledge.gram[chosen].sum(axis=0)
+        demand, gram = self.demand, self.knowledge.total(chosen)
         _, information = self.knowledge.score(demand.sessions * gram)
         passed = norm.sf(norm.isf(demand.false_alarm / 2.0) - np.sqrt(np.diag(information).min()))
         return bool(passed > demand.power - HOPEFUL)
 
     def judge(self, chosen: list[int]) -> tuple[ShiftTest, Array]:
         """Return the test of some poses, and with which probability each shift is found."""
-        gram = self.knowledge.gram[chosen].sum(axis=0)
+        gram = self.knowledge.total(chosen)
         test = build_test(look_again(self.knowledge, [gram], self.demand.sessions), self.demand.false_alarm)
         return test, test.find_power()
 

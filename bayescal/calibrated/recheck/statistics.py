@@ -10,18 +10,24 @@ residual is y = X_θ Δθ + X_s δ + ε. With Δθ integrated, the score b of δ
 parameter by itself has the statistic t_k = b_k / √K_kk, standard normal while the calibration holds; the test takes the
 largest of all |t_k|. Over several sessions pooled from the first, scores are sums of independent steps, as in any
 likelihood.
+
+Errors that are functions of the pose are the same as at the calibration: their coefficients stand beside Δθ, with which
+they are known together, and what is known of them is taken off. What drifts in measuring order joins the rows of a
+session.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg import solve_triangular
 from scipy.special import softmax
 from scipy.stats import chi2
 
+from bayescal.calibrated.functions import KnownFunctions
 from bayescal.calibrated.machine import CalibratedMachine
 from bayescal.density.calibration.measurements import Comparison, Measurements
 from bayescal.errors import InputError
@@ -125,28 +131,46 @@ class Knowledge:
         How many of all these rows hold anything.
     seen : ndarray of bool, shape (N,)
         Whether a shift changes anything that is read, other than another pose would.
+    drifting : ndarray, shape (P, k, D)
+        What drifts of one root mean square of D channels do to the rows.
+    functions : KnownFunctions or None
+        Which tell how drifts hang together.
     """
 
     rows: Array
     n_shifts: int
     n_rows: int
     seen: np.ndarray
+    drifting: Array
+    functions: KnownFunctions | None = None
 
     def pick(self, some: np.ndarray) -> Knowledge:
         """Return what they say of some of the shifts, by a mask."""
         n = self.n_shifts
         kept = np.concatenate([np.ones(self.rows.shape[-1] - n - 1, dtype=bool), some, [True]])
-        return Knowledge(self.rows[..., kept], int(some.sum()), self.n_rows, self.seen[some])
+        return replace(self, rows=self.rows[..., kept], n_shifts=int(some.sum()), seen=self.seen[some])
 
     def scale(self, shift: Array) -> Knowledge:
         """Return what they say of the same shifts in units of their own (N,)."""
         scale = np.concatenate([np.ones(self.rows.shape[-1] - self.n_shifts - 1), shift, [1.0]])
-        return Knowledge(self.rows * scale, self.n_shifts, self.n_rows, self.seen)
+        return replace(self, rows=self.rows * scale)
 
     @cached_property
     def gram(self) -> Array:
         """XᵀX of each pose, shape (P, q + N + 1, q + N + 1)."""
         return np.swapaxes(self.rows, 1, 2) @ self.rows
+
+    def total(self, chosen: Sequence[int] | None = None) -> Array:
+        """Return XᵀX of all poses, or of some in the order in which they are measured; drifts join the noise."""
+        some = slice(None) if chosen is None else np.array(chosen, dtype=int)
+        rows, drifting = self.rows[some], self.drifting[some]
+        if self.functions is None or not drifting.any():
+            return np.asarray(self.gram[some].sum(axis=0))
+        n, k = rows.shape[:2]
+        joined = np.einsum("pad,pq,qbd->paqb", drifting, self.functions.follow(n), drifting, optimize=True)
+        root = np.linalg.cholesky(np.eye(n * k) + joined.reshape(n * k, n * k))
+        white = solve_triangular(root, rows.reshape(n * k, -1), lower=True)
+        return np.asarray(white.T @ white)
 
     def add_each(self, gram: Array, repeats: int) -> Array:
         """Return the diagonal of K, shape (P, N), of each pose beside a sum of the poses' matrices, both so often.
@@ -285,19 +309,33 @@ def _compare(
     return error, slopes[0], slopes[-1]
 
 
-def _whiten(calibrated: CalibratedMachine, session: Measurements, pose: Array) -> Array:
-    """Return what makes readings (P, K) white, (P, K, K): their own noise, and the machine's of commanded channels."""
-    there, own = session.present, calibrated.commanded
+def _whiten(calibrated: CalibratedMachine, session: Measurements, pose: Array, beside: Array | None = None) -> Array:
+    """Return what makes readings (P, K) white, (P, K, K): their own noise, and the machine's of commanded channels.
+
+    With ``beside`` (P, K) model errors have that variance in place of what is kept of those of commanded channels.
+    """
+    there, own, errors = session.present, calibrated.commanded, calibrated.errors
+    if beside is not None:
+        errors = replace(errors, model_variance=np.zeros_like(errors.model_variance))
     sd = np.where(there, session.sd, 1.0)
     covariance = np.eye(sd.shape[1]) * sd[..., None] ** 2
     if session.correlation is not None:
         covariance = sd[..., None] * session.correlation * sd[:, None]
     covariance[:, own, :] = covariance[:, :, own] = 0.0
     commands = np.nan_to_num(session.values[:, own])
-    block = calibrated.errors.covariance(pose, commands, session.given)
-    covariance[np.ix_(np.arange(len(sd)), own, own)] = block
+    covariance[np.ix_(np.arange(len(sd)), own, own)] = errors.covariance(pose, commands, session.given)
+    if beside is not None:
+        shown = _gain(calibrated, session, pose) * np.sqrt(beside)[:, None]
+        covariance = covariance + shown @ np.swapaxes(shown, 1, 2)
     both = there[:, :, None] & there[:, None, :]
     return np.asarray(np.linalg.inv(np.linalg.cholesky(np.where(both, covariance, np.eye(sd.shape[1])))))
+
+
+def _gain(calibrated: CalibratedMachine, session: Measurements, pose: Array) -> Array:
+    """Return how model errors show in the readings, (P, K, K)."""
+    gain = calibrated.model.error_gain(calibrated.theta, pose, session.given)
+    n = len(calibrated.model.channels)
+    return np.broadcast_to(np.eye(n), (len(pose), n, n)) if gain is None else gain
 
 
 def _linearise(calibrated: CalibratedMachine, suspects: Suspects, session: Measurements, pose: Array) -> Knowledge:
@@ -309,22 +347,26 @@ def _linearise(calibrated: CalibratedMachine, suspects: Suspects, session: Measu
             f"{session.poses[k]}: found {n_read[k]} channels that are read and {q} coordinates of the pose, which take "
             "all that is read: no shift shows; expected more channels, an instrument's or redundant ones"
         )
-    white = _whiten(calibrated, session, pose)
     error, by_pose, by_parameters = _compare(calibrated, session, pose)
-    columns = np.concatenate(
-        [
-            by_parameters[..., calibrated.free] @ _find_root(calibrated.covariance),
-            by_parameters[..., suspects.places],
-            error[..., None],
-        ],
-        axis=-1,
-    )
+    known, free = calibrated.functions, by_parameters[..., calibrated.free]
+    drifting, beside = np.zeros((*error.shape, 0)), None
+    if known is None:
+        unknown = free @ _find_root(calibrated.covariance)
+    else:
+        gain, there = _gain(calibrated, session, pose), session.present[..., None]
+        read = calibrated.model.read(calibrated.theta, pose, session.given)
+        acted, beside = known.show(calibrated.model, session, read)
+        shown = np.where(there, gain @ acted, 0.0)
+        drifting = np.where(there, gain @ (known.place(calibrated.model) * known.drift), 0.0)
+        error, unknown = error - shown @ known.mean, np.concatenate([free, shown], axis=-1) @ known.root
+    white = _whiten(calibrated, session, pose, beside)
+    columns = np.concatenate([unknown, by_parameters[..., suspects.places], error[..., None]], axis=-1)
     white_columns = white @ columns
     left = np.linalg.qr(white @ by_pose, mode="complete").Q[..., q:]
-    rows = np.swapaxes(left, 1, 2) @ white_columns
+    rows, drifts = np.swapaxes(left, 1, 2) @ white_columns, np.swapaxes(left, 1, 2) @ (white @ drifting)
     n = len(suspects.places)
     whole, rest = (np.sqrt(np.sum(one[..., -1 - n : -1] ** 2, axis=(0, 1))) for one in (white_columns, rows))
-    return Knowledge(rows, n, int((n_read - q).sum()), rest > SEEN * whole)
+    return Knowledge(rows, n, int((n_read - q).sum()), rest > SEEN * whole, drifts, known)
 
 
 def keep_seen(suspects: Suspects, parts: Sequence[Knowledge]) -> tuple[Suspects, list[Knowledge]]:
@@ -469,7 +511,7 @@ def judge_recheck(
         Sessions that are planned; at least as many as there are.
     """
     suspects, parts = keep_seen(suspects, [compute_knowledge(calibrated, suspects, one) for one in sessions])
-    grams = np.stack([one.gram.sum(axis=0) for one in parts])
+    grams = np.stack([one.total() for one in parts])
     knowledge, pooled = parts[0], np.cumsum(grams, axis=0)
     test = build_test(look_again(knowledge, list(grams), max(n_looks, len(grams))), false_alarm)
     score, information = knowledge.score(pooled)

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bayescal.calibrated.functions import KnownFunctions
 from bayescal.errors import InputError
 from bayescal.files.netcdf import read_netcdf
 from bayescal.numerics.geometry import Array
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
     import xarray as xr
 
 NAME = "readings"
+FUNCTIONS = "functions"
+"""Group of what is known of errors that are functions of the pose."""
 SAVED_DRAWS = 2000
 PRIOR_DRAWS = 500
 KEPT_NUMBERS = 2**23
@@ -157,6 +160,24 @@ def build_tree(
     tree = xr.DataTree.from_dict(found)
     tree.attrs = attributes
     return tree
+
+
+def group_functions(functions: KnownFunctions | None, names: Sequence[str]) -> dict[str, Group]:
+    """Return what is known of errors that are functions of the pose, beside parameters of these names, as a group."""
+    if functions is None:
+        return {}
+    known = {"channel": list(functions.names), "sort": list(functions.sorts), "parameter": list(names)}
+    return {FUNCTIONS: Group(functions.list_arrays(), known)}
+
+
+def read_functions(path: Path) -> tuple[KnownFunctions, list[str]] | None:
+    """Return what is known of such errors, and names of the parameters beside, of a tree's file; None without any."""
+    try:
+        found = read_netcdf(path, FUNCTIONS)
+        names, sorts, parameters = ([str(one) for one in found[key].values] for key in ("channel", "sort", "parameter"))
+    except (OSError, ValueError, KeyError):  # none is there
+        return None
+    return KnownFunctions.of_arrays(found, names, sorts), parameters
 
 
 def write_packed(packed: np.ndarray, path: Path) -> None:

@@ -19,6 +19,7 @@ from bayescal.calibrated.exported import (
     read_kept,
     read_matrix_covariance,
 )
+from bayescal.calibrated.functions import KnownFunctions
 from bayescal.calibrated.machine import (
     CalibratedMachine,
     Errors,
@@ -51,6 +52,7 @@ from bayescal.experiments.shared.readings.priors import choose_priors
 from bayescal.experiments.shared.readings.workspace import build_workspace
 from bayescal.experiments.shared.study_inputs import Inputs
 from bayescal.experiments.shared.study_schema import StudyConfig, VariantConfig, stem_of
+from bayescal.experiments.shared.trees import read_draws, read_functions
 from bayescal.experiments.study.inputs import StudyInputs, load_inputs
 from bayescal.experiments.study.model_error import BY_LEG
 from bayescal.files.csv_tables import format_table, read_table
@@ -220,12 +222,14 @@ def calibrate_machine(
     commands, given = _read_commands(kept, chosen.name, model)
     errors, noise = _build_errors(results, chosen.name, model), _find_noise(results, config, chosen.name, model)
     source = Source(config.name, chosen.name, name_origin(config.origin.model_dump()), list_problems(fit))
+    functions = _read_functions(results, chosen.name)
     if isinstance(model, Legs):  # a mechanism on legs is one whatever calibrated it
         machine, size = model.machine, model.machine.layout.size
         covariance = covariance if machine.deformation.uses_matrix else None
         by_legs = LegErrors(errors.noise, errors.model_variance, machine, theta[:size], covariance)
         some = None if draws is None else draws[:, :size]
         legs = build_calibrated(Legs(machine), theta[:size], some, by_legs, source, commands)
+        legs = replace(legs, functions=_change(functions, legs))
         return replace(legs, noise=noise[model.select(legs.model.names)]) if np.isfinite(noise).any() else legs
     workspace = build_workspace(model, config.workspace, config.units)
     own = [path.name, *list_machine_sources(path)]
@@ -241,7 +245,27 @@ def calibrate_machine(
         path.name,
         {one: (path.parent / one).read_bytes() for one in own},
     )
-    return replace(found, noise=noise)
+    return replace(found, noise=noise, functions=_change(functions, found))
+
+
+def _read_functions(results: Results, variant: str) -> tuple[KnownFunctions, Array] | None:
+    """Return what a posterior knows of errors that are functions, and draws (S, n) of the parameters beside."""
+    assert results.folder is not None
+    path = results.folder / f"posterior/{stem_of(variant)}.nc"
+    found = read_functions(path) if path.is_file() else None
+    if found is None:
+        return None
+    draws = read_draws(path)
+    return found[0], np.stack([draws[name] for name in found[1]], axis=1)
+
+
+def _change(known: tuple[KnownFunctions, Array] | None, calibrated: CalibratedMachine) -> KnownFunctions | None:
+    """Return the same beside the machine's own parameters, which follow those of the posterior to first order."""
+    if known is None or calibrated.draws is None:
+        return None
+    functions, draws = known
+    from_mean, to = draws - draws.mean(axis=0), calibrated.draws - calibrated.draws.mean(axis=0)
+    return functions.changed(np.linalg.lstsq(from_mean, to)[0].T)
 
 
 def _find_noise(results: Results, config: StudyConfig, variant: str, model: ReadingModel) -> Array:

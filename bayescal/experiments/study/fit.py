@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
+from bayescal.calibrated.functions import KnownFunctions
 from bayescal.density.exact import ExactDensity
 from bayescal.density.functions import FunctionLikelihood
 from bayescal.density.legs import LegPosterior, Likelihood
@@ -26,6 +27,7 @@ from bayescal.experiments.shared.trees import (
     Readings,
     build_tree,
     choose_draws,
+    group_functions,
     limit_draws,
     spread,
 )
@@ -261,7 +263,7 @@ def build_study_tree(inputs: StudyInputs, task: Task, fit: Fit) -> xr.DataTree:
             log_likelihood[..., ~held],
             MEANING,
         ),
-        _list_groups(inputs, readings, made, log_likelihood),
+        _list_groups(inputs, readings, made, log_likelihood) | _group_functions(inputs, task, fit),
         variant=task.variant,
         model_error="free" if task.with_model_error else "zero",
         length_unit="mm",
@@ -293,6 +295,16 @@ def _replicate(measured: Array, misfit: Array) -> Array:
     turn = rotation_vector_of_turn(matrix_from_rotation_vector(-np.nan_to_num(misfit[..., 3:])) @ rotation)
     turn = np.where(np.isfinite(measured[:, 3:] - misfit[..., 3:]), turn, np.nan)
     return np.concatenate([measured[:, :3] - misfit[..., :3], turn], axis=-1).astype(np.float32)
+
+
+def _group_functions(inputs: StudyInputs, task: Task, fit: Fit) -> dict[str, Group]:
+    """Return what is known of errors that are functions of the pose, where whole poses tell it."""
+    variant = inputs.variant(task.variant)
+    if not (task.with_model_error and inputs.list_sorts(variant) and inputs.measured.has_poses):
+        return {}
+    measured = inputs.measure([task.variant], inputs.folder, with_model_error=True)[task.variant]
+    known = KnownFunctions.find(measured.posterior, measured.adopt(fit.kept))
+    return group_functions(known, measured.posterior.sampling.names)
 
 
 def _list_groups(inputs: StudyInputs, readings: Array, made: Array, log_likelihood: Array) -> dict[str, Group]:

@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 from scipy.stats import chi2
 
+from bayescal.calibrated.functions import KnownFunctions
 from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.density.calibration.prediction import ReadingPredictions, predict_readings, replicate_readings
 from bayescal.density.prediction import compute_elpd
@@ -36,7 +37,7 @@ from bayescal.experiments.shared.readings.knowledge import (
 from bayescal.experiments.shared.soundness import fit_rows
 from bayescal.experiments.shared.stacking import tabulate_comparison
 from bayescal.experiments.shared.study_inputs import Described, Task
-from bayescal.experiments.shared.trees import Draws, Readings, build_tree, limit_draws, spread
+from bayescal.experiments.shared.trees import Draws, Readings, build_tree, group_functions, limit_draws, spread
 from bayescal.experiments.shared.variant_tables import NOISE, describe_fit, tabulate_left_out, tabulate_parameters
 from bayescal.experiments.study.calibrated import ERRORS, tabulate_errors
 from bayescal.inference.exploration import explore
@@ -161,7 +162,7 @@ def fit_variant(inputs: ReadingInputs, name: str) -> ReadingFit:
     with np.errstate(all="ignore"):
         drawn = posterior.likelihood.draw_common(*posterior.at(some), rng)
     found = tabulate_model_error(name, variant.data, variant.verification, posterior, some, drawn)
-    packed = fit.pack(subject.build_tree(fit, name), ONLY_SAVED)
+    packed = fit.pack(subject.build_tree(fit, name, KnownFunctions.find(posterior, fit.kept)), ONLY_SAVED)
     covariance = np.atleast_2d(np.cov(fit.kept[:, : posterior.n_geometry], rowvar=False))
     with stage("held-back poses"):
         held = [hold_back(inputs, (name, 0), fit.kept)] if variant.verification.any() else []
@@ -226,8 +227,8 @@ class ReadingSubject(Subject):
         held = np.concatenate([mode[: own.n_geometry], np.zeros(n - own.n_geometry)])
         return fit_rows(white, slope, held, np.eye(n), int(own.likelihood.n_spare.sum())).chi_square
 
-    def build_tree(self, fit: Fit, variant: str) -> xr.DataTree:
-        """Return the fit with draws of its prior, what both predict, and the data."""
+    def build_tree(self, fit: Fit, variant: str, functions: KnownFunctions | None) -> xr.DataTree:
+        """Return the fit with draws of its prior, what both predict, the data, and what is known of functions."""
         likelihood, arrays = self.posterior.likelihood, fit.evaluated
         priors, channels = self.posterior.all_priors().values(), likelihood.model.channels
         draws, density, rows = (self._thin(one) for one in (fit.draws, fit.log_density, arrays["log_likelihood"]))
@@ -243,7 +244,10 @@ class ReadingSubject(Subject):
         )
         log_prior = np.stack([prior.log_density(draws[..., k]) for k, prior in enumerate(priors)], axis=-1)
         return build_tree(
-            Draws(fit.names, fit.units, draws, density, log_prior, arrays["prior"]), readings, variant=variant
+            Draws(fit.names, fit.units, draws, density, log_prior, arrays["prior"]),
+            readings,
+            group_functions(functions, self.posterior.sampling.names),
+            variant=variant,
         )
 
 

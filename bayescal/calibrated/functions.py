@@ -1,0 +1,261 @@
+"""What a calibration leaves known of errors that its model lacks: functions of the pose, together with the geometry.
+
+A machine errs the same way when it is measured again. What readings say of its geometry later, and of shifts, rests on
+what is known of its errors: at other poses these are columns Φ times coefficients c (`ThinFunctionsOfPose`) whose
+posterior, jointly with the parameters θ, is normal given the errors' sizes, to first order about the posterior mean,
+
+    (Δθ, c) ~ N(μ, C),    C = mean of the covariances over draws of the sizes + covariance of the means.
+
+Geometry imitates a part of the errors, so that both belong together: by itself neither is known as well. What drifts in
+measuring order is another error the next time, as large as it was.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Final
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from bayescal.density.calibration.likelihood import CalibrationPosterior
+from bayescal.density.calibration.measurements import Comparison, Measurements
+from bayescal.density.calibration.model_error import (
+    FunctionsOfPose,
+    IndependentErrors,
+    OwnChannels,
+    ThinFunctionsOfPose,
+)
+from bayescal.density.calibration.terms import Errors
+from bayescal.density.sessions import ReadingRows
+from bayescal.density.sorts import SORTS, Place, PoseFunctions
+from bayescal.machines.readings import ReadingModel
+from bayescal.numerics.geometry import Array
+
+SIZES: Final = 50  # draws of the errors' sizes
+DRIFT: Final = "drift"
+SMOOTH: Final = "smooth"
+LATER: Final = 10**9  # place in measuring order of rows that are none of the calibration's
+
+
+@dataclass(frozen=True, eq=False)
+class KnownFunctions:
+    """Errors of a machine's N own channels, as its calibration leaves them.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Of the channels.
+    home, range, levers : ndarray, shape (N,)
+        As of `OwnChannels`.
+    travel, time : ndarray, shapes (P, N) and (P,)
+        Of the rows over which functions are normalised.
+    sorts : tuple of str
+        Names of the C sorts.
+    square : ndarray, shape (C,)
+        Posterior mean of each sort's variance, mm² at the tool.
+    independent : ndarray, shape (N,)
+        Posterior mean of the variance of errors that are drawn anew at every pose, in the channels' units.
+    mean : ndarray, shape (A,)
+        Of the coefficients of all sorts but drifts, amplitudes included.
+    covariance : ndarray, shape (n + A, n + A)
+        Of n numbers of the geometry and these coefficients.
+    """
+
+    names: tuple[str, ...]
+    home: Array
+    range: Array
+    levers: Array
+    travel: Array
+    time: Array
+    sorts: tuple[str, ...]
+    square: Array
+    independent: Array
+    mean: Array
+    covariance: Array
+
+    # --- from a posterior --------------------------------------------------------------------------------------------
+
+    @classmethod
+    def find(cls, posterior: CalibrationPosterior, y: Array) -> KnownFunctions | None:
+        """Return what a posterior and its draws (T, n) know, of its parameters in their units; None without functions.
+
+        None, too, where there are other errors common to all rows.
+        """
+        terms = [one for one in posterior.errors.terms if isinstance(one, FunctionsOfPose)]
+        if not terms or len(terms) < posterior.errors.n_common:
+            return None
+        thin, first, n_channels = _thin(posterior), terms[0].own, len(posterior.likelihood.model.channels)
+        place = first.at(np.flatnonzero(first.used))
+        assert place.time is not None
+        some = y[np.linspace(0, len(y) - 1, min(SIZES, len(y))).astype(int)]
+        pairs = thin.errors.of(thin.zeta(some))
+        functions = [(one, own) for one, own in pairs if isinstance(one, FunctionsOfPose)]
+        random = [one.variance(own, thin.likelihood.data) for one, own in pairs if isinstance(one, IndependentErrors)]
+        independent = np.sum([one.mean(axis=(0, 1)) for one in random], axis=0) if random else np.zeros(n_channels)
+        mean, covariance = _integrate(thin, y.mean(axis=0), some)
+        return cls(
+            first.names,
+            first.home,
+            first.range,
+            first.levers,
+            place.travel,
+            place.time,
+            tuple(one.sort for one, _ in functions),
+            np.array([np.mean(one.amplitude(own) ** 2) for one, own in functions]),
+            independent[first.places],
+            mean,
+            covariance,
+        )
+
+    def changed(self, change: Array) -> KnownFunctions:
+        """Return the same of other numbers of the geometry (n',) that change by (n', n) with these."""
+        both = block_diag(change, np.eye(len(self.mean)))
+        return replace(self, covariance=both @ self.covariance @ both.T)
+
+    # --- at poses ----------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def root(self) -> Array:
+        """A matrix (n + A, r) whose product with its transpose is the covariance."""
+        size = np.sqrt(np.maximum(np.diag(self.covariance), np.finfo(float).tiny))
+        values, vectors = np.linalg.eigh(self.covariance / np.outer(size, size))
+        there = values > 1e-12 * values[-1]
+        return np.asarray(size[:, None] * vectors[:, there] * np.sqrt(values[there]))
+
+    @property
+    def n_geometry(self) -> int:
+        """Number n."""
+        return len(self.covariance) - len(self.mean)
+
+    def _own(self, model: ReadingModel) -> OwnChannels:
+        places = np.array([model.names.index(name) for name in self.names])
+        readings = self.home + self.range * self.travel
+        n = len(self.time)
+        used, order = np.ones(n, dtype=bool), np.arange(n)
+        channels = tuple(model.channels[k] for k in places)
+        return OwnChannels(
+            Comparison(channels), places, self.home, self.range, self.levers, order, n, readings, readings, used
+        )
+
+    def show(self, model: ReadingModel, data: Measurements, read: Array) -> tuple[Array, Array]:
+        """Return what coefficients do to the own channels' errors at poses, (P, K, A), and the variance beside, (P, K).
+
+        Where own channels were not read, ``read`` (P, K) says what the machine reads.
+        """
+        own = self._own(model)
+        filled = np.where(data.present, data.values, read)
+        later = replace(data, values=filled, order=LATER + np.arange(data.n_poses))
+        terms = [ThinFunctionsOfPose(name, own, 0.0, 0.0, len(model.channels)) for name in self.sorts]
+        columns, left = [np.zeros((*data.sd.shape, 0))], np.zeros(data.sd.shape)
+        place = own.place_of(later)
+        for term, square in zip(terms, self.square, strict=True):
+            if term.sort == DRIFT:
+                continue
+            columns.append(term.act(later))
+            whole = replace(term.functions, of_few=None).variances(place)[0]
+            rest = np.maximum(whole - term.functions.variances(place)[0], 0.0)
+            left[:, own.places] += square * np.broadcast_to(rest, (len(own.places), len(left))).T / own.levers**2
+        left[:, own.places] += self.independent
+        return np.concatenate(columns, axis=-1), left
+
+    def place(self, model: ReadingModel) -> Array:
+        """Return which of all channels each own one is, ones and zeros (K, N)."""
+        return np.eye(len(model.channels))[:, [model.names.index(name) for name in self.names]]
+
+    @property
+    def drift(self) -> Array:
+        """Root mean square of what drifts, of each own channel in its unit, (N,)."""
+        return np.asarray(np.sqrt(sum(self.square[[name == DRIFT for name in self.sorts]])) / self.levers)
+
+    def follow(self, n: int) -> Array:
+        """Return the covariance (n, n) of a drift of one unit, root mean square, over the rows of a session."""
+        time = np.arange(n) / n
+        functions = PoseFunctions((DRIFT,), Place(self.travel, self.time))
+        place = Place(np.zeros((n, 0)), time)
+        return np.asarray(SORTS[DRIFT].between(place, place)[0] / functions.norms[0])
+
+    # --- as arrays ---------------------------------------------------------------------------------------------------
+
+    def list_arrays(self) -> dict[str, tuple[tuple[str, ...], Array, str, str]]:
+        """Return all that are numbers by name, with names of their dimensions, unit and what they are."""
+        both, unit = ("entry", "other_entry"), "channel's unit"
+        return {
+            "home": (("channel",), self.home, unit, "readings in the middle of the workspace"),
+            "range": (("channel",), self.range, unit, "how far readings go from end to end"),
+            "levers": (("channel",), self.levers, "mm", "motion of the tool by a unit of the channel"),
+            "travel": (("row", "channel"), self.travel, "1", "readings from home in units of the range"),
+            "time": (("row",), self.time, "1", "place in measuring order"),
+            "square": (("sort",), self.square, "mm2", "variance at the tool"),
+            "independent": (("channel",), self.independent, f"{unit} squared", "variance of errors from pose to pose"),
+            "mean": (("coefficient",), self.mean, "mm", "of coefficients of functions"),
+            "covariance": (both, self.covariance, "1", "of parameters in their units, then of coefficients"),
+            "smooth": (("row", "column"), self._smooth(), "1", "columns of smooth functions at the rows"),
+        }
+
+    @classmethod
+    def of_arrays(cls, arrays: Mapping[str, Any], names: Sequence[str], sorts: Sequence[str]) -> KnownFunctions:
+        """Return them from their arrays; columns of smooth functions may be others of the same span elsewhere."""
+        own = {key: np.asarray(arrays[key], dtype=np.float64) for key in ARRAYS}
+        found = cls(names=tuple(names), sorts=tuple(sorts), **own)
+        n, turn = found.n_geometry, [found._turn(name, np.asarray(arrays["smooth"])) for name in sorts if name != DRIFT]
+        both = block_diag(np.eye(n), *turn)
+        return replace(found, mean=both[n:, n:] @ found.mean, covariance=both @ found.covariance @ both.T)
+
+    def _smooth(self) -> Array:
+        """Return the columns of smooth functions at the rows, (P, A); none without such functions."""
+        if SMOOTH not in self.sorts:
+            return np.zeros((len(self.time), 0))
+        place = Place(self.travel, self.time)
+        return PoseFunctions((SMOOTH,), place, place).list_bases(place)[0][0]
+
+    def _turn(self, sort: str, smooth: Array) -> Array:
+        """Return what takes coefficients of a sort with the columns that were kept to those with these."""
+        n = len(self.names)
+        if sort != SMOOTH:
+            return np.eye(n * (n if sort == "linear" else 1))
+        return np.kron(np.eye(n), np.linalg.lstsq(self._smooth(), smooth)[0])
+
+
+ARRAYS: Final = ("home", "range", "levers", "travel", "time", "square", "independent", "mean", "covariance")
+
+
+def _thin(posterior: CalibrationPosterior) -> CalibrationPosterior:
+    """Return a posterior whose functions are of few columns."""
+    n = len(posterior.likelihood.model.channels)
+    terms = tuple(
+        ThinFunctionsOfPose(one.sort, one.own, one.scale, one.floor, n) if isinstance(one, FunctionsOfPose) else one
+        for one in posterior.errors.terms
+    )
+    return replace(posterior, errors=Errors(terms, posterior.errors.outliers))
+
+
+def _integrate(posterior: CalibrationPosterior, y: Array, some: Array) -> tuple[Array, Array]:
+    """Return the mean of coefficients but drifts and their covariance with the geometry, about y, by draws (T, n)."""
+    m, (theta, change) = posterior.n_geometry, posterior.around(y)
+    rows = ReadingRows(posterior)
+    with np.errstate(all="ignore"):
+        linear = rows.linearise(theta)
+    prior = posterior.sampling.prior_slope(change)
+    pull = prior.T @ posterior.sampling.prior_residual(y[:m], theta)
+    slope, shown = linear.slope @ change, -(linear.left @ rows.act)
+    sorts = [one.sort for one in posterior.errors.terms if isinstance(one, FunctionsOfPose)]
+    lasting = np.append(np.ones(m, dtype=bool), np.repeat([name != DRIFT for name in sorts], rows.widths))
+    natural = change[posterior.sampling.free]
+    means, covariances = [], []
+    for zeta in posterior.zeta(some):
+        size = rows.size_coefficients(zeta[None])[0]
+        root = np.linalg.cholesky(linear.covariance(zeta))
+        every = np.concatenate([slope, shown * size, linear.errors[..., None]], axis=-1)
+        white = (np.linalg.inv(root) @ every).reshape(-1, m + len(size) + 1)
+        gram = white.T @ white
+        precision = gram[:-1, :-1] + block_diag(prior.T @ prior, np.eye(len(size)))
+        covariance = np.linalg.inv(precision)
+        mean = -covariance @ (gram[:-1, -1] + np.append(pull, np.zeros(len(size))))
+        to = block_diag(natural, np.diag(size))[:, lasting][lasting]
+        means.append(to @ mean[lasting])
+        covariances.append(to @ covariance[np.ix_(lasting, lasting)] @ to.T)
+    found = np.mean(covariances, axis=0) + np.cov(np.array(means), rowvar=False, bias=True)
+    return np.mean(means, axis=0)[m:], found
