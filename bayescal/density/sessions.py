@@ -3,21 +3,25 @@
 Free parameters of session s are x_s = x_0 + Σ_k B_sk diag(σ) w_k, where x_0 has the priors of a study, w_k are standard
 normal, σ are drift scales, and B says how sessions hang together: steps of a random walk, √Δt_k for all sessions after
 it, or a deviation of each machine of a design by itself. Lengths at a temperature T are L (1 + α (T - T_0)); the
-coefficients α are part of the state z, which is standard normal under the prior.
+coefficients α are part of the state z, which is standard normal under the prior. So are the coefficients of errors that
+are functions of the pose: what a model leaves out of one machine stays the same from session to session, and what
+drifts in measuring order is new in each.
 
 Rows of a session are what no pose explains of its readings: with H = ∂h/∂v white and Z an orthonormal complement of its
 columns, Zᵀ(s - h) has no pose to first order, whatever the covariance of the readings. Linearised at a state, the state
 is integrated in closed form. With rows r = c + J u of all poses, u the deviations of the sessions' parameters and the
-coefficients of expansion, and the state z standard normal, the density of the data given τ and σ is normal; A = 1 + Jᵀ
-C⁻¹ J, put together from one matrix of each session, is all that it takes. The states of all sessions are solved for at
-once: a chain of them would take turns of a smoother, but what is shared by all sessions joins every link, and A stays
-small, since only what may move stands in it more than once.
+coefficients of expansion and of errors, and the state z standard normal, the density of the data given τ and σ is
+normal; A = 1 + Jᵀ C⁻¹ J, put together from one matrix of each session, is all that it takes: each entry of z is a
+column of J times a size and a loading in every session. The states of all sessions are solved for at once: a chain of
+them would take turns of a smoother, but what is shared by all sessions joins every link, and A stays small, since only
+what may move stands in it more than once.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -70,6 +74,25 @@ class ReadingRows:
         """What is unknown of the noise."""
         return self.posterior.n_parameters - self.posterior.n_geometry
 
+    @cached_property
+    def act(self) -> Array:
+        """What coefficients of errors common to all rows do to the readings at amplitudes of one, (P, K, N)."""
+        data = self.posterior.likelihood.data
+        acts = self.posterior.errors.list_acts(data, self.posterior.likelihood.error_gain)
+        return np.concatenate([np.zeros((*data.sd.shape, 0)), *acts], axis=-1)
+
+    @cached_property
+    def widths(self) -> np.ndarray:
+        """How many coefficients each of C such errors has, (C,)."""
+        data = self.posterior.likelihood.data
+        return np.array([one.shape[-1] for one in self.posterior.errors.list_acts(data)], dtype=int)
+
+    def size_coefficients(self, errors: Array) -> Array:
+        """Return the amplitude of each coefficient for errors (..., n), (..., N)."""
+        if not len(self.widths):
+            return np.zeros((*errors.shape[:-1], 0))
+        return np.repeat(self.posterior.errors.amplitudes(errors), self.widths, axis=-1)
+
     def linearise(self, theta: Array, pose: Array | None = None) -> LinearRows:
         """Return what no pose explains of the readings at a machine (D,), white by the stated noise.
 
@@ -112,10 +135,23 @@ class ReadingRows:
         slope = -(across @ by_parameters[0])
         return LinearRows(errors, slope, constant, covariance, basis, left, common)
 
-    def evaluate(self, theta: Array, errors: Array) -> Array:
-        """Return the log-likelihood of machines (B, D) with errors (B, n), poses eliminated, (B,)."""
+    def evaluate(self, theta: Array, errors: Array, coefficients: Array | None = None) -> Array:
+        """Return the log-likelihood of machines (B, D) with errors (B, n), poses eliminated, (B,).
+
+        Errors common to all rows are what coefficients (B, N) make of them, times their amplitudes; without any they
+        are integrated.
+        """
+        likelihood, terms, found = self.posterior.likelihood, self.posterior.errors, np.empty(len(theta))
         with np.errstate(all="ignore"):
-            return self.posterior.likelihood.density(theta, self.posterior.errors, errors)
+            if coefficients is None or not terms.has_columns:
+                return likelihood.density(theta, terms, errors)
+            for k, effect in enumerate(np.tensordot(coefficients, self.act, axes=(1, 2))):
+                values = likelihood.comparison.add(likelihood.data.values, -effect)
+                own = replace(likelihood, data=replace(likelihood.data, values=values))
+                white, at = own.explain(theta[k : k + 1], terms, errors[k : k + 1])
+                tails = terms.tails(errors[k : k + 1])
+                found[k] = (tails.weigh(at.square, own.n_spare) + own.offset(white, at)).sum()
+        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,6 +220,7 @@ class SessionModel:
     sd: Array  # (m,)
     drift: Drift
     expansions: tuple[Expansion, ...]  # length A
+    lasting: tuple[bool, ...] = ()  # length C: which errors common to all rows of a session are so in all sessions
 
     @property
     def n_sessions(self) -> int:
@@ -197,8 +234,52 @@ class SessionModel:
 
     @property
     def size(self) -> int:
-        """Length of the state z: m parameters, A coefficients, d times K steps."""
+        """Length of the state z: m parameters, A coefficients, d times K steps, coefficients of errors."""
+        return self._n_moving + len(self._of_errors[0])
+
+    @property
+    def _n_moving(self) -> int:
         return len(self.mean) + len(self.expansions) + self.n_steps * len(self.drift.index)
+
+    @property
+    def _widths(self) -> np.ndarray:
+        return self.parts[0].rows.widths if self.lasting else np.zeros(0, dtype=int)
+
+    def size_coefficients(self, errors: Array) -> Array:
+        """Return the amplitude of each of N coefficients of a session's errors (..., n), (..., N)."""
+        return self.parts[0].rows.size_coefficients(errors) if self.lasting else np.zeros((*errors.shape[:-1], 0))
+
+    @cached_property
+    def _of_errors(self) -> tuple[np.ndarray, Array]:
+        """Which of N coefficients each entry of the state's last part is, and in which sessions, (S, n)."""
+        widths = self._widths
+        lasting = np.repeat(np.array(self.lasting, dtype=bool), widths)
+        every, own = np.flatnonzero(lasting), np.flatnonzero(~lasting)
+        n = self.n_sessions
+        loading = np.concatenate([np.ones((n, len(every))), np.repeat(np.eye(n), len(own), axis=1)], axis=1)
+        return np.concatenate([every, np.tile(own, n)]), loading
+
+    def find_coefficients(self, z: Array, errors: Array) -> Array:
+        """Return the coefficients of each session times their amplitudes, (B, S, N), of states (B, n)."""
+        index, loading = self._of_errors
+        found = np.zeros((len(z), self.n_sessions, int(self._widths.sum())))
+        for session, row in enumerate(loading):
+            there = row > 0.0
+            found[:, session, index[there]] = z[:, self._n_moving :][:, there]
+        return np.asarray(found * self.size_coefficients(errors)[:, None])
+
+    def find_loadings(self, errors: Array, scales: Array) -> tuple[np.ndarray, Array]:
+        """Return of which column of a session's rows each entry of the state is, (n,), and how much of it, (S, n).
+
+        Columns are those by the m parameters, by A coefficients of expansion and by N coefficients of errors.
+        """
+        m, a, drift, n = len(self.mean), len(self.expansions), self.drift, self.n_sessions
+        size = np.concatenate([self.sd, [one.sd for one in self.expansions]])
+        steps = drift.loadings[:, :, None] * scales[drift.unit]  # (S, K, d)
+        index, loading = self._of_errors
+        own = loading * self.size_coefficients(errors)[index]
+        columns = np.concatenate([np.arange(m + a), np.tile(drift.index, self.n_steps), m + a + index])
+        return columns, np.concatenate([np.tile(size, (n, 1)), steps.reshape(n, -1), own], axis=1)
 
     @property
     def n_errors(self) -> int:
@@ -226,7 +307,7 @@ class SessionModel:
         """
         m, a = len(self.mean), len(self.expansions)
         common = self.sd * z[..., :m]
-        steps = z[..., m + a :].reshape(*z.shape[:-1], self.n_steps, len(self.drift.index))
+        steps = z[..., m + a : self._n_moving].reshape(*z.shape[:-1], self.n_steps, len(self.drift.index))
         moved = np.einsum("sk,...kd->...sd", self.drift.loadings, steps) * scales[..., None, self.drift.unit]
         x = np.repeat(common[..., None, :], self.n_sessions, axis=-2)
         x[..., self.drift.index] += moved
@@ -254,8 +335,9 @@ class SessionModel:
     def log_likelihood(self, z: Array, zeta: Array) -> Array:
         """Return the log-likelihood as it is, shape (B,), of states (B, n) at scales ζ (B, n_scales)."""
         errors, scales = self.read_scales(zeta)
-        x, alpha = self.split(z, scales)
-        return np.sum([one.rows.evaluate(self.theta(one, x, alpha), errors) for one in self.parts], axis=0)
+        (x, alpha), common = self.split(z, scales), self.find_coefficients(z, errors)
+        found = [one.rows.evaluate(self.theta(one, x, alpha), errors, common[:, one.session]) for one in self.parts]
+        return np.sum(found, axis=0)
 
 
 STEPS = 30
@@ -281,8 +363,8 @@ class LinearSessions:
     """Sessions linearised at a state."""
 
     model: SessionModel
-    # (P, R, m + A + 1): J by the deviations of the session's parameters and by the coefficients less their means, and
-    # c
+    # (P, R, m + A + N + 1): J by the deviations of the session's parameters, by coefficients of expansion less their
+    # means and by those of errors, and c
     rows: Array
     # takes what is unknown of the errors to the covariances of the rows, (P, R, R)
     covariance: Callable[[Array], Array]
@@ -300,7 +382,7 @@ class LinearSessions:
     def condition(self, errors: Array, scales: Array) -> Conditional:
         """Return the state's density given what is unknown of the errors, and σ (U,)."""
         gram, rest = self.gather(errors)
-        precision, slope, square = self._assemble(gram, scales)
+        precision, slope, square = self._assemble(gram, errors, scales)
         precision[np.diag_indices_from(precision)] += 1.0
         try:
             factor, _ = cho_factor(precision, lower=True)
@@ -310,30 +392,24 @@ class LinearSessions:
         marginal = rest - 0.5 * (square + slope @ mean) - np.log(np.diag(factor)).sum()
         return Conditional(mean, np.tril(factor), float(marginal))
 
-    def _assemble(self, gram: Array, scales: Array) -> tuple[Array, Array, float]:
+    def _assemble(self, gram: Array, errors: Array, scales: Array) -> tuple[Array, Array, float]:
         """Return JᵀC⁻¹J and JᵀC⁻¹c by the state, and cᵀC⁻¹c."""
-        model, n = self.model, len(self.model.mean) + len(self.model.expansions)
-        size = np.concatenate([model.sd, [one.sd for one in model.expansions]])
-        moves, scale, loadings = model.drift.index, scales[model.drift.unit], model.drift.loadings
-        total = gram.sum(axis=0)
-        precision, slope = np.empty((model.size, model.size)), np.empty(model.size)
-        precision[:n, :n] = total[:n, :n] * np.outer(size, size)
-        slope[:n] = total[:n, n] * size
-        by_step = np.tensordot(loadings, gram[:, moves], axes=(0, 0)) * scale[:, None]  # (K, d, M)
-        precision[n:, :n] = (by_step[..., :n] * size).reshape(-1, n)
-        precision[:n, n:] = precision[n:, :n].T
-        slope[n:] = by_step[..., n].ravel()
-        among = gram[:, moves[:, None], moves] * np.outer(scale, scale)
-        pairs = np.einsum("sk,sl->skl", loadings, loadings)
-        steps = np.tensordot(pairs, among, axes=(0, 0))  # (K, K, d, d)
-        precision[n:, n:] = steps.transpose(0, 2, 1, 3).reshape(model.size - n, model.size - n)
-        return precision, slope, float(total[n, n])
+        columns, loadings = self.model.find_loadings(errors, scales)
+        precision, slope = np.zeros((len(columns), len(columns))), np.zeros(len(columns))
+        for own, loading in zip(gram, loadings, strict=True):
+            there = np.flatnonzero(loading)
+            index, size = columns[there], loading[there]
+            precision[np.ix_(there, there)] += own[np.ix_(index, index)] * np.outer(size, size)
+            slope[there] += own[index, -1] * size
+        return precision, slope, float(gram[:, -1, -1].sum())
 
     def log_likelihood(self, z: Array, errors: Array, scales: Array) -> float:
         """Return the linearised log-likelihood of one state (n,)."""
         x, alpha = self.model.split(z, scales)
         means = np.array([one.mean for one in self.model.expansions])
-        u = np.concatenate([x, np.broadcast_to(alpha - means, (len(x), len(means))), np.ones((len(x), 1))], axis=1)
+        common = self.model.find_coefficients(z[None], errors[None])[0]
+        others = [np.broadcast_to(alpha - means, (len(x), len(means))), common, np.ones((len(x), 1))]
+        u = np.concatenate([x, *others], axis=1)
         gram, rest = self.gather(errors)
         return rest - 0.5 * float(np.einsum("si,sij,sj->", u, gram, u))
 
@@ -353,7 +429,7 @@ def linearise_sessions(model: SessionModel, z: Array, scales: Array) -> LinearSe
 
 
 def _combine(model: SessionModel, part: Part, found: LinearRows, x: Array, alpha: Array) -> Array:
-    """Return the rows of a part, shape (P, R, m + A + 1)."""
+    """Return the rows of a part, shape (P, R, m + A + N + 1)."""
     errors, slope = found.errors, found.slope
     by_x, by_alpha = model.slopes(part, x, alpha)
     jacobian = slope @ np.concatenate([by_x, by_alpha], axis=1)
@@ -361,7 +437,7 @@ def _combine(model: SessionModel, part: Part, found: LinearRows, x: Array, alpha
     constant = errors - jacobian @ np.concatenate([x[part.session], alpha - means])
     if not np.isfinite(jacobian).all():
         raise NumericalError(f"sessions: session {part.session + 1} has no machine near the priors' centres")
-    return np.concatenate([jacobian, constant[..., None]], axis=2)
+    return np.concatenate([jacobian, -(found.left @ part.rows.act), constant[..., None]], axis=2)
 
 
 def find_state(model: SessionModel, errors: Array, scales: Array, z: Array) -> tuple[LinearSessions, Array]:

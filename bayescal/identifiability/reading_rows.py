@@ -212,13 +212,29 @@ def typical_covariance(posterior: CalibrationPosterior, y: Array) -> Array:
 
 
 def typical_noise(posterior: CalibrationPosterior, y: Array) -> Array:
-    """Return the noise of each channel, the median of its readings, (S, n) to (S, K); NaN where it has none."""
+    """Return the noise of each channel, the median of its readings, (S, n) to (S, K); NaN where it has none.
+
+    Errors that are functions count as large as they are at the rows, root mean square.
+    """
     own, tau = posterior.likelihood.noise(posterior.errors, posterior.zeta(y))
-    present = posterior.likelihood.data.present
+    present, tau = posterior.likelihood.data.present, np.sqrt(tau**2 + _spread_common(posterior, y)[:, None])
     result = np.full((len(y), present.shape[1]), np.nan)
     for k in np.flatnonzero(present.any(axis=0)):
         result[:, k] = np.median(np.sqrt(own[..., k] ** 2 + tau[..., k] ** 2)[:, present[:, k]], axis=1)
     return result
+
+
+def _spread_common(posterior: CalibrationPosterior, y: Array) -> Array:
+    """Return the mean variance over the rows of errors common to all of them, (S, n) to (S, K)."""
+    likelihood, errors = posterior.likelihood, posterior.errors
+    if not errors.has_columns:
+        return np.zeros((len(y), likelihood.sd.shape[1]))
+    acts = errors.list_acts(likelihood.data, likelihood.error_gain)
+    if acts:
+        square = np.stack([(one**2).sum(axis=-1).mean(axis=0) for one in acts])
+        return np.asarray(errors.amplitudes(posterior.zeta(y)) ** 2 @ square)
+    columns = (errors.columns(zeta[None], likelihood.data, likelihood.error_gain)[0] for zeta in posterior.zeta(y))
+    return np.stack([(one**2).sum(axis=-1).mean(axis=0) for one in columns])
 
 
 def typical_given(given: Given, n: int) -> dict[str, Array]:

@@ -121,13 +121,14 @@ class Resampled:
     Attributes
     ----------
     draws : ndarray, shape (T, n)
-    efficiency, pareto_k : float
+    efficiency, pareto_k, log_evidence : float
         As of `ImportanceEvidence`.
     """
 
     draws: Array
     efficiency: float
     pareto_k: float
+    log_evidence: float
 
 
 def resample(
@@ -143,7 +144,8 @@ def resample(
     smoothed, pareto_k = smooth_weights(log_weights[finite])
     weights = np.exp(smoothed)
     chosen = rng.choice(np.flatnonzero(finite), n_kept, p=weights / weights.sum())
-    return Resampled(draws[chosen], float(1.0 / (n_draws * np.sum(weights**2))), pareto_k)
+    log_evidence = float(logsumexp(log_weights[finite]) - np.log(n_draws))
+    return Resampled(draws[chosen], float(1.0 / (n_draws * np.sum(weights**2))), pareto_k, log_evidence)
 
 
 def difference_twice(log_density: LogDensity, centre: Array, factor: Array, step: float) -> tuple[Array, Array]:

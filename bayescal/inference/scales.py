@@ -105,11 +105,12 @@ def keep_by_weight(draws: Array, log_weights: Array, n_kept: int, rng: np.random
     if finite.sum() < len(draws) / 2:
         raise NumericalError("scales: hardly any draw of the proposal has a density")
     if np.ptp(log_weights[finite]) < 1e-12:  # all alike: nothing to smooth
-        return Resampled(draws[rng.choice(len(draws), n_kept)], 1.0, 0.0)
+        return Resampled(draws[rng.choice(len(draws), n_kept)], 1.0, 0.0, float(log_weights[finite].mean()))
     smoothed, pareto_k = smooth_weights(log_weights[finite])
     weights = np.exp(smoothed)
     chosen = rng.choice(np.flatnonzero(finite), n_kept, p=weights / weights.sum())
-    return Resampled(draws[chosen], float(1.0 / (len(draws) * np.sum(weights**2))), float(pareto_k))
+    log_evidence = float(logsumexp(log_weights[finite]) - np.log(len(draws)))
+    return Resampled(draws[chosen], float(1.0 / (len(draws) * np.sum(weights**2))), float(pareto_k), log_evidence)
 
 
 def _evaluate(log_density: LogDensity, draws: Array) -> Array:

@@ -3,7 +3,8 @@
 More measurements of the same machine move the mode by little. A few Newton steps from where it was lead to the new one;
 Laplace's approximation there, in coordinates that straighten the funnel of the model errors, is a proposal whose draws
 are weighed by the density itself. Where their weights have a heavy tail, or other modes may hold mass, the posterior is
-explored anew.
+explored anew. Where errors hang together from row to row their sizes have no mode to speak of: covariance and evidence
+are then those of the draws.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from typing import Literal
 import numpy as np
 
 from bayescal.inference.exploration import DOF, explore
-from bayescal.inference.importance import resample
+from bayescal.inference.importance import Resampled, resample
 from bayescal.inference.mode import DECREMENT_TOLERANCE, Mode, find_mode
 from bayescal.inference.peaks import Peak, bend_at, proposal_from_peaks
 from bayescal.inference.sampling import sample_posterior
@@ -39,9 +40,10 @@ class Belief:
     y : ndarray, shape (n,)
         The mode.
     covariance : ndarray, shape (n, n)
-        Inverse of minus the Gauss-Newton Hessian there.
+        Inverse of minus the Gauss-Newton Hessian there; of the draws where geometry is known given the errors.
     log_evidence : float
-        By Laplace's formula, with that covariance where it was updated.
+        By Laplace's formula, with that covariance where it was updated; by the draws' weights where geometry is known
+        given the errors.
     draws : ndarray, shape (S, n)
         Of the posterior, in its coordinates.
     efficiency, pareto_k : float
@@ -88,8 +90,7 @@ def update(posterior: Target, start: Array | None, n_draws: int, seed: int, *, a
         proposal, rng = proposal_from_peaks([peak], DOF), np.random.default_rng(seed)
         made = resample(straight.log_density, proposal, rng, PER_KEPT * n_draws, n_draws)
         if not anew or made.pareto_k <= PARETO_K_LIMIT:
-            draws = straight.y_from_x(made.draws)
-            return _collect(mode, draws, made.efficiency, made.pareto_k, "updated")
+            return _collect(posterior, mode, straight.y_from_x(made.draws), made, "updated")
     return _begin_anew(posterior, n_draws, seed)
 
 
@@ -98,6 +99,8 @@ def climb(posterior: Target, start: Array) -> Mode:
 
     Steps that do not gain are halved; where that does not help, the search of `bayescal.inference.mode` takes over.
     """
+    if posterior.linear_geometry(start) is not None:
+        return find_mode(posterior, start)
     y, value = start, float(posterior.log_density(start[None])[0])
     for _ in range(STEPS):
         gradient, hessian = posterior.gradient(y)
@@ -125,12 +128,15 @@ def _begin_anew(posterior: Target, n_draws: int, seed: int) -> Belief:
     straight, rng = found.straight, np.random.default_rng(draw_seed)
     made = resample(straight.log_density, found.proposal, rng, PER_KEPT * n_draws, n_draws)
     if made.pareto_k <= PARETO_K_LIMIT:
-        return _collect(found.modes[0], straight.y_from_x(made.draws), made.efficiency, made.pareto_k, "explored")
+        return _collect(posterior, found.modes[0], straight.y_from_x(made.draws), made, "explored")
     sample = sample_posterior(found, ensemble_seed, ENSEMBLES, WALKERS, BURN_IN, LENGTH)
     draws = sample.y.reshape(-1, posterior.n_parameters)
     chosen = rng.choice(len(draws), n_draws, replace=len(draws) < n_draws)
-    return _collect(found.modes[0], draws[chosen], made.efficiency, made.pareto_k, "sampled")
+    return _collect(posterior, found.modes[0], draws[chosen], made, "sampled")
 
 
-def _collect(mode: Mode, draws: Array, efficiency: float, pareto_k: float, way: Way) -> Belief:
-    return Belief(mode.y, mode.covariance, mode.log_evidence, draws, efficiency, pareto_k, way)
+def _collect(posterior: Target, mode: Mode, draws: Array, made: Resampled, way: Way) -> Belief:
+    covariance, log_evidence = mode.covariance, mode.log_evidence
+    if posterior.linear_geometry(mode.y) is not None:
+        covariance, log_evidence = np.cov(draws, rowvar=False), made.log_evidence
+    return Belief(mode.y, covariance, log_evidence, draws, made.efficiency, made.pareto_k, way)

@@ -289,9 +289,14 @@ class FunctionsOfPose(ErrorTerm):
 
 @dataclass(frozen=True, eq=False)
 class ThinFunctionsOfPose(FunctionsOfPose):
-    """The same of few columns; what these leave out is independent from row to row. ``n_channels`` is K."""
+    """The same of few columns; what these leave out is independent from row to row.
+
+    ``n_channels`` is K; ``over`` the rows that columns suit and that they are normalised over, the calibration rows by
+    default.
+    """
 
     n_channels: int = 0
+    over: Place | None = None
 
     @property
     def most_columns(self) -> int:
@@ -302,7 +307,7 @@ class ThinFunctionsOfPose(FunctionsOfPose):
     @cached_property
     def functions(self) -> PoseFunctions:
         """The kernel of few columns that suit the calibration rows, normalised over these."""
-        place = self.own.at(np.flatnonzero(self.own.used))
+        place = self.over or self.own.at(np.flatnonzero(self.own.used))
         return PoseFunctions((self.sort,), place, place)
 
     @property

@@ -355,30 +355,31 @@ class Errors:
     @cached_property
     def has_columns(self) -> bool:
         """Whether some errors are common to all rows."""
-        return bool(self._common)
+        return bool(self.common)
 
     @property
     def n_common(self) -> int:
         """Number of terms with columns."""
-        return len(self._common)
+        return len(self.common)
 
     @cached_property
-    def _common(self) -> list[ErrorTerm]:
+    def common(self) -> list[ErrorTerm]:
+        """The terms with columns, errors common to all rows."""
         return [term for term in self.terms if type(term).columns is not ErrorTerm.columns]
 
     def without_columns(self) -> Errors:
         """Return the terms that concern single rows alone."""
-        return Errors(tuple(term for term in self.terms if term not in self._common), self.outliers)
+        return Errors(tuple(term for term in self.terms if term not in self.common), self.outliers)
 
     def list_acts(self, data: Measurements, gain: Array | None = None) -> list[Array]:
         """Return `ErrorTerm.act` of the terms with columns, (P, K, N) each; none where one has no single amplitude."""
-        acts = [_show(term, term.act(data), gain) for term in self._common]
+        acts = [_show(term, term.act(data), gain) for term in self.common]
         found = [one for one in acts if one is not None]
         return found if len(found) == len(acts) else []
 
     def amplitudes(self, zeta: Array) -> Array:
         """Return the amplitudes of the same terms, (B, k) to (B, C)."""
-        return np.stack([term.amplitude(own) for term, own in self.of(zeta) if term in self._common], axis=-1)
+        return np.stack([term.amplitude(own) for term, own in self.of(zeta) if term in self.common], axis=-1)
 
     @cached_property
     def noisy(self) -> list[ErrorTerm]:

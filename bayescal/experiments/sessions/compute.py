@@ -22,7 +22,6 @@ from bayescal.experiments.shared.origin import name_origin
 from bayescal.inference.scales import Scales, find_scales_mode, keep_by_weight, sample_scales
 from bayescal.limits import PARETO_K_LIMIT
 from bayescal.numerics.geometry import Array
-from bayescal.numerics.units import MICROMETRE
 
 ALL, NONE = "drift", "no drift"
 STILL = "still: "
@@ -145,8 +144,12 @@ def tabulate(found: Found) -> dict[str, pd.DataFrame]:
     inputs = found.inputs
     days = [np.nan if one.day is None else one.day for one in inputs.config.sessions]
     measured = {"session": inputs.labels, "day": days, "n_poses": inputs.n_poses}
-    tau = inputs.model.read_scales(found.fit.zeta)[0]
-    errors = [{"leg": k + 1, **_describe(tau[:, k], MICROMETRE)} for k in range(tau.shape[1])]
+    own = inputs.first.posterior.errors
+    sizes, shown = own.natural(inputs.model.read_scales(found.fit.zeta)[0]), [show_in(one) for one in own.units]
+    errors = [
+        {"error": name, "in": unit, **_describe(sizes[:, k], size)}
+        for k, (name, (unit, size)) in enumerate(zip(own.names, shown, strict=True))
+    ]
     motions, nothing = _tabulate_motions(found), pd.DataFrame()
     return {
         "sessions": pd.DataFrame({**measured, "temperature_celsius": inputs.temperature}),
@@ -156,7 +159,7 @@ def tabulate(found: Found) -> dict[str, pd.DataFrame]:
         "shifts": _tabulate_shifts(found),
         "parameters": _tabulate_parameters(found),
         "expansion": _tabulate_expansion(found),
-        "model_error": pd.DataFrame(errors) if inputs.by_leg else nothing,
+        "model_error": pd.DataFrame(errors),
     }
 
 

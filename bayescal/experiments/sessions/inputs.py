@@ -5,14 +5,18 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from bayescal.density.calibration.model_error import FunctionsOfPose, ThinFunctionsOfPose
+from bayescal.density.calibration.terms import ErrorTerm
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.priors import NormalPrior
 from bayescal.density.sessions import Drift, Expansion, Part, ReadingRows, SessionModel, walk_loadings
+from bayescal.density.sorts import Place
 from bayescal.errors import InputError, name_faults
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.sessions.schema import SessionConfig, SessionsConfig, ThermalConfig
@@ -26,6 +30,8 @@ from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import ARCSECOND, MICROMETRE
 
 PPM = 1e-6
+DRIFT = "drift"
+"""The sort of functions that is another one in every session: of the place in measuring order."""
 MOST_UNITS = 24
 """Scales that evidence is integrated over."""
 UNITS = {"mm": ("µm", MICROMETRE), "rad": ("arcsec", ARCSECOND)}
@@ -90,7 +96,9 @@ def read_sessions(config: SessionsConfig, folder: Path) -> SessionsInputs:
         _build_drift(config, first),
         _build_expansions(config.thermal, first.posterior.likelihood.model.layout),
     )
-    model = SessionModel(tuple(parts), *describe_free(first, config.study), drift, expansions)
+    functions = [one for one in first.posterior.errors.terms if isinstance(one, FunctionsOfPose)]
+    lasting = tuple(config.drift.hierarchy == "walk" and one.sort != DRIFT for one in functions)
+    model = SessionModel(tuple(parts), *describe_free(first, config.study), drift, expansions, lasting)
     legs = [one.legs for one in measured if one.legs is not None]
     if config.drift.hierarchy == "walk" and legs:
         check_same_machine(model, legs, [one.label for one in config.sessions])
@@ -288,11 +296,35 @@ def measure_sessions(
                 raise InputError(
                     f"{path}: found a robust variant, expected another: sessions are joined in closed form"
                 )
-            if errors.has_columns:
+            if not all(isinstance(one, FunctionsOfPose) for one in errors.common):
                 raise InputError(
-                    f"{path}: found errors common to all rows, expected a variant without: sessions have none"
+                    f"{path}: found functions of [errors], expected a variant without: sessions have those of "
+                    "[model_error]"
                 )
+            if found and errors.names != found[0].posterior.errors.names:
+                names, expected = (", ".join(one.names) for one in (errors, found[0].posterior.errors))
+                raise InputError(f"found errors {names}, expected those of the first session, {expected}")
             found.append(measured)
+    return _join_functions(found)
+
+
+def _join_functions(measured: list[MeasuredReadings]) -> list[MeasuredReadings]:
+    """Return sessions whose errors that are functions are of the same few columns in all, which suit all their rows."""
+    every = [[one for one in it.posterior.errors.terms if isinstance(one, FunctionsOfPose)] for it in measured]
+    if not every[0]:
+        return measured
+    levers, n = every[0][0].own.levers, len(measured[0].internal)
+    over = reduce(Place.join, [some[0].own.at(np.flatnonzero(some[0].own.used)) for some in every])
+
+    def join(one: ErrorTerm) -> ErrorTerm:
+        if not isinstance(one, FunctionsOfPose):
+            return one
+        return ThinFunctionsOfPose(one.sort, replace(one.own, levers=levers), one.scale, one.floor, n, over)
+
+    found = []
+    for it in measured:
+        errors = replace(it.posterior.errors, terms=tuple(join(one) for one in it.posterior.errors.terms))
+        found.append(replace(it, posterior=replace(it.posterior, errors=errors)))
     return found
 
 
