@@ -171,7 +171,7 @@ class StudyResult(LoadedResults):
     Examples
     --------
     >>> isinstance(study, bc.StudyResult), study.variants, study.best
-    (True, ['everything'], variant 'everything': log-evidence ..., 9 parameters)
+    (True, ['everything'], variant 'everything': log-evidence ..., 14 parameters)
     >>> study.best.predict({"s_1_mm": [250.0], "s_2_mm": [250.0], "s_3_mm": [250.0]}).columns[:4]
     Index(['pose', 'x_mm', 'y_mm', 'z_mm'], ...)
     """

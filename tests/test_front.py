@@ -88,7 +88,7 @@ def calibrate_hexapod(folder, as_table):
     assert repr(bc.load_machine(folder / content["machine"])).endswith(": 6 legs")
     return bc.calibrate(
         *(folder / content["machine"], data, content["parameters"]),
-        **{"variants": {"rigid": rigid}, "origin": content["origin"], "model_error": content["model_error"]},
+        **{"variants": {"rigid": rigid}, "origin": content["origin"]},
         **{"quiet": True, "sampler": TINY["sampler"], "evidence": TINY["evidence"]},
     )
 

@@ -22,7 +22,7 @@ from bayescal.density.functions import FunctionLikelihood
 from bayescal.density.legs import LegPosterior
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.posterior import Posterior
-from bayescal.density.priors import Prior
+from bayescal.density.priors import HalfCauchyPrior, Prior
 from bayescal.errors import InputError
 from bayescal.experiments.shared.study_schema import StudyConfig, name_variant
 from bayescal.inference.target import Target
@@ -278,7 +278,9 @@ def _see_errors(measured: MeasuredVariant, model: Legs) -> tuple[ErrorTerm, ...]
         terms += likelihood.functions.sorts
         scales = next(one for one in errors.terms if isinstance(one, Amplitudes) and one.label == FUNCTION_SCALES)
         floors |= dict(zip(likelihood.functions.sorts, scales.floors, strict=True))
-        scale, few = scales.priors[0].scale, likelihood.functions.of_few is not None
+        prior, few = scales.priors[0], likelihood.functions.of_few is not None
+        assert isinstance(prior, HalfCauchyPrior)
+        scale = prior.scale
         if likelihood.place.time is not None:
             order, n_places = np.rint(likelihood.n_places * likelihood.place.time).astype(int), likelihood.n_places
     own = OwnChannels(

@@ -223,6 +223,7 @@ def test_the_machine_alone_is_predicted_and_commanded(variant, results, tmp_path
 @pytest.mark.runs
 def test_an_audit_chooses_among_instruments(arm, tmp_path, call):
     text = ARM.partition("[validation]")[0].replace('kind = "study"', 'kind = "audit"')
+    text = text.replace("[model_error]\nterms = []\n\n", "")
     before, _, after = text.partition("[origin]")
     audit = before + after[after.index("\n[instruments") :] + "\n[poses]\ncount = 12\n[next]\ncandidates = 10\n"
     path = arm.parent / "audit.toml"
