@@ -139,7 +139,7 @@ FAULTS_OF_CHANNELS = {
     ),
     "common": (
         edit("[sampler]", FUNCTION, "study.toml"),
-        "found errors common to all rows, expected a variant without",
+        r"found functions of \[errors\], expected a variant without",
     ),
     "uniform": (
         edit('s0 = { prior = "normal", sd', 's0 = { prior = "uniform", half_width', "study.toml"),
