@@ -311,7 +311,7 @@ READINGS = {
         beside=lambda folder: (folder / "five_bar.py").write_text(FIVE_BAR),
         coordinates=("x_mm", "y_mm"),
         turns=True,
-        recheck=("--shift-of", "o"),
+        recheck=("--shift-of", "o", "--shift-arcsec", 60),
     ),
 }
 

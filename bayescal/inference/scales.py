@@ -22,6 +22,7 @@ DOF = 8.0
 LIMITS = (-6.0, 8.0)  # of the search: beyond them the prior alone speaks
 STEP = 0.05  # of differences, prior standard deviations
 LEAST_CURVATURE = 0.3  # of the density; that of the prior is 1
+PRIOR_SHARE = 0.1  # of the proposal's draws that are the prior's
 ROUNDS = 2  # of mending the proposal by weighted draws
 FEW = 3.0  # effective draws for each coordinate, as many as Laplace's covariance counts beside theirs
 
@@ -95,8 +96,10 @@ def sample_scales(log_density: LogDensity, mode: Array, n_draws: int, n_kept: in
 
 
 def _propose(mean: Array, covariance: Array) -> MixtureProposal:
-    factor = np.linalg.cholesky(covariance + 1e-9 * np.eye(len(covariance)))
-    return MixtureProposal(np.ones(1), mean[None], factor[None], DOF)
+    """Return a density of that mean and covariance with a share of the prior's, which bounds the weights."""
+    n = len(mean)
+    factors = np.stack([np.linalg.cholesky(covariance + 1e-9 * np.eye(n)), np.eye(n)])
+    return MixtureProposal(np.array([1.0 - PRIOR_SHARE, PRIOR_SHARE]), np.stack([mean, np.zeros(n)]), factors, DOF)
 
 
 def keep_by_weight(draws: Array, log_weights: Array, n_kept: int, rng: np.random.Generator) -> Resampled:

@@ -27,6 +27,7 @@ ALL, NONE = "drift", "no drift"
 STILL = "still: "
 LOW, HIGH = 0.05, 0.95
 SHIFT_ARCSEC = 20.0
+ALIKE = 0.99  # share of effective draws from which on weights hardly differ
 ROUNDS = 2  # of linearising at the state that the scales want
 HALF_LOG_TWO_PI = 0.5 * np.log(2.0 * np.pi)
 
@@ -240,8 +241,8 @@ class SessionFit:
 
     @property
     def is_sound(self) -> bool:
-        """Whether no weights have too heavy a tail."""
-        return bool(np.max(self.quality[[1, 3]]) <= PARETO_K_LIMIT)
+        """Whether no weights have too heavy a tail; of weights that are all alike the tail does not matter."""
+        return all(share > ALIKE or k <= PARETO_K_LIMIT for share, k in self.quality.reshape(2, 2))
 
 
 def fit_sessions(model: SessionModel, n_draws: int, rng: np.random.Generator) -> SessionFit:
