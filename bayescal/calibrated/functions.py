@@ -216,7 +216,7 @@ class KnownFunctions:
         n = len(self.names)
         if sort != SMOOTH:
             return np.eye(n * (n if sort == "linear" else 1))
-        return np.kron(np.eye(n), np.linalg.lstsq(self._smooth(), smooth)[0])
+        return np.asarray(np.kron(np.eye(n), np.linalg.lstsq(self._smooth(), smooth)[0]), dtype=np.float64)
 
 
 ARRAYS: Final = ("home", "range", "levers", "travel", "time", "square", "independent", "mean", "covariance")

@@ -153,6 +153,33 @@ def test_states_are_integrated_as_brute_force_does(hierarchy, rng):
     assert linear.log_likelihood(z, tau, scales) == pytest.approx(seen, rel=1e-10)
 
 
+def test_coefficients_of_errors_last_or_are_new_in_every_session(rng):
+    """Two of a term that lasts and one of another, whose amplitudes are known; the others as brute force has them."""
+    size = np.array([0.7, 0.7, 1.8])
+    own = SimpleNamespace(
+        widths=np.array([2, 1]), size_coefficients=lambda errors: np.broadcast_to(size, (*errors.shape[:-1], 3))
+    )
+    model = replace(build_model(LOADINGS["walk"], (SimpleNamespace(rows=own),)), lasting=(True, False))
+    alone, tau, scales = build_model(LOADINGS["walk"]), np.array([0.3, 0.0, 0.7]), np.array([0.4, 0.9])
+    assert model.size == alone.size + 2 + 3
+    linear = make_linear(model, rng)
+    columns = rng.normal(size=(*linear.rows.shape[:2], 3))
+    rows = np.concatenate([linear.rows[..., :-1], columns, linear.rows[..., -1:]], axis=-1)
+    c, jacobian, covariance = spread_rows(replace(linear, model=alone), tau, scales)
+    session = np.repeat(np.arange(3), POSES)
+    lasting = (columns[..., :2] * size[:2]).reshape(len(c), 2)
+    new = np.where(session[:, None] == np.arange(3), 1.0, 0.0)[:, None] * columns[..., 2:] * size[2]
+    jacobian = np.concatenate([jacobian, lasting, new.reshape(len(c), 3)], axis=1)
+    both = replace(linear, rows=rows)
+    found = both.condition(tau, scales)
+    total = covariance + jacobian @ jacobian.T
+    assert found.log_marginal == pytest.approx(multivariate_normal(cov=total).logpdf(c), rel=1e-10)
+    np.testing.assert_allclose(found.mean, -jacobian.T @ np.linalg.solve(total, c), atol=1e-10)
+    z = rng.normal(size=model.size)
+    seen = multivariate_normal(cov=covariance).logpdf(c + jacobian @ z)
+    assert both.log_likelihood(z, tau, scales) == pytest.approx(seen, rel=1e-10)
+
+
 def test_without_drift_all_sessions_share_their_parameters(rng):
     model = build_model(LOADINGS["walk"]).keep([])
     assert (model.size, model.drift.units) == (FREE + 1, ())

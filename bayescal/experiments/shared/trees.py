@@ -177,7 +177,7 @@ def read_functions(path: Path) -> tuple[KnownFunctions, list[str]] | None:
         names, sorts, parameters = ([str(one) for one in found[key].values] for key in ("channel", "sort", "parameter"))
     except (OSError, ValueError, KeyError):  # none is there
         return None
-    return KnownFunctions.of_arrays(found, names, sorts), parameters
+    return KnownFunctions.of_arrays({str(key): one for key, one in found.items()}, names, sorts), parameters
 
 
 def write_packed(packed: np.ndarray, path: Path) -> None:

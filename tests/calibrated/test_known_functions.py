@@ -1,0 +1,170 @@
+"""Machines whose carriages err by each other's travel, rechecked: what a calibration knows of it is taken along."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import calibrated_readings as made_up
+import numpy as np
+import pytest
+
+from bayescal.calibrated.functions import KnownFunctions
+from bayescal.calibrated.machine import CalibratedMachine, Errors, build_calibrated
+from bayescal.calibrated.recheck.statistics import choose_suspects, compute_knowledge, judge_recheck
+from bayescal.density.calibration import terms
+from bayescal.density.calibration.likelihood import CalibrationLikelihood
+from bayescal.density.calibration.measurements import Measurements
+from bayescal.density.calibration.model_error import OwnChannels, build_model_error
+from bayescal.density.posterior import Posterior
+from bayescal.density.priors import NormalPrior
+from bayescal.inference.mode import find_mode
+
+NOISE = {"s": 1e-3, "cam_x": 2e-3, "cam_y": 2e-3, "height": 2e-3}
+SORTS = ("independent", "linear", "own", "smooth", "drift")
+COUPLING = 0.1 * np.array([[0.3, 1.0, -0.6], [-0.8, 0.2, 0.7], [0.9, -0.5, 0.4]])  # mm over a range of travel
+N_POSES, N_AGAIN, N_DRAWS = 40, 12, 400
+
+
+class Erring:
+    """A delta of the tolerances whose carriages err by a coupling, its calibration, and sessions of it."""
+
+    def __init__(self, seed: int) -> None:
+        self.planned, self.rng = replace(made_up.build_planned("delta"), noise=NOISE), np.random.default_rng(seed)
+        layout = self.planned.model.layout
+        symbols = [name.partition("[")[0] for name in layout.names]
+        sd = np.array([self.planned.tolerances.get(one, 0.0) for one in symbols])
+        self.theta = layout.nominal + sd * self.rng.standard_normal(layout.size)
+        middle = 0.5 * (self.planned.low + self.planned.high)
+        self.home = self.planned.model.read(layout.nominal, middle[None])[0]
+        pose = self.draw(N_POSES)
+        data = self.read(self.theta, pose)
+        corners = self.planned.model.read(layout.nominal, self.draw(200))
+        self.reach = np.where(np.arange(6) < 3, np.abs(corners - self.home).max(axis=0), 0.0)
+        used = np.ones(N_POSES, dtype=bool)
+        self.own = OwnChannels.find(self.planned.model, data, pose, used, self.home, self.reach)
+        found = build_model_error(self.own, 6, SORTS, (0.01, 0.02), {}, each=False)
+        priors = {
+            name: NormalPrior(float(value), float(width))
+            for name, value, width in zip(layout.names, layout.nominal, sd, strict=True)
+        }
+        likelihood = CalibrationLikelihood(self.planned.model, data, 1.0, pose)
+        self.random = Posterior(likelihood, priors, terms.Errors(found[:1])).anchored()
+        self.posterior = Posterior(likelihood, priors, terms.Errors(found)).anchored()
+
+    def draw(self, n: int) -> np.ndarray:
+        return self.rng.uniform(self.planned.low, self.planned.high, (n, 3))
+
+    def err(self, values: np.ndarray) -> np.ndarray:
+        """Return the carriages' errors, mm, at what they read."""
+        return ((values[:, :3] - self.home[:3]) / 80.0) @ COUPLING
+
+    def read(self, theta: np.ndarray, pose: np.ndarray) -> Measurements:
+        values = self.planned.model.read(theta, pose)
+        values[:, :3] += self.err(values)
+        values += self.planned.sd * self.rng.standard_normal(values.shape)
+        names = tuple(f"R{k}" for k in range(len(pose)))
+        return Measurements(names, values, np.tile(self.planned.sd, (len(pose), 1)))
+
+    def calibrate(self) -> CalibratedMachine:
+        """Return the calibrated machine and what is known of its errors, given their most probable sizes."""
+        mode, m = find_mode(self.posterior, self.posterior.approach()), self.posterior.n_geometry
+        given = self.posterior.linear_geometry(mode.y).given(mode.y[m:])
+        y = np.tile(mode.y, (N_DRAWS, 1))
+        y[:, :m] = self.rng.multivariate_normal(given.mean, given.covariance, N_DRAWS)
+        return replace(self.build(y, 0.0), functions=KnownFunctions.find(self.posterior, y))
+
+    def calibrate_by_random_errors(self) -> CalibratedMachine:
+        """Return the machine as τ alone has it."""
+        mode = find_mode(self.random, self.random.approach())
+        y = self.rng.multivariate_normal(mode.y, mode.covariance, N_DRAWS)
+        return self.build(y, float(self.random.natural(mode.y[None])[0, -1]))
+
+    def build(self, y: np.ndarray, tau: float) -> CalibratedMachine:
+        draws = self.posterior.theta(y)
+        errors = Errors(np.diag(self.planned.sd[:3] ** 2), np.full(3, tau**2))
+        bounds = np.stack([self.planned.low, self.planned.high])
+        return build_calibrated(self.planned.model, draws.mean(axis=0), draws, errors, made_up.SOURCE, workspace=bounds)
+
+    def judge(self, calibrated: CalibratedMachine, shift: float = 0.0, carriage: int = 0):
+        """Return what two sessions at other poses say after a shift of a carriage's zero."""
+        theta = self.theta.copy()
+        theta[self.planned.model.layout.index["s0"][carriage]] += shift
+        sessions = [self.read(theta, self.draw(N_AGAIN)) for _ in range(2)]
+        return judge_recheck(calibrated, choose_suspects(calibrated, ["s0"]), sessions, 0.01, 2)
+
+
+@pytest.fixture(scope="module")
+def erring():
+    return Erring(3)
+
+
+@pytest.fixture(scope="module")
+def calibrated(erring):
+    return erring.calibrate()
+
+
+def test_the_error_is_known_where_the_machine_goes(erring, calibrated):
+    """Geometry takes up a part of it: what is left over of both together is within its own uncertainty."""
+    known, model = calibrated.functions, erring.planned.model
+    session = erring.read(erring.theta, erring.draw(60))
+    acted, _ = known.show(model, session, session.values)
+    assert np.sqrt(np.mean((acted[:, :3] @ known.mean) ** 2)) > 0.5 * np.sqrt(np.mean(erring.err(session.values) ** 2))
+    suspects = choose_suspects(calibrated, ["s0"])
+    knowledge = compute_knowledge(calibrated, suspects, session)
+    square = knowledge.left_over(knowledge.total()) / knowledge.n_rows
+    assert 0.6 < square < 1.4
+
+
+def test_healthy_machines_pass_and_a_shift_is_found_and_named(erring, calibrated):
+    """Without what is known of the error none passes; as random errors it hides shifts that are found now."""
+    found = [erring.judge(calibrated) for _ in range(20)]
+    assert sum(not one.holds or one.is_odd for one in found) <= 1
+    blind = [erring.judge(replace(calibrated, functions=None)) for _ in range(10)]
+    assert all(not one.holds or one.is_odd for one in blind)
+    assert (3.0 * found[0].sd < erring.judge(erring.calibrate_by_random_errors()).sd).all()
+    for carriage in range(3):
+        moved = erring.judge(calibrated, 6.0 * float(found[0].sd[carriage]), carriage)
+        assert not moved.holds
+        assert moved.worst == carriage
+        assert moved.shift[carriage] == pytest.approx(6.0 * found[0].sd[carriage], abs=4.0 * found[0].sd[carriage])
+
+
+def test_what_is_kept_is_the_same_whatever_the_signs_of_the_columns(erring, calibrated):
+    known, model = calibrated.functions, erring.planned.model
+    arrays = {name: one[1] for name, one in known.list_arrays().items()}
+    n, smooth = known.n_geometry, arrays["smooth"].shape[1]
+    first = n + 9 + 3  # linear ones of three channels, own ones
+    turned = np.ones(len(known.covariance))
+    turned[first : first + 3 * smooth] = np.tile((-1.0) ** np.arange(smooth), 3)
+    arrays |= {
+        "smooth": arrays["smooth"] * (-1.0) ** np.arange(smooth),
+        "mean": arrays["mean"] * turned[n:],
+        "covariance": arrays["covariance"] * np.outer(turned, turned),
+    }
+    again = KnownFunctions.of_arrays(arrays, known.names, known.sorts)
+    session = erring.read(erring.theta, erring.draw(5))
+    for one, other in zip(
+        known.show(model, session, session.values), again.show(model, session, session.values), strict=True
+    ):
+        np.testing.assert_array_equal(one, other)
+    np.testing.assert_allclose(again.mean, known.mean, atol=1e-9)
+    np.testing.assert_allclose(again.covariance, known.covariance, atol=1e-9)
+
+
+def test_drifts_join_the_rows_of_a_session(erring, calibrated):
+    """The same as one normal density of all rows with their covariance."""
+    knowledge = compute_knowledge(
+        calibrated, choose_suspects(calibrated, ["s0"]), erring.read(erring.theta, erring.draw(4))
+    )
+    n, k = knowledge.rows.shape[:2]
+    time, span = np.arange(n) / n, np.mean(np.arange(N_POSES) / N_POSES + 0.02)
+    walk = (np.minimum.outer(time, time) + 0.02) / span
+    covariance = np.eye(n * k)
+    for p in range(n):
+        for q in range(n):
+            covariance[p * k : (p + 1) * k, q * k : (q + 1) * k] += (
+                knowledge.drifting[p] @ knowledge.drifting[q].T * walk[p, q]
+            )
+    rows = knowledge.rows.reshape(n * k, -1)
+    np.testing.assert_allclose(knowledge.total(), rows.T @ np.linalg.solve(covariance, rows), rtol=1e-8)
+    assert not np.allclose(knowledge.total(), knowledge.gram.sum(axis=0), rtol=1e-3)
