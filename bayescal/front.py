@@ -534,7 +534,7 @@ def next_pose(
     Examples
     --------
     >>> print(bc.next_pose(study, {"x": 0.1, "z": 0.1}, candidates=20, quiet=True).summary["headline"])
-    Stop: after 12 poses the requirements hold...
+    Measure one more pose, candidate ...: after 12 poses the requirements hold...
     """
     if not isinstance(study.project, _Project):
         raise InputError(f"{study.folder}: found loaded results, expected those of calibrate; or bayescal next")
