@@ -41,7 +41,7 @@ def plant(subject, slip, seed):
 
 
 @pytest.mark.parametrize("slip", SLIPS)
-@pytest.mark.parametrize("machine", ["linear delta", "serial arm"])
+@pytest.mark.parametrize("machine", ["linear delta", pytest.param("serial arm", marks=pytest.mark.runs)])
 def test_a_planted_slip_is_named_first(subjects, machine, slip):
     measured, fault, words = plant(subjects[machine], slip, 1)
     found = search_cause(measured).first
@@ -63,6 +63,7 @@ def test_most_planted_slips_are_named(subjects, machine, slip):
     assert named >= 2
 
 
+@pytest.mark.runs
 @pytest.mark.parametrize("machine", KINDS)
 @pytest.mark.parametrize("seed", range(2))
 def test_clean_studies_are_not_accused(subjects, machine, seed):
