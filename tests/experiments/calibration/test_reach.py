@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import planar_rrr
 import pytest
+from shares import run_rest
 
 
 def change(columns, function):
@@ -39,7 +40,7 @@ def readings():
     return planar_rrr.simulate(14)
 
 
-@pytest.mark.parametrize("mistake", MISTAKES)
+@pytest.mark.parametrize("mistake", run_rest(MISTAKES, 4))
 def test_a_usual_mistake_is_one_line_that_says_what_is_wrong(mistake, readings, tmp_path, call):
     change_readings, said = MISTAKES[mistake]
     path = planar_rrr.write_project(tmp_path / "project", change_readings(readings))

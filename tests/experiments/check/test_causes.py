@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from shares import run_rest
 
 from bayescal.experiments.check.faults import state_cause
 from bayescal.experiments.shared import slip_search
@@ -40,7 +41,7 @@ def plant(subject, slip, seed):
     return subject.measured.retake(values), fault, words
 
 
-@pytest.mark.parametrize("slip", SLIPS)
+@pytest.mark.parametrize("slip", run_rest(SLIPS, 2))
 @pytest.mark.parametrize("machine", ["linear delta", pytest.param("serial arm", marks=pytest.mark.runs)])
 def test_a_planted_slip_is_named_first(subjects, machine, slip):
     measured, fault, words = plant(subjects[machine], slip, 1)
