@@ -52,6 +52,11 @@ def test_a_usual_mistake_is_one_line_that_says_what_is_wrong(mistake, readings, 
     assert said in complaint.partition("if corrected: ")[2]
 
 
+def test_readings_that_never_change_are_refused(readings, tmp_path, refuse):
+    path = planar_rrr.write_project(tmp_path / "project", 0.0 * readings)
+    refuse("found the same readings in all 14 rows, expected a machine that moves", tmp_path / "out", "run", path)
+
+
 def test_another_zero_is_doubted_where_the_machine_can_have_it(readings, tmp_path, call):
     path = planar_rrr.write_project(tmp_path / "project", change([0], lambda x: x + 0.5 * np.pi)(readings))
     code, out, complaint = call("validate", path)
