@@ -162,10 +162,9 @@ class FrozenRows:
                 deviation, precision = leave_out_by(self._factorise(self.few, likelihood, errors, zeta[k]), row)
                 found[k] += weigh_left_out(deviation[None], precision[None])[0][0]
             return np.where(np.isfinite(found), found, -np.inf)
-        for part in batches(len(theta), found.shape[1] * self.left.shape[-1]):
+        for part in batches(len(theta), rows.shape[1]):
             own, weights = self._blocks(likelihood, errors, zeta[part]), errors.amplitudes(zeta[part]) ** 2
-            total = self._pad(self._assemble(own, weights))
-            found[part] += weigh_left_out(*leave_out(total, self._pad_rows(rows[part]), len(self.left)))[0]
+            found[part] += weigh_left_out(*self._leave_out(self._assemble(own, weights), rows[part]))[0]
         return np.where(np.isfinite(found), found, -np.inf)
 
     def density_of_others(
@@ -284,22 +283,20 @@ class FrozenRows:
         total[:, target] += own.reshape(len(own), -1)[:, source]
         return total.reshape(-1, size, size)
 
-    def _pad(self, covariance: Array) -> Array:
-        """Return the covariance of all rows (B, P m, P m): what shows nothing is white."""
-        if self.is_whole:
-            return covariance
-        n = self.left.shape[0] * self.left.shape[2]
-        found = np.tile(np.eye(n), (len(covariance), 1, 1))
-        found[:, self.kept[:, None], self.kept] = covariance
-        return found
+    def _leave_out(self, covariance: Array, rows: Array) -> tuple[Array, Array]:
+        """Return what `bayescal.density.components.leave_out` does, of covariances (B, M, M) and rows (B, M).
 
-    def _pad_rows(self, rows: Array) -> Array:
-        """Return all rows (B, P m): what shows nothing is zero."""
+        Rows that show nothing are zero and white beside.
+        """
+        (n_poses, _, m), n = self.left.shape, len(rows)
         if self.is_whole:
-            return rows
-        found = np.zeros((len(rows), self.left.shape[0] * self.left.shape[2]))
-        found[:, self.kept] = rows
-        return found
+            return leave_out(covariance, rows, n_poses)
+        inverse, (source, target) = np.linalg.inv(covariance), self._spots
+        alpha, precision = np.zeros((n, n_poses * m)), np.tile(np.eye(m).ravel(), (n, n_poses))
+        alpha[:, self.kept] = (inverse @ rows[..., None])[..., 0]
+        precision[:, source] = inverse.reshape(n, -1)[:, target]
+        blocks = precision.reshape(n, n_poses, m, m)
+        return np.linalg.solve(blocks, alpha.reshape(n, n_poses, m, 1))[..., 0], blocks
 
     # --- functions of few columns --------------------------------------------------------------------------------
 
