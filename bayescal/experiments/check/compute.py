@@ -147,10 +147,10 @@ def _rank(shared: Shared, name: str) -> Arrays:
         k = int(number) % len(draws)
         truth, posterior = draws[k], subject.repeat(coordinates[k], rng)
     found, _, _, quality = draw_posterior(posterior, n_draws, draw_seed)
-    ties = np.random.default_rng(tie_seed).random(len(truth))
-    below = np.sum(found < truth, axis=0)
+    among = np.random.default_rng(tie_seed).random(len(truth))  # of equal draws, as sizes that are zero have them
+    below, equal = np.sum(found < truth, axis=0), np.sum(found == truth, axis=0)
     return {
-        "rank": (below + ties) / (len(found) + 1.0),
+        "rank": (below + among * (equal + 1.0)) / (len(found) + 1.0),
         "z": (found.mean(axis=0) - truth) / found.std(axis=0),
         "quality": quality,
     }

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import calibrations
 import checked
@@ -16,7 +17,7 @@ from bayescal.density.errors import ModelError
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior
-from bayescal.experiments.check import faults
+from bayescal.experiments.check import compute, faults
 from bayescal.experiments.check.compute import rank_truth
 from bayescal.experiments.check.faults import (
     check_derivatives,
@@ -321,6 +322,17 @@ def test_ranks_of_truths_are_uniform(subject):
     assert rank.mean() == pytest.approx(0.5, abs=4.0 / np.sqrt(12.0 * rank.size))
     held = np.mean((rank > 0.05) & (rank < 0.95))
     assert held == pytest.approx(0.9, abs=4.0 * np.sqrt(0.09 / rank.size))
+
+
+def test_a_truth_of_zero_has_any_rank_among_draws_of_zero(monkeypatch):
+    """As sizes of errors have that are there with some probability."""
+    found, machine = np.repeat([0.0, 1.0], [300, 700])[:, None], np.zeros((1, 1))
+    monkeypatch.setattr(compute, "draw_posterior", lambda *_: (found, found, None, np.zeros(2)))
+    subject = SimpleNamespace(repeat=lambda *_: None)
+    rank = np.array([rank_truth((subject, machine, machine, 0, k), "posterior 0")["rank"][0] for k in range(400)])
+    assert 0.0 < rank.min() < 0.01
+    assert rank.mean() == pytest.approx(0.15, abs=0.02)
+    assert 0.29 < rank.max() < 0.301
 
 
 @pytest.mark.runs
