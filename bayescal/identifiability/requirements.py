@@ -124,14 +124,25 @@ class Forecast:
         Errors by parameters in units of the tolerances.
     noise : ndarray, shape (W, c, c)
         Their covariance by what moves a machine in use.
+    functions : ndarray, shape (W, c, q), or None
+        Errors by coefficients of functions of the pose, of unit prior, which a machine in use has all the same.
     """
 
     slope: Array
     noise: Array
+    functions: Array | None = None
+
+    @cached_property
+    def _whole(self) -> Array:
+        return self.slope if self.functions is None else np.concatenate([self.slope, self.functions], axis=-1)
 
     def covariance(self, geometry: Array) -> Array:
-        """Return covariances (W, c, c) of errors of a covariance of the parameters in units of the tolerances."""
-        result: Array = self.slope @ geometry @ np.swapaxes(self.slope, -1, -2)
+        """Return covariances (W, c, c) of errors of a covariance of the parameters in units of the tolerances.
+
+        Of a covariance of parameters and functions together (`Information.join`) those that functions cause, too.
+        """
+        slope = self.slope if geometry.shape[-1] == self.slope.shape[-1] else self._whole
+        result: Array = slope @ geometry @ np.swapaxes(slope, -1, -2)
         return result
 
     def effect(self, vector: Array) -> Array:
@@ -158,11 +169,12 @@ class Forecast:
         if not (np.isfinite(self.slope).all() and np.isfinite(self.noise).all()):
             nan = float("nan")
             return [Outlook(one, nan, nan, 0.0, 0.0, nan, nan, 0.0, nan, nan, 0, 0.0) for one in requirements], 0.0
-        identity, noise = np.eye(self.slope.shape[-1]), self.noise
-        prior, after = self.covariance(identity), self.covariance(information.covariance)
+        identity, noise = np.eye(self._whole.shape[-1]), self.noise
+        prior, after = self.covariance(identity), self.covariance(information.joint)
+        geometry = self.covariance(information.covariance)
         before, _, _ = self._probabilities(requirements, identity, rng)
-        later, everywhere, together = self._probabilities(requirements, root_of(information.covariance).T, rng)
-        errors = information.errors_of_reduced(free)
+        later, everywhere, together = self._probabilities(requirements, root_of(information.joint).T, rng)
+        errors = information.join(information.errors_of_reduced(free), free)
         reduced = self.covariance(errors)
         chances, _, _ = self._probabilities(requirements, root_of(errors).T, rng)
         outlooks = []
@@ -175,7 +187,7 @@ class Forecast:
                     one.size(after + noise),
                     float(before[k]),
                     float(later[k]),
-                    one.size(after),
+                    one.size(geometry),
                     one.size(reduced + noise),
                     float(chances[k]),
                     float(np.sqrt(variance.mean())),
@@ -190,14 +202,14 @@ class Forecast:
         self, requirements: Sequence[Requirement], information: Information, rng: np.random.Generator
     ) -> float:
         """Return the probability that all requirements are kept after the calibration, to first order."""
-        return self._probabilities(requirements, root_of(information.covariance).T, rng)[2]
+        return self._probabilities(requirements, root_of(information.joint).T, rng)[2]
 
     def _probabilities(
         self, requirements: Sequence[Requirement], root: Array, rng: np.random.Generator
     ) -> tuple[Array, Array, float]:
         """Return the shares of draws that keep each limit, of those that keep it at every pose, and that keep all."""
         good, everywhere, together = np.zeros(len(requirements)), np.zeros(len(requirements)), 0
-        for error in draw_errors(self.slope @ root, np.swapaxes(root_of(self.noise), -1, -2), rng):
+        for error in draw_errors(self._whole @ root, np.swapaxes(root_of(self.noise), -1, -2), rng):
             kept = np.array([one.keeps(error) for one in requirements]).reshape(len(requirements), len(error))
             good += kept.sum(axis=1)
             everywhere += [np.sum((one.take(error) <= one.limit).all(axis=1)) for one in requirements]

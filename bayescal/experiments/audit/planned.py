@@ -17,7 +17,7 @@ from bayescal.identifiability.requirements import COMPONENTS, Forecast, Requirem
 from bayescal.identifiability.ridges import Ridge
 from bayescal.identifiability.structure import Structure
 from bayescal.numerics.geometry import Array
-from bayescal.numerics.units import Units
+from bayescal.numerics.units import MICROMETRE, Units
 
 
 class FreeParameters(NamedTuple):
@@ -130,6 +130,26 @@ class Planned(ABC):
     @abstractmethod
     def change(self, change: WhatIfConfig) -> Self:
         """Return the same machine with a changed plan; InputError where there is none."""
+
+    # --- errors that are functions of the pose -----------------------------------------------------------------------
+
+    @property
+    @abstractmethod
+    def sizes(self) -> Mapping[str, float]:
+        """Root mean squares over the planned poses of systematic errors by term, mm, floors included."""
+
+    @property
+    def floors(self) -> Mapping[str, float]:
+        """What each term has at least, as stated, mm."""
+        return {name: MICROMETRE * floor for name, floor in self.config.model_error.floors().items()}
+
+    @abstractmethod
+    def resize(self, sizes: Mapping[str, float]) -> Self:
+        """Return the same with systematic errors of other sizes, mm; without those that are not named."""
+
+    def bare(self) -> Self:
+        """Return the same without systematic errors."""
+        return self.resize({})
 
     def propose(self) -> tuple[str, Self] | None:
         """Return a better plan with its name, if there is a way to find one; InputError where there is none."""
