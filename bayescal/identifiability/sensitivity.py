@@ -241,7 +241,9 @@ def show_functions(knowledge: Knowledge, plan: Plan, sensitivity: Sensitivity) -
     return _act(sensitivity, factor[:, None, :] * scale[:, None])
 
 
-def show_functions_elsewhere(knowledge: Knowledge, plan: Plan, at: Sensitivity, actuators: Array) -> tuple[Array, Array]:
+def show_functions_elsewhere(
+    knowledge: Knowledge, plan: Plan, at: Sensitivity, actuators: Array
+) -> tuple[Array, Array]:
     """Return what errors of a plan do to poses elsewhere: by the plan's coefficients, and a covariance besides.
 
     A drift is another one at another time, as large as it is on average; of smooth functions the planned poses do not

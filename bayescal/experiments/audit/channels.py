@@ -306,7 +306,7 @@ class ChannelPlan(Planned):
         return Forecast(at.tool, np.where(np.isfinite(at.noise)[..., None], covariance, np.nan), functions)
 
     def _show_functions(self, pose: Array) -> tuple[Array, Array]:
-        """Return what coefficients of functions do to readings at poses (W, q), (W, K, A), and the variance beside, (W, K).
+        """Return what coefficients do to readings at poses (W, q), (W, K, A), and the variance beside, (W, K).
 
         A drift is another one at another time, as large as it is on average; of smooth functions the planned poses do
         not tell all.
@@ -364,6 +364,7 @@ class ChannelPlan(Planned):
             "n_poses": self.n_poses,
             "sensors": list(dict.fromkeys(one.kind for one in self.variant.model.channels)),
             "poses": said.get(poses.plan, f"{poses.plan} actuator positions"),
+            **self.describe_errors(),
         }
         return {"machine": self.machine, "member": self.variant.model.member, "plan": plan}
 

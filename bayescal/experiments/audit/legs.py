@@ -21,7 +21,7 @@ from threadpoolctl import threadpool_limits
 
 from bayescal.config.classes import label_class
 from bayescal.data.actuators import read_moves
-from bayescal.density.functions import find_sizes
+from bayescal.density.functions import find_floors, find_sizes
 from bayescal.density.legs import LegPosterior, find_function_of_pose
 from bayescal.density.priors import INDEPENDENT, build_kernel
 from bayescal.density.schema import ALONE
@@ -211,6 +211,11 @@ class LegPlan(Planned):
         """Root mean squares of systematic errors along the legs, mm."""
         return {} if self.plan.systematic is None else self.plan.systematic.sizes
 
+    @property
+    def floors(self) -> Mapping[str, float]:
+        """What each term has at least, mm: as stated here, or in the study."""
+        return super().floors if self.measured is None else find_floors(self.measured.posterior)
+
     def resize(self, sizes: Mapping[str, float]) -> LegPlan:
         """Return the same with systematic errors of other sizes, mm."""
         return replace(self, plan=replace(self.plan, systematic=_list_errors(sizes)))
@@ -256,8 +261,7 @@ class LegPlan(Planned):
         if function is not None:
             size = float(np.sqrt(np.mean(np.square(function.scale))))
             found["structured_error"] = {"kernel": function.kernel.name, "scale_um": 1e3 * size}
-        if self.sizes:
-            found["systematic_um"] = {name: size / MICROMETRE for name, size in self.sizes.items()}
+        found |= self.describe_errors()
         if self.measured is not None:
             found["n_held_back"] = self.measured.n_held_back
         if isinstance(config.workspace, WorkspaceConfig):

@@ -141,7 +141,12 @@ class Planned(ABC):
     @property
     def floors(self) -> Mapping[str, float]:
         """What each term has at least, as stated, mm."""
-        return {name: MICROMETRE * floor for name, floor in self.config.model_error.floors().items()}
+        return self.config.model_error.lengths()
+
+    def describe_errors(self) -> dict[str, dict[str, float]]:
+        """Return for ``summary.json`` how large systematic errors are, and what is stated of unseen ones, µm."""
+        found = {"systematic_um": self.sizes, "at_least_um": self.floors if self.sizes else {}}
+        return {key: {name: size / MICROMETRE for name, size in one.items()} for key, one in found.items() if one}
 
     @abstractmethod
     def resize(self, sizes: Mapping[str, float]) -> Self:
