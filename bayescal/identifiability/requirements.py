@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -114,6 +114,17 @@ class Outlook:
     everywhere: float
 
 
+class ErrorsInUse(NamedTuple):
+    """What K channels err by at W poses of a machine in use, in their units."""
+
+    variance: Array  # (W, K): independent from pose to pose
+    shown: Array | None  # (W, K, q): by coefficients of functions of the pose, of unit prior
+
+    def of(self, some: np.ndarray) -> ErrorsInUse:
+        """Return those of some of the channels, by a mask (K,)."""
+        return ErrorsInUse(self.variance[:, some], None if self.shown is None else self.shown[:, some])
+
+
 @dataclass(frozen=True, eq=False)
 class Forecast:
     """What errs at the workspace's poses, and how that moves with the parameters.
@@ -187,7 +198,7 @@ class Forecast:
                     one.size(after + noise),
                     float(before[k]),
                     float(later[k]),
-                    one.size(geometry),
+                    min(one.size(geometry), one.size(after + noise)),  # errors of a model may take a part of it back
                     one.size(reduced + noise),
                     float(chances[k]),
                     float(np.sqrt(variance.mean())),
@@ -222,6 +233,21 @@ class Forecast:
         shares = {r.name: float(r.take(effect).max()) / r.limit for r in requirements}
         worst = max(shares, key=lambda name: shares[name])
         return shares[worst], worst
+
+
+def forecast_tool(tool: Array, located: Array, errors: ErrorsInUse) -> Forecast:
+    """Return how a tool errs that is located by readings.
+
+    Parameters
+    ----------
+    tool : ndarray, shape (W, c, n)
+        Its errors by parameters in units of the tolerances.
+    located : ndarray, shape (W, c, K)
+        How readings move the place where it is taken to be.
+    errors : ErrorsInUse
+    """
+    noise = located * errors.variance[:, None, :] @ np.swapaxes(located, -1, -2)
+    return Forecast(tool, noise, None if errors.shown is None else -located @ errors.shown)
 
 
 def draw_errors(slope: Array, noise_root: Array, rng: np.random.Generator) -> Iterator[Array]:

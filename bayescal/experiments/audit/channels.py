@@ -56,7 +56,7 @@ from bayescal.identifiability.reading_rows import (
     typical_given,
     whiten,
 )
-from bayescal.identifiability.requirements import Forecast, Requirement
+from bayescal.identifiability.requirements import ErrorsInUse, Forecast, Requirement, forecast_tool
 from bayescal.identifiability.ridges import Ridge, describe_reading_ridges
 from bayescal.identifiability.structure import EPSILON, OFF, TWIN_SHIFT, TWINS, Structure, find_structure
 from bayescal.machines.readings import ReadingModel, place
@@ -295,38 +295,34 @@ class ChannelPlan(Planned):
 
     def forecast(self) -> Forecast:
         """Return how the tool errs over the workspace, located by the machine's own sensors."""
-        at, functions = self.around, None
-        located = at.located @ whiten(typical_covariance(self.posterior, self.expected), self.variant.internal)
-        noise = np.zeros((len(at.pose), located.shape[-1]))
-        if self.sizes:
-            shown, noise = self._show_functions(at.pose)
-            functions = -located @ shown
-        noise += np.diagonal(typical_covariance(self.bare().posterior, self.bare().expected))
-        covariance = located * noise[:, None, :] @ np.swapaxes(located, -1, -2)
-        return Forecast(at.tool, np.where(np.isfinite(at.noise)[..., None], covariance, np.nan), functions)
+        at, typical = self.around, typical_covariance(self.posterior, self.expected)
+        located = at.located @ whiten(typical, self.variant.internal)
+        found = forecast_tool(at.tool, located, self.see_errors(at.pose))
+        return replace(found, noise=np.where(np.isfinite(at.noise)[..., None], found.noise, np.nan))
 
-    def _show_functions(self, pose: Array) -> tuple[Array, Array]:
-        """Return what coefficients do to readings at poses (W, q), (W, K, A), and the variance beside, (W, K).
+    def see_errors(self, pose: Array) -> ErrorsInUse:
+        """Return what channels err by at W poses (W, q) of the machine in use.
 
         A drift is another one at another time, as large as it is on average; of smooth functions the planned poses do
         not tell all.
         """
-        data, model, n = self.variant.data, self.variant.model, len(pose)
+        data, model, n, bare = self.variant.data, self.variant.model, len(pose), self.bare()
+        variance = np.tile(np.diagonal(typical_covariance(bare.posterior, bare.expected)), (n, 1))
+        if not self.sizes:
+            return ErrorsInUse(variance, None)
         given = typical_given(data.given, n)
         read = model.read(self.posterior.theta(self.expected[None])[0], pose, given)
         names, sd = tuple(map(str, range(n))), np.ones(read.shape)
-        later = Measurements(names, read, sd, given, order=data.n_poses + np.arange(n))
-        columns, left = list[Array](), np.zeros(read.shape)
+        later, columns = Measurements(names, read, sd, given, order=data.n_poses + np.arange(n)), list[Array]()
         for term in list_functions(self.variant):
             own, size = term.own, self.sizes[term.sort]
-            place, drifts = own.place_of(later), term.sort == DRIFT
-            columns.append(size * term.act(later) * (not drifts))
-            rest = np.ones((1, n))
-            if not drifts:
-                whole, few = replace(term.functions, of_few=None).variances(place), term.functions.variances(place)
+            place, lasts, rest = own.place_of(later), term.sort != DRIFT, np.ones(n)
+            columns.append(size * term.act(later) * lasts)
+            if lasts:
+                few, whole = term.functions.variances(place), replace(term.functions, of_few=None).variances(place)
                 rest = np.maximum(whole[0] - few[0], 0.0)
-            left[:, own.places] += size**2 * np.broadcast_to(rest, (len(own.places), n)).T / own.levers**2
-        return np.concatenate(columns, axis=-1), left
+            variance[:, own.places] += size**2 * np.broadcast_to(rest, (len(own.places), n)).T / own.levers**2
+        return ErrorsInUse(variance, np.concatenate(columns, axis=-1))
 
     def describe(self, directions: Sequence[Direction]) -> list[Ridge]:
         """Return the ridges among directions: how far the parameters move together, and what readings show of it."""
@@ -499,6 +495,19 @@ def expect_sizes(config: AuditConfig, variant: Variant) -> dict[str, float]:
     return {name: MICROMETRE * size for name, size in config.model_error.sizes(there).items()}
 
 
+def _plan(
+    config: AuditConfig,
+    section: VariantConfig,
+    machine: str,
+    variant: Variant,
+    requirements: tuple[Requirement, ...],
+    units: Units,
+    maker: ReadMachine,
+) -> ChannelPlan:
+    sizes = expect_sizes(config, variant)
+    return ChannelPlan(config, section, machine, variant, requirements, units, maker, sizes).resize(sizes)
+
+
 # --- reading ---------------------------------------------------------------------------------------------------------
 
 
@@ -532,9 +541,7 @@ def read_channels(config: AuditConfig, folder: Path) -> tuple[dict[str, ChannelP
     for one in config.variants:
         with name_faults(f"variant {one.name!r}"):
             own = replace(maker, model=models[one.model, one.deformation])
-            variant = own.build(one, planned)
-            sizes = expect_sizes(config, variant)
-            plans[one.name] = ChannelPlan(config, one, name, variant, required, units, own, sizes).resize(sizes)
+            plans[one.name] = _plan(config, one, name, own.build(one, planned), required, units, own)
             check_changes(plans[one.name])
     if (asked := config.sensor_choice) is None:
         return plans, None
@@ -542,5 +549,7 @@ def read_channels(config: AuditConfig, folder: Path) -> tuple[dict[str, ChannelP
         choices = list_choices(model, asked)
         sensors = [*asked.always, *(one for choice in choices for one in choice.channels)]
         what = asked.model_dump(include=set(FreeConfig.model_fields))
-        every = maker.build(VariantConfig(name="sensor_choice", sensors=sensors, **what), planned)
-    return plans, SensorChoice(asked, every, choices, required, units, config.seed)
+        section = VariantConfig(name="sensor_choice", sensors=sensors, **what)
+        every = _plan(config, section, name, maker.build(section, planned), required, units, maker)
+    seen = every.variant, every.expected, every.see_errors
+    return plans, SensorChoice(asked, *seen, choices, required, units, config.seed)
