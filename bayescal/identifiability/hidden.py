@@ -21,12 +21,11 @@ from typing import Any, Final
 import numpy as np
 
 from bayescal.density.posterior import Posterior
+from bayescal.limits import UNSEEN_UM
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import MICROMETRE
 
 IMITATED: Final = ("linear", "own", "smooth")
-UNSEEN_UM: Final = 10.0
-"""Root mean square of the errors that are asked for where nothing is stated."""
 DRAWS: Final = 20  # of the sizes of a posterior's errors
 
 

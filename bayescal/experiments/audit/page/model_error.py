@@ -10,7 +10,7 @@ from bayescal.experiments.audit.page.results import AuditResults
 from bayescal.experiments.audit.page.wording import format_probability, format_sd, name_requirement, name_unit
 from bayescal.experiments.frame.results import list_rows
 from bayescal.experiments.shared.hidden import show_hidden
-from bayescal.identifiability.hidden import UNSEEN_UM
+from bayescal.limits import UNSEEN_UM
 from bayescal.report.blocks import Block, Column, Section, Statement, Table, make_table
 from bayescal.report.numbers import format_plain, format_significant, join_words
 
