@@ -214,6 +214,15 @@ def inform(knowledge: Knowledge, plan: Plan, theta: Array | None = None) -> Info
     return marginalise(rows.reshape(-1, rows.shape[-1]) * knowledge.sd, see_function(knowledge, plan, sensitivity))
 
 
+def list_rows(knowledge: Knowledge, plan: Plan) -> tuple[Array, Array, np.ndarray]:
+    """Return white rows (K, n) by tolerances, columns of systematic errors (K, q), and the sort of each (q,)."""
+    assert plan.systematic is not None
+    sensitivity, place = compute_sensitivity(knowledge, plan.actuators), place_actuators(knowledge, plan.actuators)
+    sorts = _find_functions(plan.systematic, place).join_bases(place)[1]
+    rows = sensitivity.rows(plan).reshape(-1, len(knowledge.sd)) * knowledge.sd
+    return rows, see_function(knowledge, plan, sensitivity), np.tile(sorts, place.travel.shape[1])
+
+
 def place_actuators(knowledge: Knowledge, actuators: Array) -> Place:
     """Return where functions of the pose are evaluated for actuator positions (P, N), in this order."""
     mechanism, n = knowledge.machine.mechanism, len(actuators)

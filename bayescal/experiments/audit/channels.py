@@ -20,8 +20,7 @@ from bayescal.density.calibration.likelihood import CalibrationPosterior, JointF
 from bayescal.density.calibration.measurements import Measurements
 from bayescal.density.calibration.model_error import FunctionsOfPose, IndependentErrors, ThinFunctionsOfPose
 from bayescal.density.calibration.terms import Errors
-from bayescal.density.priors import INDEPENDENT, NormalPrior
-from bayescal.density.schema import ALONE
+from bayescal.density.priors import NormalPrior
 from bayescal.density.sorts import DRIFT, rescale
 from bayescal.errors import InputError, NumericalError, name_faults
 from bayescal.experiments.audit.audit import check_changes
@@ -61,7 +60,7 @@ from bayescal.identifiability.ridges import Ridge, describe_reading_ridges
 from bayescal.identifiability.structure import EPSILON, OFF, TWIN_SHIFT, TWINS, Structure, find_structure
 from bayescal.machines.readings import ReadingModel, place
 from bayescal.numerics.geometry import Array
-from bayescal.numerics.units import MICROMETRE, Units
+from bayescal.numerics.units import Units
 
 WIDE_POSES = 40
 NOTHING = -8.0  # a coordinate at which an error is as good as none
@@ -212,7 +211,7 @@ class ChannelPlan(Planned):
     @cached_property
     def expected(self) -> Array:
         """The machine and its errors as expected, in the posterior's coordinates."""
-        tau = MICROMETRE * self.config.model_error.sizes(ALONE).get(INDEPENDENT, 0.0)
+        tau = self.config.model_error.tau
         found = [np.zeros(self.posterior.n_geometry)]
         for term in self.variant.errors.terms:
             assert isinstance(term, FunctionsOfPose | IndependentErrors)
@@ -268,6 +267,16 @@ class ChannelPlan(Planned):
     def inform(self) -> Information:
         """Return what the plan tells of the parameters."""
         return inform(self.posterior, self.expected, see(self.posterior, self.expected))
+
+    def list_rows(self) -> tuple[Array, Array, np.ndarray]:
+        """Return white rows, their columns of systematic errors, and of which term each is."""
+        bare, (_, errors, zeta) = self.bare(), self.posterior.at(self.expected[None])
+        likelihood, rows = bare.posterior.likelihood, see(bare.posterior, bare.expected)
+        white, stand = likelihood.explain(*bare.posterior.at(bare.expected[None]))
+        columns = likelihood.columns(errors, zeta, white, stand.slope)[0]
+        widths = [term.act(self.variant.data).shape[-1] for term in list_functions(self.variant)]
+        sorts = np.repeat(np.arange(len(widths)), widths)
+        return rows.reshape(-1, rows.shape[-1]), columns.reshape(-1, columns.shape[-1]), sorts
 
     def find_structure(self, rng: np.random.Generator) -> Structure:
         """Return what no readings of these channels see, anywhere in the workspace."""
@@ -371,12 +380,10 @@ class ChannelPlan(Planned):
         section = section or self.section
         variant = self.maker.build(section, poses)
         before, after = list_functions(self.variant), list_functions(variant)
-        sizes: dict[str, float] = {}
+        changed = replace(self, section=section, variant=variant)
         if before and after and len(before[0].own.places) == len(after[0].own.places):
-            sizes = rescale(self.sizes, before[0].own.place, after[0].own.place)
-        elif self.sizes:
-            sizes = expect_sizes(self.config, variant)
-        return replace(self, section=section, variant=variant, systematic=sizes).resize(sizes)
+            return changed.resize(rescale(self.sizes, before[0].own.place, after[0].own.place))
+        return changed.settle(find_true_sizes(self.config, variant) if self.sizes else {})
 
     def change(self, change: WhatIfConfig) -> ChannelPlan:
         """Return the same machine with a changed plan."""
@@ -489,10 +496,10 @@ def list_functions(variant: Variant) -> list[ThinFunctionsOfPose]:
     return [one for one in variant.errors.terms if isinstance(one, ThinFunctionsOfPose)]
 
 
-def expect_sizes(config: AuditConfig, variant: Variant) -> dict[str, float]:
+def find_true_sizes(config: AuditConfig, variant: Variant) -> dict[str, float]:
     """Return root mean squares of the functions of a variant as they are expected, mm at the tool."""
     there = [one.sort for one in list_functions(variant)]
-    return {name: MICROMETRE * size for name, size in config.model_error.sizes(there).items()}
+    return config.model_error.sizes(there)
 
 
 def _plan(
@@ -504,8 +511,8 @@ def _plan(
     units: Units,
     maker: ReadMachine,
 ) -> ChannelPlan:
-    sizes = expect_sizes(config, variant)
-    return ChannelPlan(config, section, machine, variant, requirements, units, maker, sizes).resize(sizes)
+    true = find_true_sizes(config, variant)
+    return ChannelPlan(config, section, machine, variant, requirements, units, maker, true).settle(true)
 
 
 # --- reading ---------------------------------------------------------------------------------------------------------

@@ -74,6 +74,7 @@ from bayescal.identifiability.ridges import Ridge, describe_ridges
 from bayescal.identifiability.sensitivity import (
     compute_sensitivity,
     inform,
+    list_rows,
     place_actuators,
     show_functions_elsewhere,
 )
@@ -190,6 +191,10 @@ class LegPlan(Planned):
     def inform(self) -> Information:
         """Return what the plan tells of the parameters."""
         return inform(self.knowledge, self.plan)
+
+    def list_rows(self) -> tuple[Array, Array, np.ndarray]:
+        """Return white rows, their columns of systematic errors, and of which term each is."""
+        return list_rows(self.knowledge, self.plan)
 
     def find_structure(self, rng: np.random.Generator) -> Structure:
         """Return what no measurement with the plan's instruments sees."""
@@ -442,10 +447,9 @@ def read_legs(config: AuditConfig, folder: Path) -> LegPlan:
     if (error := config.structured_error) is not None:
         function = FunctionOfPose(build_kernel(error.kernel, error.length), MICROMETRE * error.scale_um)
     there = config.model_error.terms if len(actuators) >= FEWEST_POSES and moved.any() else ALONE
-    expected = {name: MICROMETRE * size for name, size in config.model_error.sizes(there).items()}
-    tau = float(np.hypot(plan.model_error, expected.pop(INDEPENDENT, 0.0)))
-    plan = replace(plan, function=function, model_error=tau, systematic=_list_errors(expected))
-    return _complete(config, folder, knowledge, plan, None)
+    true = {name: size for name, size in config.model_error.sizes(there).items() if name != INDEPENDENT}
+    tau = float(np.hypot(plan.model_error, config.model_error.tau))
+    return _complete(config, folder, knowledge, replace(plan, function=function, model_error=tau), None).settle(true)
 
 
 def _list_errors(sizes: Mapping[str, float]) -> SystematicErrors | None:

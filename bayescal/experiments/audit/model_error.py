@@ -26,10 +26,12 @@ def tabulate_errors(audit: Audit) -> dict[str, pd.DataFrame]:
     inputs = audit.inputs
     if not inputs.sizes:
         return {}
-    rows, units = list[dict[str, object]](), inputs.units
+    rows, units, measured = list[dict[str, object]](), inputs.units, inputs.config.data is not None
+    true = inputs.sizes if measured else inputs.config.model_error.sizes(list(inputs.sizes))
     for times in TIMES:
-        sizes = {name: times * size for name, size in inputs.sizes.items()}
-        one = audit if times == 1.0 else judge(inputs.resize(sizes))
+        sizes = {name: times * size for name, size in true.items()}
+        changed = inputs if times == 1.0 else inputs.resize(sizes) if measured else inputs.settle(sizes)
+        one = audit if times == 1.0 else judge(changed)
         total = float(np.linalg.norm(list(sizes.values()))) / MICROMETRE
         at = {"times": times, "size_um": total}
         variance = inputs.sd**2 * np.diagonal(one.analysis.information.covariance)

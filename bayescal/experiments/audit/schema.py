@@ -40,6 +40,7 @@ from bayescal.experiments.shared.schema import (
     WorkspaceConfig,
 )
 from bayescal.inference.schema import DrawsConfig
+from bayescal.numerics.units import MICROMETRE
 
 EXPECTED_UM: Final = 10.0
 
@@ -201,7 +202,8 @@ class StructuredErrorConfig(Section):
 class ExpectedErrorConfig(ModelErrorConfig):
     """What the models leave out, as a study of the plan takes it, and how large it is expected to be.
 
-    Nothing is measured yet, so that sizes cannot be found: they are stated. Scales of priors are the study's own.
+    Nothing is measured yet, so that sizes cannot be found in data: those expected are stated, and the audit takes those
+    that a study of the plan, with these terms and priors, would find then.
     """
 
     expected_um: NotNegative | dict[TermName, NotNegative] = Field(
@@ -212,16 +214,18 @@ class ExpectedErrorConfig(ModelErrorConfig):
     """
 
     def sizes(self, there: Sequence[str]) -> dict[str, float]:
-        """Return the root mean square that each term is expected to have, µm, with what it has at least.
-
-        ``there``: those of the terms that there can be.
-        """
-        expected, floors = self.expected_um, self.floors()
+        """Return the root mean square that each term is expected to have, mm, of those that there can be."""
+        expected = self.expected_um
         if not isinstance(expected, dict):
             functions: list[TermName] = [name for name in self.terms if name in there and name not in ALONE]
             expected = dict.fromkeys(functions, expected / max(1, len(functions)) ** 0.5)
         names = (name for name in self.terms if name in there)
-        return {name: math.hypot(expected.get(name, 0.0), floors.get(name, 0.0)) for name in names}
+        return {name: MICROMETRE * expected.get(name, 0.0) for name in names}
+
+    @property
+    def tau(self) -> float:
+        """Standard deviation of errors that change from pose to pose, mm, with what it is at least."""
+        return math.hypot(self.sizes(ALONE).get(INDEPENDENT, 0.0), self.lengths().get(INDEPENDENT, 0.0))
 
     @model_validator(mode="after")
     def _check_expected(self) -> Self:

@@ -16,12 +16,13 @@ from bayescal.report.numbers import format_plain, format_significant, join_words
 
 WHY = (
     "What a model leaves out repeats with the pose or follows the session, so that more poses do not average it out, "
-    "and a study allows for it. Its size is found in the data; before there are any it is stated (expected_um in "
-    "[model_error]). Geometry and errors together are normal given their sizes, which is what is predicted here: a "
-    "study that finds these sizes has these standard deviations. One that finds none stays above those without errors, "
-    "by a tenth to a quarter, since it cannot exclude small ones."
+    "and a study allows for it. How large it is shows in the data; before there are any it is stated (expected_um in "
+    "[model_error]). A study does not know that size: where a plan shows little of an error, it allows for more than "
+    "there is, and for some where there is none. Predicted here is what a study of this plan is expected to find, with "
+    "the same terms and priors; geometry and errors together are normal given their sizes. Simulated calibrations, "
+    "profiles and draws, where there are any, are of a machine without systematic errors: they check first order."
 )
-FOUND = "Sizes are those that the study found."
+FOUND = "Sizes are those that the study found; none and three times as much are these scaled."
 
 
 def state_model_error(audit: AuditResults) -> Iterator[Statement]:
@@ -30,7 +31,13 @@ def state_model_error(audit: AuditResults) -> Iterator[Statement]:
         return
     terms = join_words([f"{name} {format_significant(size, 2)}" for name, size in sizes.items()])
     whole = format_significant(sum(size**2 for size in sizes.values()) ** 0.5, 2)
-    text = f"Systematic errors of {whole} µm rms are {'as found' if audit.is_measured else 'assumed'} ({terms})."
+    text = f"Systematic errors of {whole} µm rms are taken along as the study found them ({terms})."
+    if not audit.is_measured:
+        (true,) = audit.tables["error_sizes"].query("times == 1.0")["size_um"].unique()
+        text = (
+            f"The machine is assumed to err by {format_significant(true, 2)} µm rms, systematically; a study of this "
+            f"plan would allow for {whole} µm ({terms})."
+        )
     rows = [row for row in list_rows(audit.tables["error_sizes"]) if row["what"] == "requirement"]
     if rows and all(str(row["probability"]) != "" for row in rows):
         frame = pd.DataFrame(rows)
@@ -39,7 +46,7 @@ def state_model_error(audit: AuditResults) -> Iterator[Statement]:
             f"{format_probability(row['probability'])} with {_name_size(row)} ({name_requirement(row['name'])})"
             for row in list_rows(least)
         ]
-        text += f" Least probability of any requirement: {join_words(said)}."
+        text += f" Least probability to meet a requirement: {join_words(said)}."
     yield Statement(text, lead="Model error")
 
 
@@ -70,7 +77,7 @@ def _name_unseen(audit: AuditResults) -> tuple[bool, str]:
 
 
 def _name_size(row: dict[str, object] | pd.Series) -> str:
-    return f"{format_significant(float(row['size_um']), 2)} µm" if row["times"] else "none"  # type: ignore[arg-type]
+    return f"{format_significant(float(row['size_um']), 2)} µm" if row["size_um"] else "no error"  # type: ignore[arg-type]
 
 
 def _tabulate(table: pd.DataFrame, what: str, caption: str) -> Table:
@@ -81,7 +88,7 @@ def _tabulate(table: pd.DataFrame, what: str, caption: str) -> Table:
     for _, group in some.groupby("times", sort=False):
         for k, row in enumerate(list_rows(group)):
             name = name_requirement(row["name"]) if with_chance else str(row["name"])
-            size = "no error" if not row["times"] else f"{_name_size(row)} rms"
+            size = _name_size(row)
             cells.setdefault(str(row["name"]), [name, name_unit(row["unit"])]).append(format_sd(float(row["sd"])))
             columns += [Column("sd", group=size)] if k == 0 else []
             if with_chance:
