@@ -17,6 +17,7 @@ from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
+from scipy.linalg.lapack import dpotrf, dpotri
 
 from bayescal.density.priors import HalfCauchyPrior
 from bayescal.inference.scales import find_scales_mode, sample_scales
@@ -54,10 +55,11 @@ def expect_sizes(
 
     def log_density(zeta: Array) -> float:
         size = np.sqrt(find_squares(zeta))[sorts]
-        inner = np.eye(len(size)) + size[:, None] * gram * size
-        factor = np.linalg.cholesky(inner)
-        told = np.linalg.solve(inner, size[:, None] * square * size)
-        return float(-np.log(np.diag(factor)).sum() + 0.5 * np.trace(told) - 0.5 * zeta @ zeta)
+        factor, _ = dpotrf(np.eye(len(size)) + size[:, None] * gram * size, lower=1)
+        inverse, _ = dpotri(factor, lower=1)
+        both = np.tril(inverse) * (size[:, None] * square * size)  # tr (1 + R M R)⁻¹ ..., from one half
+        explained = 2.0 * both.sum() - np.trace(both)
+        return float(-np.log(np.diag(factor)).sum() + 0.5 * explained - 0.5 * zeta @ zeta)
 
     start = np.maximum(prior.standardise(np.maximum(list(true.values()), 0.1 * scale)), -3.0)
     mode = find_scales_mode(log_density, start)
