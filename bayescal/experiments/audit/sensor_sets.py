@@ -217,9 +217,9 @@ class _Judge:
         covariance, forecast = seen.information.covariance, seen.forecast
         after = rms(forecast.slope, covariance)
         noise = np.sqrt(np.diagonal(forecast.noise, axis1=-2, axis2=-1).mean(axis=0))
-        error = np.hypot(after, noise)
+        tool = forecast.covariance(seen.information.joint) + forecast.noise  # with functions, which geometry imitates
+        error = np.sqrt(np.diagonal(tool, axis1=-2, axis2=-1).mean(axis=0))
         if self.choice.requirements:
-            tool = forecast.covariance(seen.information.joint) + forecast.noise
             goal = max(one.size(tool) / one.limit for one in self.choice.requirements)
         else:
             goal = float(np.linalg.norm(error[: self.n_lengths]))

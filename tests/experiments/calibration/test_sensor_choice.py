@@ -152,8 +152,8 @@ def test_exchanged_poses_tell_more_and_curves_fall(read):
     size = {}
     for method in ("greedy", "exchange"):
         inputs = read(ALL, ("candidates = 30", f'candidates = 30\nmethod = "{method}"'))
-        variant = inputs.channels["both"].variant
-        found = select_poses(inputs.config, variant, variant.posterior())
+        plan = inputs.channels["both"]
+        found = select_poses(inputs.config, plan.variant, plan.posterior, plan.expected)
         size[method] = np.linalg.norm(found.curve, axis=1)
         np.testing.assert_allclose(found.after[-1], found.curve[-1], rtol=1e-9)
         assert (np.diff(size[method]) < 0.0).all()
