@@ -14,7 +14,7 @@ SIZE, NOISE, N, P = 10e-3, 4e-3, 6, 20
 
 
 def build_machine(rng, gain=0.5):
-    """A linear machine in units of its tolerances: white rows by 10 parameters and by columns of two sorts of errors."""
+    """A linear machine: white rows by 10 parameters of unit prior and by columns of two sorts of errors."""
     travel = rng.uniform(-0.5, 0.5, (P, N))
     place = Place(travel, None)
     basis, sorts = PoseFunctions(("own", "smooth"), place, place).join_bases(place)
