@@ -82,8 +82,11 @@ KINDS: dict[str, Kind] = {
         "Let the machine warm up and return to one pose now and then: what changes there is drift",
     ),
 }
-TRACE = 1.0 / 3.0
-"""Lower end of a size's 90 % interval over its median, from which on the data show an error; about a tenth without."""
+NO_TRACE = (0.10, 0.32, 0.46, 0.56)
+"""Lower end of a 90 % interval over the median of the size of one to four terms together without any trace of them:
+each is then about flat from zero to what the data allow, and several together are never near zero."""
+BEYOND = 0.26
+"""Share of the way from there to one, from which on the data show an error: of one term at a third of the median."""
 OUTSTANDING = 1.5  # times the median of the others, from which on one member is named
 WHY = (
     "What a model leaves out is systematic: it repeats with the pose, and the geometry imitates a part of it. Without "
@@ -94,7 +97,8 @@ WHY = (
 WHERE = {"leg": "along the leg", "channel": "what the channel moves the tool by"}
 SIZES = (
     "Size: rms over the calibration poses, median and 90 % interval. An error is said to be seen where the lower end "
-    "of the interval is at least a third of the median."
+    "of the interval is at least a third of the median; of several terms together, which are never near zero, up to two "
+    "thirds."
 )
 NO_FLOOR = (
     "An error that the parameters can imitate leaves no trace in any data. None is allowed for beyond what the terms "
@@ -166,9 +170,11 @@ class _Found(NamedTuple):
         return [name for name in (*self.functions, INDEPENDENT) if is_seen(self.sizes.get(name))]
 
 
-def is_seen(size: Mapping[str, Any] | None) -> bool:
+def is_seen(size: Mapping[str, Any] | None, n_terms: int = 1) -> bool:
     """Whether the data show an error of that size: its lower end is not as near to zero as the prior has it."""
-    return size is not None and bool(size["q05_um"] >= TRACE * size["median_um"] > 0.0)
+    without = NO_TRACE[min(max(n_terms, 1), len(NO_TRACE)) - 1]
+    least = without + BEYOND * (1.0 - without)
+    return size is not None and bool(size["q05_um"] >= least * size["median_um"] > 0.0)
 
 
 def _find(study: StudyResults, name: str) -> _Found:
@@ -188,7 +194,8 @@ def state_terms(study: StudyResults) -> list[Statement]:
 def _advise(found: _Found) -> Statement:
     """Say what to do, how large the systematic error is, in which leg or channel and along what."""
     seen = [name for name in found.seen if name in found.functions]
-    if not seen and is_seen(found.whole):  # terms that imitate each other: only their sum is known
+    # terms that imitate each other: only their sum is known
+    if not seen and is_seen(found.whole, len(found.functions)):
         seen = list(found.functions)
     if not seen or found.whole is None:
         scatters = INDEPENDENT in found.seen
@@ -281,7 +288,8 @@ def _tabulate_terms(found: _Found) -> Table:
     rows = []
     for name, size in found.sizes.items():
         along, causes = (KINDS[name].along, KINDS[name].causes) if name in KINDS else ("systematic errors together", "")
-        rows.append([along, _format_size(size), "seen" if is_seen(size) else "no trace", causes])
+        n_terms = len(found.functions) if name == TOGETHER else 1
+        rows.append([along, _format_size(size), "seen" if is_seen(size, n_terms) else "no trace", causes])
     return make_table(f"Model error of {found.label}.", columns, rows, [Statement(SIZES)])
 
 
@@ -292,11 +300,10 @@ def _show_floor(study: StudyResults, name: str) -> list[Block]:
         sizes = [f"{format_plain(size)} µm rms {KINDS[term].along}" for term, size in stated.items() if size > 0.0]
     else:
         sizes = [f"{format_plain(stated)} µm rms"] if stated > 0.0 else []
-    hidden = study.table("model_error_hidden", name)
-    if hidden.empty:
+    if not study.has("model_error_hidden"):
         return [Statement(FLOOR.format(join_words(sizes)) if sizes else NO_FLOOR)]
     size = join_words(sizes) if sizes else f"{format_plain(UNSEEN_UM)} µm rms"
-    return show_hidden(hidden, size, bool(sizes), study.shown_in)
+    return show_hidden(study.table("model_error_hidden", name), size, bool(sizes), study.shown_in)
 
 
 def _tabulate_members(found: _Found, rows: pd.DataFrame) -> Table:
