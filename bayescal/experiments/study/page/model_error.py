@@ -97,8 +97,8 @@ WHY = (
 WHERE = {"leg": "along the leg", "channel": "what the channel moves the tool by"}
 SIZES = (
     "Size: rms over the calibration poses, median and 90 % interval. An error is said to be seen where the lower end "
-    "of the interval is at least a third of the median; of several terms together, which are never near zero, up to two "
-    "thirds."
+    "of the interval is at least a third of the median; of several terms together, which are never near zero, up to "
+    "two thirds."
 )
 NO_FLOOR = (
     "An error that the parameters can imitate leaves no trace in any data. None is allowed for beyond what the terms "
