@@ -57,8 +57,7 @@ def show_hidden(
 
 
 def _list_columns(first: str) -> list[Column]:
-    heads = ("Hides", "Posterior sd", "Hides / sd")
-    return [Column(first, kind="text"), Column("Unit", kind="text"), *map(Column, heads)]
+    return [Column(first, kind="text"), *map(Column, ("Hides", "Posterior sd", "Hides / sd"))]
 
 
 def _list_cells(
@@ -67,4 +66,5 @@ def _list_cells(
     factor, unit = shown_in(str(rows[0]["unit"]))
     hidden, sd = (math.sqrt(sum(row[key] ** 2 for row in rows) / len(rows)) for key in ("hidden", "sd"))
     share = format_fixed(hidden / sd, 2) if sd > 0.0 else ""
-    return [name, unit, format_significant(factor * hidden, 2), format_significant(factor * sd, 2), share]
+    amounts = (f"{format_significant(factor * value, 2)} {unit}".rstrip() for value in (hidden, sd))
+    return [name, *amounts, share]

@@ -95,6 +95,31 @@ def test_requirements_are_met_with_a_probability_that_falls_with_the_limit(run):
     np.testing.assert_allclose(other["probability"], found["everywhere"])
 
 
+def test_larger_errors_tell_less_and_meet_less(run):
+    """Parameters and requirements with no error, the expected one and three times it; what unseen ones would hide."""
+    results, page = run()
+    sizes = results.table("error_sizes").pivot(index=["what", "name"], columns="times", values="sd")
+    assert (np.diff(sizes.to_numpy(), axis=1) > 0.0).all()
+    best = take(results, "parameters").set_index("parameter")
+    np.testing.assert_allclose(sizes[1.0]["parameter"]["t_x"], best["posterior_sd"]["t_x"])
+    chances = (
+        results.table("error_sizes")
+        .dropna(subset="probability")
+        .pivot(index="name", columns="times", values="probability")
+    )
+    assert (np.diff(chances.to_numpy(), axis=1) <= 0.0).all()
+    assert chances[3.0].min() < chances[0.0].min() - 0.15
+    hidden = results.table("model_error_hidden").set_index("parameter")
+    assert (hidden["hidden"] > 0.0).all()
+    assert (hidden["hidden"] < 0.7 * hidden["sd"]).all()
+    assert "assumed to err by 10 µm rms" in page
+    assert "Errors of 10 µm rms that leave none" in page
+    stated, page = run(state_error("at_least_um = 10.0"))
+    allowed = stated.table("model_error_hidden").set_index("parameter")
+    assert (allowed["sd"] > hidden["sd"]).all()
+    assert "as large as stated" in page
+
+
 def test_noise_that_is_too_much_by_itself_is_said(run):
     results, page = run(("x = 0.05", "x = 0.0001"))
     assert take(results, "variants")["probability"][0] < 0.01

@@ -83,13 +83,14 @@ def _name_size(row: dict[str, object] | pd.Series) -> str:
 def _tabulate(table: pd.DataFrame, what: str, caption: str) -> Table:
     """Return standard deviations, and probabilities of requirements, a row each, by the errors' size."""
     some, with_chance = table[table["what"] == what], what == "requirement"
-    columns = [Column(what.capitalize(), kind="text"), Column("Unit", kind="text")]
+    columns = [Column(what.capitalize(), kind="text")]
     cells: dict[str, list[str]] = {}
     for _, group in some.groupby("times", sort=False):
         for k, row in enumerate(list_rows(group)):
             name = name_requirement(row["name"]) if with_chance else str(row["name"])
             size = _name_size(row)
-            cells.setdefault(str(row["name"]), [name, name_unit(row["unit"])]).append(format_sd(float(row["sd"])))
+            amount = f"{format_sd(float(row['sd']))} {name_unit(row['unit'])}".rstrip()
+            cells.setdefault(str(row["name"]), [name]).append(amount)
             columns += [Column("sd", group=size)] if k == 0 else []
             if with_chance:
                 cells[str(row["name"])].append(format_probability(float(row["probability"])))
