@@ -160,8 +160,9 @@ def foretell(truth, name, machine, moves, expected, folder):
 
 
 @pytest.mark.runs
-def test_audits_foretell_what_studies_by_default_report(truth, tmp_path, name="hexapod"):
+def test_audits_foretell_what_studies_by_default_report(truth, tmp_path):
     """Of a machine that errs by lead, coupling, waves and drift in equal shares, 10 µm rms together."""
+    name = "hexapod"
     shapes = truth.errors.SHAPES
     parts = [shapes[one] for one in ("lead", "cross", "wave", "thermal")]
     shapes["mixed"] = lambda *of: sum(truth.errors.scale(part(*of), 0.5) for part in parts)
