@@ -11,6 +11,7 @@ import pytest
 from scipy.stats import binom
 
 import bayescal as bc
+from bayescal.experiments.audit.design import load_audit, read_inputs
 from bayescal.machines.deformations import DEFORMATIONS, NominalDeformation
 from bayescal.machines.kinematics import build_machine
 from bayescal.machines.models import MODELS
@@ -119,6 +120,65 @@ def test_a_table_is_written_line_by_line(truth, tmp_path, monkeypatch, name):
         assert table[f"{when}_twins"].item() == 1
         assert table[f"{when}_sd_ratio"].item() > 0.9
     assert table["after_cpu_ratio"].item() > 0.1
+
+
+AUDIT = """kind = "audit"
+name = "twin"
+title = "The poses of a twin"
+seed = 1
+machine = "machine.toml"
+variants = [{{ model = "{model}", sensors = ["i"] }}]
+noise = {{ actuator_um = {actuators} }}
+poses = {{ plan = "file", configurations = "moves.csv" }}
+model_error = {{ expected_um = {expected} }}
+
+[sensors.i]
+kind = "pose"
+position_um = {position}
+orientation_arcsec = {orientation}
+
+[parameters]
+"""
+
+
+def foretell(truth, name, machine, moves, expected, folder):
+    """Return posterior deviations over tolerances (D,) that an audit of a twin's poses foretells."""
+    noise = 1e3 * machine.noise
+    text = AUDIT.format(
+        model=LEGS[name],
+        actuators=noise[0],
+        position=noise[6],
+        orientation=machine.noise[9] / truth.machines.ARCSEC,
+        expected=expected,
+    )
+    lines = [f'{symbol} = {{ prior = "normal", sd = {sd} }}' for symbol, sd in machine.tolerances.items()]
+    (folder / "audit.toml").write_text(text + "\n".join(lines) + "\n")
+    header = ",".join(f"drho_{leg}" for leg in range(1, 7))
+    np.savetxt(folder / "moves.csv", moves, delimiter=",", header=header, comments="")
+    plan = read_inputs(load_audit(folder / "audit.toml"), folder)
+    return np.sqrt(np.diag(plan.inform().covariance))[[plan.names.index(one) for one in machine.names]]
+
+
+@pytest.mark.runs
+def test_audits_foretell_what_studies_by_default_report(truth, tmp_path):
+    """Of a machine that errs by lead, coupling, waves and drift in equal shares, 10 µm rms together."""
+    name = "hexapod"
+    shapes = truth.errors.SHAPES
+    parts = [shapes[one] for one in ("lead", "cross", "wave", "thermal")]
+    shapes["mixed"] = lambda *of: sum(truth.errors.scale(part(*of), 0.5) for part in parts)
+    folder = tmp_path / "twin"
+    try:
+        machine, twin = truth.scores.draw_twin(name, "mixed", 10.0 / truth.errors.BASE_UM, 11)
+    finally:
+        del shapes["mixed"]
+    truth.projects.write_project(name, machine, "init", folder)
+    truth.projects.write_tables(name, machine, twin.values, twin.held, folder)
+    found = truth.projects.calibrate(machine, folder, 1).draws.std(axis=0) / machine.sd
+    moves = np.clip(twin.values[~twin.held, :6] - machine.initial, -machine.range_mm, machine.range_mm)
+    ratios = {um: found / foretell(truth, name, machine, moves, um, folder) for um in (10.0, 0.0)}
+    rms = {um: np.sqrt(np.mean(ratio**2)) for um, ratio in ratios.items()}
+    assert 0.85 < rms[10.0] < 1.15
+    assert rms[0.0] > 1.15  # an audit of a machine that does not err
 
 
 def judge(truth, name, row, default):

@@ -30,12 +30,11 @@ from bayescal.density.calibration.model_error import (
 )
 from bayescal.density.calibration.terms import Errors
 from bayescal.density.sessions import ReadingRows
-from bayescal.density.sorts import SORTS, Place, PoseFunctions
+from bayescal.density.sorts import DRIFT, SORTS, Place, PoseFunctions
 from bayescal.machines.readings import ReadingModel
 from bayescal.numerics.geometry import Array
 
 SIZES: Final = 50  # draws of the errors' sizes
-DRIFT: Final = "drift"
 SMOOTH: Final = "smooth"
 LATER: Final = 10**9  # place in measuring order of rows that are none of the calibration's
 

@@ -8,8 +8,9 @@ function of the pose, its scale s of each leg; then the function's length where 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -28,6 +29,7 @@ from bayescal.density.priors import (
 from bayescal.numerics.geometry import Array
 
 TAU, FUNCTION_SCALES = "tau", "functions"
+OF_SORT = "sigma_"
 
 
 @dataclass(frozen=True)
@@ -49,6 +51,12 @@ class Amplitudes(ErrorTerm):
         names = (label,) if shared or n_legs == 1 else tuple(f"{label}[{leg}]" for leg in range(1, n_legs + 1))
         n, shown = len(names), np.ones((1, n_legs)) if shared else np.eye(n_legs)
         return cls(label, names, ("mm",) * n, (prior,) * n, shown, (floor,) * n)
+
+    def floored(self, floors: Mapping[str, float]) -> Self:
+        """Return the same with other floors of functions; see `ErrorTerm.floored`."""
+        if self.label != FUNCTION_SCALES:
+            return self
+        return replace(self, floors=tuple(floors.get(name.removeprefix(OF_SORT), 0.0) for name in self.names))
 
 
 @dataclass(frozen=True)
@@ -116,7 +124,7 @@ class FunctionScales:
         """Return them as a term."""
         del n_legs
         n = len(self.sorts)
-        names = tuple(f"sigma_{name}" for name in self.sorts)
+        names = tuple(f"{OF_SORT}{name}" for name in self.sorts)
         floors = tuple(self.floors.get(name, 0.0) for name in self.sorts)
         return Amplitudes(FUNCTION_SCALES, names, ("mm",) * n, (HalfCauchyPrior(self.scale),) * n, np.eye(n), floors)
 

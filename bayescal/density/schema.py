@@ -9,6 +9,7 @@ from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 from bayescal.config.load import MEASURED
 from bayescal.config.sections import NotNegative, PerLeg, Positive, PositivePerLeg, Section, check_once
 from bayescal.density.priors import INDEPENDENT, LENGTHY, KernelName, LogNormalPrior
+from bayescal.numerics.units import MICROMETRE
 
 
 class NormalConfig(Section):
@@ -154,6 +155,10 @@ class ModelErrorConfig(KernelConfig):
             return {name: one for name, one in self.at_least_um.items() if one > 0.0}
         together: list[TermName] = [one for one in ("linear", "own", "smooth") if one in self.terms]
         return {one: self.at_least_um / len(together) ** 0.5 for one in together if self.at_least_um > 0.0}
+
+    def lengths(self) -> dict[str, float]:
+        """Return the same in mm."""
+        return {name: MICROMETRE * floor for name, floor in self.floors().items()}
 
     @model_validator(mode="after")
     def _check_terms(self) -> Self:

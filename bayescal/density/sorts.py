@@ -30,6 +30,7 @@ from bayescal.errors import InputError
 from bayescal.numerics.geometry import Array
 
 FEWEST_POSES: Final = 3
+DRIFT: Final = "drift"
 START: Final = 0.02  # of a drift, that is there at the first pose
 MOST_SMOOTH, MOST_DRIFT = 30, 12  # columns
 MOST_CHOSEN = 200  # poses whose values tell of smooth functions everywhere
@@ -161,6 +162,12 @@ def _time(place: Place) -> Array:
 
 
 SORTS: Final[Mapping[str, Sort]] = {"linear": Linear(), "own": Own(), "smooth": Smooth(), "drift": Drift()}
+
+
+def rescale(sizes: Mapping[str, float], before: Place, after: Place) -> dict[str, float]:
+    """Return root mean squares over other poses of functions whose root mean squares over some poses are known."""
+    norms = [{name: SORTS[name].variance(place).mean() for name in sizes} for place in (before, after)]
+    return {name: size * float(np.sqrt(norms[1][name] / norms[0][name])) for name, size in sizes.items()}
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ where it truly comes to stand, actuators erring, is set against what the calibra
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,7 +23,12 @@ from bayescal.errors import InputError
 from bayescal.identifiability.design import Knowledge, Plan
 from bayescal.identifiability.fits import Fitter, Measurements
 from bayescal.identifiability.requirements import Requirement
-from bayescal.identifiability.sensitivity import compute_measured_poses, compute_sensitivity, root_of
+from bayescal.identifiability.sensitivity import (
+    compute_measured_poses,
+    compute_sensitivity,
+    inform,
+    root_of,
+)
 from bayescal.limits import NINETY
 from bayescal.machines.frames import N_FRAME_PARAMETERS, move_frames
 from bayescal.machines.kinematics import solve_forward_kinematics, solve_inverse_kinematics
@@ -203,12 +208,24 @@ def expected_covariance(knowledge: Knowledge, plan: Plan, n: int, rng: np.random
 
     Each is linearised at the true machine. Draws that are no machine, or cannot take the planned poses, are left out.
     """
-    fitter = Fitter(knowledge, plan)
-    information = fitter.information(rng.standard_normal((n, len(knowledge.sd))))
-    found = information[np.einsum("bii->b", information) > 0.0]
+    fitter, moves = Fitter(knowledge, plan), rng.standard_normal((n, len(knowledge.sd)))
+    if plan.systematic is None:
+        information = fitter.information(moves)
+        found = np.linalg.inv(information[np.einsum("bii->b", information) > 0.0] + np.eye(len(knowledge.sd)))
+    else:
+        found = np.array(list(_list_covariances(knowledge, plan, fitter.theta(moves))))
     if not len(found):
         raise InputError("tolerances: found no machine that can take the planned poses, expected smaller tolerances")
-    return np.asarray(np.linalg.inv(found + np.eye(len(knowledge.sd))).mean(axis=0))
+    return np.asarray(found.mean(axis=0))
+
+
+def _list_covariances(knowledge: Knowledge, plan: Plan, theta: Array) -> Iterator[Array]:
+    """Yield the posterior covariances of machines (B, D) with their frames at zero that can take all poses."""
+    for one in np.where(np.arange(theta.shape[1]) < theta.shape[1] - N_FRAME_PARAMETERS, theta, 0.0):
+        try:
+            yield inform(knowledge, plan, one).covariance
+        except InputError:
+            continue
 
 
 # --- prediction against what happened ----------------------------------------------------------------------------

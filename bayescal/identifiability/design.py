@@ -110,6 +110,23 @@ class FunctionOfPose:
 
 
 @dataclass(frozen=True, eq=False)
+class SystematicErrors:
+    """Errors of every leg that are functions of the pose or of time, of sorts in `bayescal.density.sorts`.
+
+    Attributes
+    ----------
+    sizes : mapping of str to float
+        Root mean square over the planned poses by sort, mm; all above zero.
+    """
+
+    sizes: Mapping[str, float]
+
+    def times(self, factor: float) -> SystematicErrors | None:
+        """Return the same so many times as large; None for none."""
+        return SystematicErrors({name: factor * one for name, one in self.sizes.items()}) if factor else None
+
+
+@dataclass(frozen=True, eq=False)
 class Plan:
     """A plan of measurement.
 
@@ -127,6 +144,8 @@ class Plan:
         What is known of each measured pose, in place of the sensors', where poses have been measured already.
     function : FunctionOfPose, optional
         Error of the legs beside τ.
+    systematic : SystematicErrors, optional
+        Errors of the legs beside τ, without a function besides.
     """
 
     actuators: Array
@@ -136,6 +155,7 @@ class Plan:
     noise_factor: float = 1.0
     pose_information: Array | None = None
     function: FunctionOfPose | None = None
+    systematic: SystematicErrors | None = None
 
     @property
     def n_poses(self) -> int:

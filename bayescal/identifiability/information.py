@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from bayescal.numerics.geometry import Array
 
@@ -23,9 +24,12 @@ class Information:
     ----------
     root : ndarray, shape (k, n)
         R with Λ = RᵀR, k not above n; everything is found from it, since squaring loses half of the digits.
+    follow : ndarray, shape (q, n), or None
+        K = (1 + VᵀV)⁻¹ VᵀR of q others of unit prior: by how much their estimates fall as the parameters rise.
     """
 
     root: Array
+    follow: Array | None = None
 
     @cached_property
     def matrix(self) -> Array:
@@ -57,6 +61,28 @@ class Information:
         """Return the contraction along directions (n, k), shape (k,); their lengths do not matter."""
         unit = directions / np.linalg.norm(directions, axis=0)
         return 1.0 - np.einsum("ik,ij,jk->k", unit, self.covariance, unit)
+
+    def join(self, errors: Array, free: tuple[int, ...] | None = None) -> Array:
+        """Return a covariance (n, n) of errors of the parameters with that of the others as they are, (n + q, n + q).
+
+        Parameters err by θ - θ̂ = ... - G XᵀS⁻¹V u, G being the covariance of those that are fitted: what they take up
+        of the others they have with the opposite sign. By default all are fitted.
+        """
+        if self.follow is None:
+            return errors
+        gain = np.zeros_like(errors)
+        if free is None:
+            gain = self.covariance
+        elif free:
+            inner = np.ix_(free, free)
+            gain[inner] = np.linalg.inv(self.matrix[inner] + np.eye(len(free)))
+        across = -gain @ self.follow.T
+        return np.block([[errors, across], [across.T, np.eye(len(self.follow))]])
+
+    @cached_property
+    def joint(self) -> Array:
+        """Posterior covariance of the parameters with that of the others as they are, (n + q, n + q)."""
+        return self.join(self.covariance)
 
     def errors_of_reduced(self, free: tuple[int, ...]) -> Array:
         """Return the covariance (n, n) of the errors where some parameters are fitted and the others taken for nominal.
@@ -100,7 +126,8 @@ def marginalise(rows: Array, others: Array) -> Information:
     """
     q = others.shape[1]
     stacked = np.block([[others, rows], [np.eye(q), np.zeros((q, rows.shape[1]))]])
-    return Information(np.linalg.qr(stacked, mode="r")[q:, q:])
+    root = np.linalg.qr(stacked, mode="r")
+    return Information(root[q:, q:], solve_triangular(root[:q, :q], root[:q, q:]))
 
 
 def nats_from_contraction(contraction: Array) -> Array:

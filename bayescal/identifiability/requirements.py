@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -114,6 +114,17 @@ class Outlook:
     everywhere: float
 
 
+class ErrorsInUse(NamedTuple):
+    """What K channels err by at W poses of a machine in use, in their units."""
+
+    variance: Array  # (W, K): independent from pose to pose
+    shown: Array | None  # (W, K, q): by coefficients of functions of the pose, of unit prior
+
+    def of(self, some: np.ndarray) -> ErrorsInUse:
+        """Return those of some of the channels, by a mask (K,)."""
+        return ErrorsInUse(self.variance[:, some], None if self.shown is None else self.shown[:, some])
+
+
 @dataclass(frozen=True, eq=False)
 class Forecast:
     """What errs at the workspace's poses, and how that moves with the parameters.
@@ -124,14 +135,25 @@ class Forecast:
         Errors by parameters in units of the tolerances.
     noise : ndarray, shape (W, c, c)
         Their covariance by what moves a machine in use.
+    functions : ndarray, shape (W, c, q), or None
+        Errors by coefficients of functions of the pose, of unit prior, which a machine in use has all the same.
     """
 
     slope: Array
     noise: Array
+    functions: Array | None = None
+
+    @cached_property
+    def _whole(self) -> Array:
+        return self.slope if self.functions is None else np.concatenate([self.slope, self.functions], axis=-1)
 
     def covariance(self, geometry: Array) -> Array:
-        """Return covariances (W, c, c) of errors of a covariance of the parameters in units of the tolerances."""
-        result: Array = self.slope @ geometry @ np.swapaxes(self.slope, -1, -2)
+        """Return covariances (W, c, c) of errors of a covariance of the parameters in units of the tolerances.
+
+        Of a covariance of parameters and functions together (`Information.join`) those that functions cause, too.
+        """
+        slope = self.slope if geometry.shape[-1] == self.slope.shape[-1] else self._whole
+        result: Array = slope @ geometry @ np.swapaxes(slope, -1, -2)
         return result
 
     def effect(self, vector: Array) -> Array:
@@ -158,11 +180,12 @@ class Forecast:
         if not (np.isfinite(self.slope).all() and np.isfinite(self.noise).all()):
             nan = float("nan")
             return [Outlook(one, nan, nan, 0.0, 0.0, nan, nan, 0.0, nan, nan, 0, 0.0) for one in requirements], 0.0
-        identity, noise = np.eye(self.slope.shape[-1]), self.noise
-        prior, after = self.covariance(identity), self.covariance(information.covariance)
+        identity, noise = np.eye(self._whole.shape[-1]), self.noise
+        prior, after = self.covariance(identity), self.covariance(information.joint)
+        geometry = self.covariance(information.covariance)
         before, _, _ = self._probabilities(requirements, identity, rng)
-        later, everywhere, together = self._probabilities(requirements, root_of(information.covariance).T, rng)
-        errors = information.errors_of_reduced(free)
+        later, everywhere, together = self._probabilities(requirements, root_of(information.joint).T, rng)
+        errors = information.join(information.errors_of_reduced(free), free)
         reduced = self.covariance(errors)
         chances, _, _ = self._probabilities(requirements, root_of(errors).T, rng)
         outlooks = []
@@ -175,7 +198,7 @@ class Forecast:
                     one.size(after + noise),
                     float(before[k]),
                     float(later[k]),
-                    one.size(after),
+                    min(one.size(geometry), one.size(after + noise)),  # errors of a model may take a part of it back
                     one.size(reduced + noise),
                     float(chances[k]),
                     float(np.sqrt(variance.mean())),
@@ -190,14 +213,14 @@ class Forecast:
         self, requirements: Sequence[Requirement], information: Information, rng: np.random.Generator
     ) -> float:
         """Return the probability that all requirements are kept after the calibration, to first order."""
-        return self._probabilities(requirements, root_of(information.covariance).T, rng)[2]
+        return self._probabilities(requirements, root_of(information.joint).T, rng)[2]
 
     def _probabilities(
         self, requirements: Sequence[Requirement], root: Array, rng: np.random.Generator
     ) -> tuple[Array, Array, float]:
         """Return the shares of draws that keep each limit, of those that keep it at every pose, and that keep all."""
         good, everywhere, together = np.zeros(len(requirements)), np.zeros(len(requirements)), 0
-        for error in draw_errors(self.slope @ root, np.swapaxes(root_of(self.noise), -1, -2), rng):
+        for error in draw_errors(self._whole @ root, np.swapaxes(root_of(self.noise), -1, -2), rng):
             kept = np.array([one.keeps(error) for one in requirements]).reshape(len(requirements), len(error))
             good += kept.sum(axis=1)
             everywhere += [np.sum((one.take(error) <= one.limit).all(axis=1)) for one in requirements]
@@ -210,6 +233,21 @@ class Forecast:
         shares = {r.name: float(r.take(effect).max()) / r.limit for r in requirements}
         worst = max(shares, key=lambda name: shares[name])
         return shares[worst], worst
+
+
+def forecast_tool(tool: Array, located: Array, errors: ErrorsInUse) -> Forecast:
+    """Return how a tool errs that is located by readings.
+
+    Parameters
+    ----------
+    tool : ndarray, shape (W, c, n)
+        Its errors by parameters in units of the tolerances.
+    located : ndarray, shape (W, c, K)
+        How readings move the place where it is taken to be.
+    errors : ErrorsInUse
+    """
+    noise = located * errors.variance[:, None, :] @ np.swapaxes(located, -1, -2)
+    return Forecast(tool, noise, None if errors.shown is None else -located @ errors.shown)
 
 
 def draw_errors(slope: Array, noise_root: Array, rng: np.random.Generator) -> Iterator[Array]:

@@ -9,14 +9,16 @@ import numpy as np
 import pytest
 import telescope_machines as machines
 
+from bayescal.density.errors import FunctionScales, LegErrors, ModelError
 from bayescal.density.exact import ExactDensity
+from bayescal.density.functions import FunctionLikelihood
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.priors import LinearKernel, SmoothKernel
 from bayescal.density.structured import StructuredLikelihood
 from bayescal.errors import InputError
 from bayescal.experiments.audit.design import load_audit, read_inputs
 from bayescal.experiments.audit.schema import AuditConfig
-from bayescal.identifiability.design import FunctionOfPose
+from bayescal.identifiability.design import FunctionOfPose, SystematicErrors
 from bayescal.identifiability.information import information_of_rows, marginalise
 from bayescal.identifiability.sensitivity import compute_sensitivity, inform, tabulate_jacobian
 from bayescal.machines.kinematics import solve_forward_kinematics
@@ -44,6 +46,28 @@ def test_information_is_that_of_the_exact_density(kernel):
     expected = exact.information(theta, errors)[np.ix_(knowledge.free, knowledge.free)]
     expected = expected * np.outer(knowledge.sd, knowledge.sd)
     assert np.abs(inform(knowledge, plan).matrix - expected).max() < 1e-6 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize(("drift", "within"), [({}, 1e-6), ({"drift": 7e-3}, 2e-3)])  # it is of twelve columns
+def test_information_beside_errors_of_several_sorts_is_that_of_a_study(drift, within):
+    """An audit's columns against the study's covariance of all rows, at the same sizes and places in order."""
+    knowledge, plan = build(LinearKernel())
+    sizes = {"linear": 5e-3, "own": 8e-3, "smooth": 12e-3, **drift}
+    plan = replace(plan, function=None, systematic=SystematicErrors(sizes))
+    machine, theta, free = knowledge.machine, knowledge.machine.layout.nominal, knowledge.free
+    poses = machines.place_poses(machine, theta, plan.actuators, np.zeros((14, 6)))
+    poses = replace(poses, covariance=np.linalg.inv(plan.sensors[0].information(poses.position, poses.rotation)))
+    order = {name: k / 14 for k, name in enumerate(poses.names)}
+    base = PoseLikelihood(machine, poses, plan.actuator_noise)
+    study = FunctionLikelihood(base, tuple(sizes), machine.mechanism.actuator_range, order)
+    errors = LegErrors.of_legs(6, [ModelError(1e-2, shared=True), FunctionScales(tuple(sizes), 0.02)])
+    values = [plan.model_error, *sizes.values()]
+    zeta = np.array([float(one.standardise(np.array(x))) for one, x in zip(errors.priors, values, strict=True)])
+    change = np.eye(len(theta))[:, free] * knowledge.sd
+    expected, found = study.inform(theta, change, errors, zeta), inform(knowledge, plan)
+    assert np.abs(found.matrix - expected).max() < within * np.abs(expected).max()
+    bare = inform(knowledge, replace(plan, systematic=None))
+    assert bare.nats > found.nats + 5.0
 
 
 @pytest.mark.parametrize("n_legs", [6, 8])

@@ -18,9 +18,9 @@ columns, and what these leave out is independent from row to row.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
 
@@ -255,6 +255,10 @@ class FunctionsOfPose(ErrorTerm):
         size = np.where(there, np.sqrt(np.maximum(values, 0.0)), 0.0)[:, None, some]
         over = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0.0)
         return vectors[..., some] * size, vectors[..., some] * over
+
+    def floored(self, floors: Mapping[str, float]) -> Self:
+        """Return the same with another floor; see `ErrorTerm.floored`."""
+        return replace(self, floor=floors.get(self.sort, 0.0))
 
     def amplitude(self, zeta: Array) -> Array:
         """Return the root mean square of the error, floor included, mm at the tool, (..., 1) to (...,)."""

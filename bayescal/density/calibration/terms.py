@@ -16,8 +16,8 @@ its ``Config``.
 from __future__ import annotations
 
 from abc import ABC
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Any, ClassVar, NamedTuple, Self
@@ -135,6 +135,11 @@ class ErrorTerm(ABC):
     def natural(self, zeta: Array) -> Array:
         """Return what is unknown in its own units, (..., n)."""
         return np.stack([prior.value(zeta[..., k]) for k, prior in enumerate(self.priors)], axis=-1)
+
+    def floored(self, floors: Mapping[str, float]) -> Self:
+        """Return the same term with the floors of sorts of functions of the pose, mm, that are named, and no others."""
+        del floors
+        return self
 
     # --- what it does: one of three ----------------------------------------------------------------------------------
 
@@ -299,6 +304,10 @@ class Errors:
     def switches(self) -> dict[int, float]:
         """Coordinates with a second place, at which there is no such error, each with that place."""
         return {k: prior.off for k, prior in enumerate(self.priors) if prior.off is not None}
+
+    def floored(self, floors: Mapping[str, float]) -> Self:
+        """Return the same with floors of functions of the pose by sort, mm, in place of those that they have."""
+        return replace(self, terms=tuple(term.floored(floors) for term in self.terms))
 
     @property
     def log_mass(self) -> float:

@@ -92,9 +92,9 @@ class Prospect:
 
 def _compute_variant(plans: Mapping[str, ChannelPlan], name: str) -> Prospect:
     plan = plans[name]
-    expected, covariance = np.zeros(plan.posterior.n_parameters), plan.inform().covariance
-    knowledge = assess(plan.config, plan.variant, plan.posterior, expected, covariance)
-    return Prospect(knowledge, select_poses(plan.config, plan.variant, plan.posterior))
+    covariance = plan.inform().covariance
+    knowledge = assess(plan.config, plan.variant, plan.posterior, plan.expected, covariance)
+    return Prospect(knowledge, select_poses(plan.config, plan.variant, plan.posterior, plan.expected))
 
 
 def _list_selected(variant: Variant, one: Prospect) -> list[dict[str, Any]]:
@@ -132,14 +132,16 @@ def _place(variant: Variant, pose: Array) -> dict[str, float]:
 # --- poses to choose -------------------------------------------------------------------------------------------------
 
 
-def select_poses(config: AuditConfig, variant: Variant, posterior: CalibrationPosterior) -> ChosenPoses | None:
-    """Return poses chosen out of random ones of the workspace, read by all sensors of a variant.
+def select_poses(
+    config: AuditConfig, variant: Variant, posterior: CalibrationPosterior, expected: Array
+) -> ChosenPoses | None:
+    """Return poses chosen out of random ones of the workspace, read by all sensors of a variant, about a machine (n,).
 
-    None where none are asked for, or where the machine's own sensors do not tell what has to be accurate.
+    Systematic errors count as noise, as large as they are. None where none are asked for, or where the machine's own
+    sensors do not tell what has to be accurate.
     """
     if config.selection is None:
         return None
-    expected = np.zeros(posterior.n_parameters)
     at = look_around(variant, posterior, expected, np.random.default_rng([config.seed, 5]))
     weight = weigh(variant, at)
     if not np.isfinite(weight).all():

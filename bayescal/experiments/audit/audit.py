@@ -215,7 +215,7 @@ def evaluate_plan(name: str, changed: Planned, forecast: Forecast | None) -> Cha
         required = {}
         if forecast is not None:
             own = changed.forecast()
-            covariance = own.covariance(information.covariance) + own.noise
+            covariance = own.covariance(information.joint) + own.noise
             required = {one.name: one.size(covariance) for one in changed.requirements}
     except InputError:
         return ChangeEffect(name, changed.n_poses, None, beyond, {})

@@ -7,7 +7,7 @@ of the workspace or of the actuators, or those of a file.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -18,16 +18,19 @@ import numpy as np
 from bayescal.calibrated.tables import list_columns, read_given, read_named, read_quantities
 from bayescal.density.calibration.likelihood import CalibrationPosterior, JointFit
 from bayescal.density.calibration.measurements import Measurements
+from bayescal.density.calibration.model_error import FunctionsOfPose, IndependentErrors, ThinFunctionsOfPose
 from bayescal.density.calibration.terms import Errors
 from bayescal.density.priors import NormalPrior
+from bayescal.density.sorts import DRIFT, rescale
 from bayescal.errors import InputError, NumericalError, name_faults
 from bayescal.experiments.audit.audit import check_changes
 from bayescal.experiments.audit.planned import FreeParameters, Planned, read_requirements
 from bayescal.experiments.audit.schema import AuditConfig, PosesConfig, VariantConfig, WhatIfConfig
 from bayescal.experiments.audit.sensor_sets import SensorChoice, list_choices
+from bayescal.experiments.shared.readings.errors import build_terms_of_model
 from bayescal.experiments.shared.readings.inputs import Variant
 from bayescal.experiments.shared.readings.instruments import read_instruments, read_model
-from bayescal.experiments.shared.readings.knowledge import look_around, name_data, name_place
+from bayescal.experiments.shared.readings.knowledge import inform, look_around, name_data, name_place
 from bayescal.experiments.shared.readings.noise import noise_of_channels
 from bayescal.experiments.shared.readings.priors import choose_priors
 from bayescal.experiments.shared.readings.schema import ChannelConfig, FreeConfig
@@ -44,8 +47,15 @@ from bayescal.identifiability.calibration import Calibrations
 from bayescal.identifiability.design import draw_displacements
 from bayescal.identifiability.directions import Direction
 from bayescal.identifiability.information import Information, information_of_rows
-from bayescal.identifiability.reading_rows import View, name_tool, see
-from bayescal.identifiability.requirements import Forecast, Requirement
+from bayescal.identifiability.reading_rows import (
+    View,
+    name_tool,
+    see,
+    typical_covariance,
+    typical_given,
+    whiten,
+)
+from bayescal.identifiability.requirements import ErrorsInUse, Forecast, Requirement, forecast_tool
 from bayescal.identifiability.ridges import Ridge, describe_reading_ridges
 from bayescal.identifiability.structure import EPSILON, OFF, TWIN_SHIFT, TWINS, Structure, find_structure
 from bayescal.machines.readings import ReadingModel, place
@@ -53,6 +63,7 @@ from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import Units
 
 WIDE_POSES = 40
+NOTHING = -8.0  # a coordinate at which an error is as good as none
 ROUNDS = 20  # of machines that are drawn again
 
 
@@ -133,7 +144,12 @@ class ReadMachine:
             )
         variant = replace(variant, data=replace(data, values=values))
         check_told(variant.posterior(), planned.pose, self.workspace)
-        return variant
+        every = np.ones(len(planned.names), dtype=bool)
+        error = config.model_error
+        terms, missing = build_terms_of_model(
+            error, error.terms, model, variant.data, planned.pose, every, self.workspace, priors, few=True
+        )
+        return replace(variant, errors=Errors(terms), missing=missing)
 
 
 def _draw_commands(
@@ -169,6 +185,8 @@ class ChannelPlan(Planned):
         Of the tool's numbers, inner units.
     units : Units
     maker : ReadMachine
+    systematic : mapping of str to float
+        Root mean squares of the variant's systematic errors, mm at the tool.
     """
 
     config: AuditConfig
@@ -178,22 +196,46 @@ class ChannelPlan(Planned):
     requirements: tuple[Requirement, ...]
     units: Units
     maker: ReadMachine
+    systematic: Mapping[str, float]
+
+    @property
+    def sizes(self) -> Mapping[str, float]:
+        """Root mean squares of systematic errors at the tool, mm."""
+        return self.systematic
 
     @cached_property
     def posterior(self) -> CalibrationPosterior:
         """Its posterior about the machine expected."""
         return self.variant.posterior()
 
-    @property
-    def _expected(self) -> Array:
-        return np.zeros(self.posterior.n_parameters)
+    @cached_property
+    def expected(self) -> Array:
+        """The machine and its errors as expected, in the posterior's coordinates."""
+        tau = self.config.model_error.tau
+        found = [np.zeros(self.posterior.n_geometry)]
+        for term in self.variant.errors.terms:
+            assert isinstance(term, FunctionsOfPose | IndependentErrors)
+            size = self.sizes[term.sort] if isinstance(term, FunctionsOfPose) else tau
+            beyond = np.array([np.sqrt(max(0.0, size**2 - term.floor**2))])
+            found.append(np.maximum(term.priors[0].standardise(beyond), NOTHING))
+        return np.concatenate(found)
+
+    def resize(self, sizes: Mapping[str, float]) -> ChannelPlan:
+        """Return the same with systematic errors of other sizes, mm."""
+        terms = tuple(
+            replace(term, floor=0.0) if isinstance(term, FunctionsOfPose) else term
+            for term in self.variant.errors.terms
+            if not isinstance(term, FunctionsOfPose) or sizes.get(term.sort, 0.0) > 0.0
+        )
+        variant = replace(self.variant, errors=Errors(terms))
+        return replace(self, variant=variant, systematic={one.sort: sizes[one.sort] for one in list_functions(variant)})
 
     @cached_property
     def parameters(self) -> FreeParameters:
         """The free parameters, nominal as expected."""
-        found = self.posterior.sampling
-        nominal = np.asarray(found.start[found.free])
-        return FreeParameters(tuple(found.names), tuple(self.posterior.units), self.posterior.prior_sd, nominal)
+        posterior, found = self.posterior, self.posterior.sampling
+        nominal, n = np.asarray(found.start[found.free]), posterior.n_geometry
+        return FreeParameters(tuple(found.names), tuple(posterior.units[:n]), posterior.prior_sd[:n], nominal)
 
     @property
     def n_poses(self) -> int:
@@ -216,7 +258,7 @@ class ChannelPlan(Planned):
     @cached_property
     def around(self) -> View:
         """Poses of the workspace seen by the machine's own sensors."""
-        return look_around(self.variant, self.posterior, self._expected, np.random.default_rng([self.config.seed, 5]))
+        return look_around(self.variant, self.posterior, self.expected, np.random.default_rng([self.config.seed, 5]))
 
     def name_workspace_pose(self, k: int) -> str:
         """Return where a pose of the workspace is, coordinate by coordinate."""
@@ -224,7 +266,17 @@ class ChannelPlan(Planned):
 
     def inform(self) -> Information:
         """Return what the plan tells of the parameters."""
-        return information_of_rows(see(self.posterior, self._expected), np.ones(self.posterior.n_geometry))
+        return inform(self.posterior, self.expected, see(self.posterior, self.expected))
+
+    def list_rows(self) -> tuple[Array, Array, np.ndarray]:
+        """Return white rows, their columns of systematic errors, and of which term each is."""
+        bare, (_, errors, zeta) = self.bare(), self.posterior.at(self.expected[None])
+        likelihood, rows = bare.posterior.likelihood, see(bare.posterior, bare.expected)
+        white, stand = likelihood.explain(*bare.posterior.at(bare.expected[None]))
+        columns = likelihood.columns(errors, zeta, white, stand.slope)[0]
+        widths = [term.act(self.variant.data).shape[-1] for term in list_functions(self.variant)]
+        sorts = np.repeat(np.arange(len(widths)), widths)
+        return rows.reshape(-1, rows.shape[-1]), columns.reshape(-1, columns.shape[-1]), sorts
 
     def find_structure(self, rng: np.random.Generator) -> Structure:
         """Return what no readings of these channels see, anywhere in the workspace."""
@@ -235,14 +287,14 @@ class ChannelPlan(Planned):
             wide = self
         if self.config.poses.file is not None:
             wide = self  # what the machine has to know of each pose stands in the file
-        sampling = wide.posterior.sampling
-        theta = sampling.start[sampling.free]
+        posterior = replace(wide.variant, errors=Errors()).posterior()
+        theta = posterior.sampling.start[posterior.sampling.free]
 
         def look(y: Array) -> list[Array]:
             shifts = TWIN_SHIFT * EPSILON * rng.uniform(-1.0, 1.0, (TWINS, len(y))) * np.abs(theta) / self.sd
-            return [see(wide.posterior, one).reshape(-1, len(y)) for one in (y, *(y + shifts))]
+            return [see(posterior, one).reshape(-1, len(y)) for one in (y, *(y + shifts))]
 
-        first, *twins = look(self._expected)
+        first, *twins = look(np.zeros(len(self.names)))
         found = find_structure(first, twins)
         with np.errstate(all="ignore"):
             other, *others = look(OFF * rng.standard_normal(len(self.names)))
@@ -252,15 +304,40 @@ class ChannelPlan(Planned):
 
     def forecast(self) -> Forecast:
         """Return how the tool errs over the workspace, located by the machine's own sensors."""
-        at = self.around
-        noise = at.located @ np.swapaxes(at.located, -1, -2)
-        return Forecast(at.tool, np.where(np.isfinite(at.noise)[..., None], noise, np.nan))
+        at, typical = self.around, typical_covariance(self.posterior, self.expected)
+        located = at.located @ whiten(typical, self.variant.internal)
+        found = forecast_tool(at.tool, located, self.see_errors(at.pose))
+        return replace(found, noise=np.where(np.isfinite(at.noise)[..., None], found.noise, np.nan))
+
+    def see_errors(self, pose: Array) -> ErrorsInUse:
+        """Return what channels err by at W poses (W, q) of the machine in use.
+
+        A drift is another one at another time, as large as it is on average; of smooth functions the planned poses do
+        not tell all.
+        """
+        data, model, n, bare = self.variant.data, self.variant.model, len(pose), self.bare()
+        variance = np.tile(np.diagonal(typical_covariance(bare.posterior, bare.expected)), (n, 1))
+        if not self.sizes:
+            return ErrorsInUse(variance, None)
+        given = typical_given(data.given, n)
+        read = model.read(self.posterior.theta(self.expected[None])[0], pose, given)
+        names, sd = tuple(map(str, range(n))), np.ones(read.shape)
+        later, columns = Measurements(names, read, sd, given, order=data.n_poses + np.arange(n)), list[Array]()
+        for term in list_functions(self.variant):
+            own, size = term.own, self.sizes[term.sort]
+            place, lasts, rest = own.place_of(later), term.sort != DRIFT, np.ones(n)
+            columns.append(size * term.act(later) * lasts)
+            if lasts:
+                few, whole = term.functions.variances(place), replace(term.functions, of_few=None).variances(place)
+                rest = np.maximum(whole[0] - few[0], 0.0)
+            variance[:, own.places] += size**2 * np.broadcast_to(rest, (len(own.places), n)).T / own.levers**2
+        return ErrorsInUse(variance, np.concatenate(columns, axis=-1))
 
     def describe(self, directions: Sequence[Direction]) -> list[Ridge]:
         """Return the ridges among directions: how far the parameters move together, and what readings show of it."""
         described = describe_reading_ridges(
             directions,
-            see(self.posterior, self._expected),
+            see(self.posterior, self.expected),
             self.names,
             self.parameters.units,
             self.sd,
@@ -292,6 +369,7 @@ class ChannelPlan(Planned):
             "n_poses": self.n_poses,
             "sensors": list(dict.fromkeys(one.kind for one in self.variant.model.channels)),
             "poses": said.get(poses.plan, f"{poses.plan} actuator positions"),
+            **self.describe_errors(),
         }
         return {"machine": self.machine, "member": self.variant.model.member, "plan": plan}
 
@@ -300,7 +378,12 @@ class ChannelPlan(Planned):
     def replan(self, poses: PlannedPoses, section: VariantConfig | None = None) -> ChannelPlan:
         """Return the same machine at other poses; InputError for one at which it cannot stand."""
         section = section or self.section
-        return replace(self, section=section, variant=self.maker.build(section, poses))
+        variant = self.maker.build(section, poses)
+        before, after = list_functions(self.variant), list_functions(variant)
+        changed = replace(self, section=section, variant=variant)
+        if before and after and len(before[0].own.places) == len(after[0].own.places):
+            return changed.resize(rescale(self.sizes, before[0].own.place, after[0].own.place))
+        return changed.settle(find_true_sizes(self.config, variant) if self.sizes else {})
 
     def change(self, change: WhatIfConfig) -> ChannelPlan:
         """Return the same machine with a changed plan."""
@@ -322,7 +405,8 @@ class ChannelPlan(Planned):
         changed = self.replan(poses, section)
         factors = np.where(changed.variant.internal, change.actuator_noise_factor, change.noise_factor)
         noisy = replace(changed.variant.data, sd=changed.variant.data.sd * factors)
-        return replace(changed, variant=replace(changed.variant, data=noisy))
+        changed = replace(changed, variant=replace(changed.variant, data=noisy))
+        return changed if change.structured_error else changed.bare()
 
     # --- checks ----------------------------------------------------------------------------------------------------
 
@@ -333,6 +417,7 @@ class ChannelPlan(Planned):
         the tool then errs by is taken to first order.
         """
         chosen, variant = np.array(fitted, dtype=int), self.variant
+        assert not self.sizes  # the same readings would err alike
         part = self if len(chosen) == len(self.names) else replace(self, variant=self._hold_others(chosen))
         y, values, redrawn = self._draw(n, rng)
         found, claimed, converged = np.zeros((n, len(chosen))), np.ones((n, len(chosen))), np.zeros(n, dtype=bool)
@@ -398,12 +483,36 @@ class ChannelPlan(Planned):
         total, count = np.zeros((len(self.names),) * 2), 0
         for y in rng.standard_normal((n, len(self.names))):
             with np.errstate(all="ignore"):
-                rows = see(self.posterior, y)
+                rows = see(self.posterior, at := np.concatenate([y, self.expected[len(y) :]]))
             if np.isfinite(rows).all():
-                total, count = total + information_of_rows(rows, np.ones(len(y))).covariance, count + 1
+                total, count = total + inform(self.posterior, at, rows).covariance, count + 1
         if not count:
             raise InputError("tolerances: found no machine that reaches the planned poses, expected smaller ones")
         return total / count
+
+
+def list_functions(variant: Variant) -> list[ThinFunctionsOfPose]:
+    """Return the terms of a variant that are functions of the pose."""
+    return [one for one in variant.errors.terms if isinstance(one, ThinFunctionsOfPose)]
+
+
+def find_true_sizes(config: AuditConfig, variant: Variant) -> dict[str, float]:
+    """Return root mean squares of the functions of a variant as they are expected, mm at the tool."""
+    there = [one.sort for one in list_functions(variant)]
+    return config.model_error.sizes(there)
+
+
+def _plan(
+    config: AuditConfig,
+    section: VariantConfig,
+    machine: str,
+    variant: Variant,
+    requirements: tuple[Requirement, ...],
+    units: Units,
+    maker: ReadMachine,
+) -> ChannelPlan:
+    true = find_true_sizes(config, variant)
+    return ChannelPlan(config, section, machine, variant, requirements, units, maker, true).settle(true)
 
 
 # --- reading ---------------------------------------------------------------------------------------------------------
@@ -439,7 +548,7 @@ def read_channels(config: AuditConfig, folder: Path) -> tuple[dict[str, ChannelP
     for one in config.variants:
         with name_faults(f"variant {one.name!r}"):
             own = replace(maker, model=models[one.model, one.deformation])
-            plans[one.name] = ChannelPlan(config, one, name, own.build(one, planned), required, units, own)
+            plans[one.name] = _plan(config, one, name, own.build(one, planned), required, units, own)
             check_changes(plans[one.name])
     if (asked := config.sensor_choice) is None:
         return plans, None
@@ -447,5 +556,7 @@ def read_channels(config: AuditConfig, folder: Path) -> tuple[dict[str, ChannelP
         choices = list_choices(model, asked)
         sensors = [*asked.always, *(one for choice in choices for one in choice.channels)]
         what = asked.model_dump(include=set(FreeConfig.model_fields))
-        every = maker.build(VariantConfig(name="sensor_choice", sensors=sensors, **what), planned)
-    return plans, SensorChoice(asked, every, choices, required, units, config.seed)
+        section = VariantConfig(name="sensor_choice", sensors=sensors, **what)
+        every = _plan(config, section, name, maker.build(section, planned), required, units, maker)
+    seen = every.variant, every.expected, every.see_errors
+    return plans, SensorChoice(asked, *seen, choices, required, units, config.seed)

@@ -14,6 +14,7 @@ from bayescal.experiments.audit.audit import Audit, complete, judge
 from bayescal.experiments.audit.design import AuditDesign, prepare_legs
 from bayescal.experiments.audit.draws import LeftOut, audit_posterior, plot_ridges, tabulate_plots
 from bayescal.experiments.audit.legs import LegPlan
+from bayescal.experiments.audit.model_error import tabulate_errors
 from bayescal.experiments.audit.planned import Planned
 from bayescal.experiments.audit.results import describe_variant, summarise, tabulate, tabulate_variants
 from bayescal.experiments.audit.sensor_sets import FoundSets, search_sensors, tabulate_sets
@@ -45,11 +46,13 @@ def compute_audit(inputs: AuditDesign, run: Run) -> Results:
         judged = {name: judge(one) for name, one in plans.items()}
         best = choose_best(judged)
         audit = complete(judged[best], run)
-        simulated, averaged = _simulate(audit, run), None
+        # simulated calibrations see whether first order holds: of machines without errors that bind the poses together
+        bare = judge(audit.inputs.bare()) if config.simulated_calibrations and audit.inputs.sizes else audit
+        simulated, averaged = _simulate(bare, run), None
         if config.expected_over_draws:
             averaged = run.once("expected over machines", _average_machines, audit.inputs)
         summary = summarise(audit)
-        tables |= tabulate_variants(judged) | tabulate(summary, audit)
+        tables |= tabulate_variants(judged) | tabulate(summary, audit) | tabulate_errors(judged[best])
         if isinstance(audit.inputs, LegPlan):
             tables |= _draw_legs(audit.inputs, audit, summary, run)
     summary["best"] = best
@@ -66,7 +69,7 @@ def compute_audit(inputs: AuditDesign, run: Run) -> Results:
         for said, share in zip(summary["parameters"].values(), averaged, strict=True):
             said["posterior_sd_over_draws"] = float(share) * said["prior_sd"]
     for name, (case, calibrations) in simulated.items():
-        summary[name] = _summarise_calibrations(audit, case, calibrations)
+        summary[name] = _summarise_calibrations(bare, case, calibrations)
     return Results(summary, tables)
 
 

@@ -187,7 +187,9 @@ def audit_posterior(inputs: LegPlan, audit: Audit, run: Run) -> PosteriorLevel |
         origin, draws = EXPECTED, run.once("posterior", draw, task, (Draws,))
     angle = compare_spaces(audit.analysis.information, draws.values / inputs.knowledge.sd)
     rng = np.random.default_rng([inputs.config.seed, SEED + 1])
-    return PosteriorLevel(inputs, origin, draws, angle, judge_draws(inputs, draws, rng))
+    # draws of the geometry alone, whose errors functions take back in part
+    chances = {} if inputs.sizes else judge_draws(inputs, draws, rng)
+    return PosteriorLevel(inputs, origin, draws, angle, chances)
 
 
 def build_expected_posterior(inputs: LegPlan) -> LegPosterior | LeftOut:
@@ -197,8 +199,8 @@ def build_expected_posterior(inputs: LegPlan) -> LegPosterior | LeftOut:
     theta = knowledge.machine_centre
     if np.any(knowledge.free >= machine.layout.size):
         return LeftOut("frames are free, and the likelihood is that of poses measured in the machine's own frames")
-    if plan.function is not None:
-        return LeftOut("legs err by a function of the pose, which the likelihood of planned poses does not have")
+    if plan.function is not None or plan.systematic is not None:
+        return LeftOut("legs err by functions of the pose, which the likelihood of planned poses does not have")
     found = predict_poses(machine, theta, plan.actuators)
     information = plan.information(found)
     blind = _find_blind_pose(information)

@@ -11,7 +11,7 @@ the variance v_n that the measured part of a deformation matrix K leaves, both a
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -21,8 +21,11 @@ from threadpoolctl import threadpool_limits
 
 from bayescal.config.classes import label_class
 from bayescal.data.actuators import read_moves
+from bayescal.density.functions import find_floors, find_sizes
 from bayescal.density.legs import LegPosterior, find_function_of_pose
-from bayescal.density.priors import build_kernel
+from bayescal.density.priors import INDEPENDENT, build_kernel
+from bayescal.density.schema import ALONE
+from bayescal.density.sorts import FEWEST_POSES, rescale
 from bayescal.errors import InputError
 from bayescal.experiments.audit.planned import FreeParameters, Planned, read_requirements
 from bayescal.experiments.audit.schema import (
@@ -57,6 +60,7 @@ from bayescal.identifiability.design import (
     Knowledge,
     Plan,
     PoseVolume,
+    SystematicErrors,
     draw_displacements,
     find_workspace_actuators,
     predict_poses,
@@ -67,7 +71,13 @@ from bayescal.identifiability.information import Information
 from bayescal.identifiability.profile import check_profiles
 from bayescal.identifiability.requirements import Forecast, Requirement, find_limits
 from bayescal.identifiability.ridges import Ridge, describe_ridges
-from bayescal.identifiability.sensitivity import compute_sensitivity, inform
+from bayescal.identifiability.sensitivity import (
+    compute_sensitivity,
+    inform,
+    list_rows,
+    place_actuators,
+    show_functions_elsewhere,
+)
 from bayescal.identifiability.structure import Structure, find_structural_rank
 from bayescal.inference.mode import find_modes
 from bayescal.inference.schema import DrawsConfig
@@ -182,6 +192,10 @@ class LegPlan(Planned):
         """Return what the plan tells of the parameters."""
         return inform(self.knowledge, self.plan)
 
+    def list_rows(self) -> tuple[Array, Array, np.ndarray]:
+        """Return white rows, their columns of systematic errors, and of which term each is."""
+        return list_rows(self.knowledge, self.plan)
+
     def find_structure(self, rng: np.random.Generator) -> Structure:
         """Return what no measurement with the plan's instruments sees."""
         return find_structural_rank(self.knowledge, self.plan, rng)
@@ -189,7 +203,27 @@ class LegPlan(Planned):
     def forecast(self) -> Forecast:
         """Return how the pose errs over the workspace."""
         sensitivity = compute_sensitivity(self.knowledge, self.workspace_actuators)
-        return Forecast(sensitivity.slope * self.sd, sensitivity.pose_noise(self.plan))
+        slope, noise, functions = sensitivity.slope * self.sd, sensitivity.pose_noise(self.plan), None
+        if self.plan.systematic is not None:
+            functions, beside = show_functions_elsewhere(
+                self.knowledge, self.plan, sensitivity, self.workspace_actuators
+            )
+            noise = noise + beside
+        return Forecast(slope, noise, functions)
+
+    @property
+    def sizes(self) -> Mapping[str, float]:
+        """Root mean squares of systematic errors along the legs, mm."""
+        return {} if self.plan.systematic is None else self.plan.systematic.sizes
+
+    @property
+    def floors(self) -> Mapping[str, float]:
+        """What each term has at least, mm: as stated here, or in the study."""
+        return super().floors if self.measured is None else find_floors(self.measured.posterior)
+
+    def resize(self, sizes: Mapping[str, float]) -> LegPlan:
+        """Return the same with systematic errors of other sizes, mm."""
+        return replace(self, plan=replace(self.plan, systematic=_list_errors(sizes)))
 
     def describe(self, directions: Sequence[Direction]) -> list[Ridge]:
         """Return the ridges among directions, computed with the machine itself."""
@@ -232,6 +266,7 @@ class LegPlan(Planned):
         if function is not None:
             size = float(np.sqrt(np.mean(np.square(function.scale))))
             found["structured_error"] = {"kernel": function.kernel.name, "scale_um": 1e3 * size}
+        found |= self.describe_errors()
         if self.measured is not None:
             found["n_held_back"] = self.measured.n_held_back
         if isinstance(config.workspace, WorkspaceConfig):
@@ -277,7 +312,7 @@ class LegPlan(Planned):
             if config.data is None and config.poses.plan != plan:
                 poses = PosesConfig.model_validate({"plan": plan, "count": n})
                 changes.append(WhatIfConfig(name=f"{n} poses {words}", poses=poses))
-        if self.plan.function is not None:
+        if self.plan.function is not None or self.sizes:
             changes.append(WhatIfConfig(name="no error that is a function of the pose", structured_error=False))
         measuring = list_measuring(config)
         for name in config.sensors:
@@ -317,12 +352,15 @@ class LegPlan(Planned):
             actuator_noise=plan.actuator_noise * change.actuator_noise_factor,
             function=plan.function if change.structured_error else None,
         )
-        return replace(self, plan=changed)
+        sizes = self.sizes if change.structured_error else {}
+        places = (place_actuators(self.knowledge, one) for one in (plan.actuators, actuators))
+        return replace(self, plan=changed).resize(rescale(sizes, *places))
 
     def propose(self) -> tuple[str, LegPlan]:
         """Return as many poses as planned, chosen I-optimally; sensors and noise stay."""
         plan = replace(self.plan, actuators=select_i_optimal(self).actuators)
-        return f"{self.n_poses} poses chosen I-optimally", replace(self, plan=plan)
+        places = (place_actuators(self.knowledge, one.actuators) for one in (self.plan, plan))
+        return f"{self.n_poses} poses chosen I-optimally", replace(self, plan=plan).resize(rescale(self.sizes, *places))
 
     def simulate(
         self, n: int, rng: np.random.Generator, fitted: Sequence[int]
@@ -408,7 +446,16 @@ def read_legs(config: AuditConfig, folder: Path) -> LegPlan:
     plan = plan_sensors(actuators, sensors, list_measuring(config), config.noise, "variants.sensors")
     if (error := config.structured_error) is not None:
         function = FunctionOfPose(build_kernel(error.kernel, error.length), MICROMETRE * error.scale_um)
-    return _complete(config, folder, knowledge, replace(plan, function=function), None)
+    there = config.model_error.terms if len(actuators) >= FEWEST_POSES and moved.any() else ALONE
+    true = {name: size for name, size in config.model_error.sizes(there).items() if name != INDEPENDENT}
+    tau = float(np.hypot(plan.model_error, config.model_error.tau))
+    return _complete(config, folder, knowledge, replace(plan, function=function, model_error=tau), None).settle(true)
+
+
+def _list_errors(sizes: Mapping[str, float]) -> SystematicErrors | None:
+    """Return systematic errors of sizes in mm; None where all are zero."""
+    there = {name: size for name, size in sizes.items() if size > 0.0}
+    return SystematicErrors(there) if there else None
 
 
 def _complete(
@@ -585,6 +632,7 @@ def draw_measured(config: AuditConfig, folder: Path, found: MeasuredVariant, run
         found.actuator_noise,
         model_error,
         pose_information=information,
+        systematic=_list_errors(find_sizes(posterior, natural)),
         function=FunctionOfPose(*function) if function is not None and function[1].any() else None,
     )
     measured = Measured(found.origin, found.posterior, draws, found.n_held_back)

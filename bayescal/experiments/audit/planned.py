@@ -12,12 +12,13 @@ from bayescal.errors import InputError
 from bayescal.experiments.audit.schema import AuditConfig, WhatIfConfig
 from bayescal.identifiability.calibration import Calibrations
 from bayescal.identifiability.directions import Direction
+from bayescal.identifiability.found_sizes import expect_sizes
 from bayescal.identifiability.information import Information
 from bayescal.identifiability.requirements import COMPONENTS, Forecast, Requirement
 from bayescal.identifiability.ridges import Ridge
 from bayescal.identifiability.structure import Structure
 from bayescal.numerics.geometry import Array
-from bayescal.numerics.units import Units
+from bayescal.numerics.units import MICROMETRE, Units
 
 
 class FreeParameters(NamedTuple):
@@ -130,6 +131,43 @@ class Planned(ABC):
     @abstractmethod
     def change(self, change: WhatIfConfig) -> Self:
         """Return the same machine with a changed plan; InputError where there is none."""
+
+    # --- errors that are functions of the pose -----------------------------------------------------------------------
+
+    @property
+    @abstractmethod
+    def sizes(self) -> Mapping[str, float]:
+        """Root mean squares over the planned poses of systematic errors by term as they are allowed for, mm."""
+
+    @property
+    def floors(self) -> Mapping[str, float]:
+        """What each term has at least, as stated, mm."""
+        return self.config.model_error.lengths()
+
+    def describe_errors(self) -> dict[str, dict[str, float]]:
+        """Return for ``summary.json`` how large systematic errors are, and what is stated of unseen ones, µm."""
+        found = {"systematic_um": self.sizes, "at_least_um": self.floors if self.sizes else {}}
+        return {key: {name: size / MICROMETRE for name, size in one.items()} for key, one in found.items() if one}
+
+    @abstractmethod
+    def list_rows(self) -> tuple[Array, Array, np.ndarray]:
+        """Return white rows (K, n), their columns of systematic errors (K, q), and of which term each is (q,)."""
+
+    def settle(self, true: Mapping[str, float]) -> Self:
+        """Return the same with the sizes that a study is expected to find of errors of these sizes, mm."""
+        if not true:
+            return self.bare()
+        rows = self.resize(dict.fromkeys(true, 1.0)).list_rows()
+        scale = MICROMETRE * self.config.model_error.functions_um
+        return self.resize(expect_sizes(*rows, true, self.floors, scale))
+
+    @abstractmethod
+    def resize(self, sizes: Mapping[str, float]) -> Self:
+        """Return the same with systematic errors of other sizes, mm; without those that are not named."""
+
+    def bare(self) -> Self:
+        """Return the same without systematic errors."""
+        return self.resize({})
 
     def propose(self) -> tuple[str, Self] | None:
         """Return a better plan with its name, if there is a way to find one; InputError where there is none."""

@@ -5,8 +5,9 @@ Keys that carry a unit are in it. Tolerances and requirements have no unit in th
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, Literal, Self
+import math
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, ClassVar, Final, Literal, Self
 
 from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
@@ -23,7 +24,8 @@ from bayescal.config.sections import (
     Section,
     check_once,
 )
-from bayescal.density.schema import FixedConfig, PriorConfig
+from bayescal.density.priors import INDEPENDENT
+from bayescal.density.schema import ALONE, FixedConfig, ModelErrorConfig, PriorConfig, TermName
 from bayescal.experiments.shared.readings.schema import ChannelConfig, FreeConfig, InstrumentConfig, NextConfig
 from bayescal.experiments.shared.schema import (
     ActuatorNoiseConfig,
@@ -38,6 +40,9 @@ from bayescal.experiments.shared.schema import (
     WorkspaceConfig,
 )
 from bayescal.inference.schema import DrawsConfig
+from bayescal.numerics.units import MICROMETRE
+
+EXPECTED_UM: Final = 10.0
 
 type Count = Annotated[int, Field(ge=1, le=10_000)]
 
@@ -194,6 +199,43 @@ class StructuredErrorConfig(Section):
     """Over how far quadratic and smooth errors change [ranges of the actuators]."""
 
 
+class ExpectedErrorConfig(ModelErrorConfig):
+    """What the models leave out, as a study of the plan takes it, and how large it is expected to be.
+
+    Nothing is measured yet, so that sizes cannot be found in data: those expected are stated, and the audit takes those
+    that a study of the plan, with these terms and priors, would find then.
+    """
+
+    expected_um: NotNegative | dict[TermName, NotNegative] = Field(
+        default=EXPECTED_UM, exclude_if=lambda value: value == EXPECTED_UM
+    )
+    """Root mean square, over the planned poses, that all terms but `independent` have together, or that of each term by
+    name. The page says what none and three times as much of them would do.
+    """
+
+    def sizes(self, there: Sequence[str]) -> dict[str, float]:
+        """Return the root mean square that each term is expected to have, mm, of those that there can be."""
+        expected = self.expected_um
+        if not isinstance(expected, dict):
+            functions: list[TermName] = [name for name in self.terms if name in there and name not in ALONE]
+            expected = dict.fromkeys(functions, expected / max(1, len(functions)) ** 0.5)
+        names = (name for name in self.terms if name in there)
+        return {name: MICROMETRE * expected.get(name, 0.0) for name in names}
+
+    @property
+    def tau(self) -> float:
+        """Standard deviation of errors that change from pose to pose, mm, with what it is at least."""
+        return math.hypot(self.sizes(ALONE).get(INDEPENDENT, 0.0), self.lengths().get(INDEPENDENT, 0.0))
+
+    @model_validator(mode="after")
+    def _check_expected(self) -> Self:
+        if self.kernel != INDEPENDENT:
+            raise ValueError(f"kernel: found {self.kernel!r}, expected [structured_error] for it in an audit")
+        if isinstance(self.expected_um, dict) and (strange := set(self.expected_um) - set(self.terms)):
+            raise ValueError(f"expected_um: found {sorted(strange)}, expected some of the terms {self.terms}")
+        return self
+
+
 # --- what would help ------------------------------------------------------------------------------------------------
 
 
@@ -215,7 +257,7 @@ class WhatIfConfig(Section):
     poses: PosesConfig | None = None
     """Another plan."""
     structured_error: bool = Field(default=True, exclude_if=lambda value: value)
-    """Whether legs err by a function of the pose as they do in the plan."""
+    """Whether legs or channels err by functions of the pose as they do in the plan."""
 
 
 class SweepConfig(Section):
@@ -234,6 +276,7 @@ OF_CHANNELS = ("instruments", "given", "aligned", "selection", "sensor_choice", 
 """What only readings of channels have."""
 OF_PLATFORM = ("frames", "structured_error", "profiles", "posterior")
 """What only a mechanism on legs has whose platform is seen by instruments."""
+_ALONE = {"terms": ALONE}
 NOT_STRUCTURED = ("requirements", "profiles", "simulated_calibrations", "expected_over_draws")
 """What an audit does not have of errors that are functions of the pose."""
 
@@ -265,6 +308,10 @@ class AuditConfig(ExperimentConfig):
     """Noise of the actuators and model error of a mechanism on legs."""
     structured_error: StructuredErrorConfig | None = Field(default=None, exclude_if=lambda value: value is None)
     """Error of the legs that is a function of the pose."""
+    model_error: ExpectedErrorConfig = Field(
+        default=ExpectedErrorConfig(), exclude_if=lambda value: value == ExpectedErrorConfig(terms=ALONE)
+    )
+    """What the models leave out, beside the noise: the terms of a study that is silent on it where nothing is said."""
     units: UnitsConfig = UnitsConfig()
     """Units of tolerances, requirements and results."""
     parameters: dict[str, PriorConfig] = Field(default={})
@@ -315,6 +362,17 @@ class AuditConfig(ExperimentConfig):
         """Whether instruments see, or have seen, the platform of a mechanism on legs."""
         return self.data is not None or self.noise is not None
 
+    @model_validator(mode="before")
+    @classmethod
+    def _take_others(cls, content: Any) -> Any:
+        """Sizes are those that a study found, or of a function that is stated."""
+        for name in ("data", "structured_error") if isinstance(content, dict) else ():
+            if content.get(name) is not None:
+                if content.get("model_error", _ALONE) != _ALONE:
+                    raise ValueError(f"model_error: found it beside [{name}], expected none, or terms = {ALONE}")
+                content = content | {"model_error": _ALONE}
+        return content
+
     @model_validator(mode="after")
     def _check_names(self) -> Self:
         check_once([one.name for one in self.what_if])
@@ -347,7 +405,8 @@ class AuditConfig(ExperimentConfig):
                 expected = "an instrument with its kind" if self.sees_platform else "the noise of a channel, or [noise]"
                 raise ValueError(f"sensors.{name}: found it {_say_route(self.sees_platform)}, expected {expected}")
         for change in self.what_if:
-            if not change.structured_error and self.structured_error is None and self.data is None:
+            there = self.data is not None or self.structured_error is not None
+            if not change.structured_error and not there and self.model_error.terms in ([], ALONE):
                 raise ValueError(f"what_if {change.name!r}: structured_error: found none to leave out, expected no key")
         if self.sees_platform:
             self._check_legs()

@@ -8,7 +8,7 @@ are found by adding and exchanging.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
@@ -23,9 +23,9 @@ from bayescal.experiments.audit.schema import SensorChoiceConfig
 from bayescal.experiments.shared.readings.inputs import Variant
 from bayescal.experiments.shared.readings.knowledge import N_WORKSPACE, differentiate
 from bayescal.experiments.shared.readings.workspace import SINGULAR
-from bayescal.identifiability.information import Information, information_of_rows
+from bayescal.identifiability.information import Information, information_of_rows, marginalise
 from bayescal.identifiability.reading_rows import Slopes, name_tool, rms
-from bayescal.identifiability.requirements import Forecast, Requirement
+from bayescal.identifiability.requirements import ErrorsInUse, Forecast, Requirement, forecast_tool
 from bayescal.machines.readings import ReadingModel
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import Units
@@ -93,6 +93,10 @@ class SensorChoice:
     section : SensorChoiceConfig
     variant : Variant
         With all sensors there are to choose from.
+    expected : ndarray, shape (n,)
+        The machine and its errors as expected, in the coordinates of the variant's posterior.
+    see_errors : callable
+        What its channels err by at poses (W, q) of the machine in use.
     choices : tuple of Choice
     requirements : tuple of Requirement
         Of the tool's coordinates.
@@ -102,6 +106,8 @@ class SensorChoice:
 
     section: SensorChoiceConfig
     variant: Variant
+    expected: Array
+    see_errors: Callable[[Array], ErrorsInUse]
     choices: tuple[Choice, ...]
     requirements: tuple[Requirement, ...]
     units: Units
@@ -160,12 +166,16 @@ class _Judge:
 
     def __init__(self, choice: SensorChoice) -> None:
         self.choice, variant, self.posterior = choice, choice.variant, choice.variant.posterior()
-        expected, posterior = np.zeros(self.posterior.n_parameters), self.posterior
+        expected, posterior = choice.expected, self.posterior
         white, found = posterior.likelihood.explain(*posterior.at(expected[None]))
         # of the white readings at the planned poses, by the pose (P, K, q) and by the coordinates (P, K, m)
         _, self.by_pose, self.by_parameters = posterior.likelihood.rows(*posterior.around(expected), white, found.pose)
+        errors, zeta = posterior.errors, posterior.zeta(expected[None])
+        # by coefficients of functions of the pose, (P, K, N)
+        self.by_functions = posterior.likelihood.white_columns(errors, zeta, white)[0] if errors.has_columns else None
         pose = variant.workspace.draw(N_WORKSPACE, np.random.default_rng([choice.seed, 5]))
         self.around: Slopes = differentiate(posterior, variant, expected, pose)
+        self.errors = choice.see_errors(self.around.pose)
         always = [variant.model.names[k] for k in variant.model.select(choice.section.always)]
         self.always = np.isin(variant.model.names, always)
         self.n_lengths = max(1, variant.model.pose_units.count("mm"))
@@ -187,11 +197,15 @@ class _Judge:
         if any(lost):
             return _Seen(lost, n_readings)
         by_parameters = self.by_parameters[:, some]
-        rows = by_parameters - basis @ (np.swapaxes(basis, -1, -2) @ by_parameters)
+        rows = _leave_out(basis, by_parameters)
         gain = np.swapaxes(turned * at.half, -1, -2) / sizes[:, None] @ np.swapaxes(in_use, -1, -2)
         located = at.tool_by_pose @ gain
-        forecast = Forecast(at.mislocate(located, white * at.seen[:, own]), located @ np.swapaxes(located, -1, -2))
-        return _Seen(lost, n_readings, information_of_rows(rows, np.ones(rows.shape[-1])), forecast)
+        forecast = forecast_tool(at.mislocate(located, white * at.seen[:, own]), located * white.T, self.errors.of(own))
+        if self.by_functions is None:
+            return _Seen(lost, n_readings, information_of_rows(rows, np.ones(rows.shape[-1])), forecast)
+        others = _leave_out(basis, self.by_functions[:, some])
+        flat = (one.reshape(-1, one.shape[-1]) for one in (rows, others))
+        return _Seen(lost, n_readings, marginalise(*flat), forecast)
 
     def judge(self, chosen: tuple[int, ...]) -> SetAccuracy:
         seen = self.see(chosen)
@@ -203,9 +217,9 @@ class _Judge:
         covariance, forecast = seen.information.covariance, seen.forecast
         after = rms(forecast.slope, covariance)
         noise = np.sqrt(np.diagonal(forecast.noise, axis1=-2, axis2=-1).mean(axis=0))
-        error = np.hypot(after, noise)
+        tool = forecast.covariance(seen.information.joint) + forecast.noise  # with functions, which geometry imitates
+        error = np.sqrt(np.diagonal(tool, axis1=-2, axis2=-1).mean(axis=0))
         if self.choice.requirements:
-            tool = forecast.covariance(covariance) + forecast.noise
             goal = max(one.size(tool) / one.limit for one in self.choice.requirements)
         else:
             goal = float(np.linalg.norm(error[: self.n_lengths]))
@@ -217,6 +231,11 @@ class _Judge:
         if seen.information is None or seen.forecast is None or not self.choice.requirements:
             return float("nan")
         return seen.forecast.keep_all(self.choice.requirements, seen.information, rng)
+
+
+def _leave_out(basis: Array, rows: Array) -> Array:
+    """Return rows (P, k, m) without what a basis (P, k, q) has of them."""
+    return np.asarray(rows - basis @ (np.swapaxes(basis, -1, -2) @ rows))
 
 
 def _count_lost(values: Array, q: int) -> int:
@@ -371,7 +390,8 @@ def _count(found: FoundSets, number: int) -> dict[str, Any]:
 
 def _list_parameters(choice: SensorChoice, found: FoundSets, number: int, place: int) -> Iterator[dict[str, Any]]:
     posterior, units = choice.variant.posterior(), choice.units
-    columns = (posterior.sampling.names, posterior.units, posterior.prior_sd, found.accuracy[place].sd)
+    n = posterior.n_geometry
+    columns = (posterior.sampling.names, posterior.units[:n], posterior.prior_sd[:n], found.accuracy[place].sd)
     for name, unit, prior, share in zip(*columns, strict=True):
         said = float(prior / units.factor(unit))
         yield {

@@ -20,8 +20,10 @@ from bayescal.density.calibration.model_error import FunctionsOfPose, Independen
 from bayescal.density.calibration.terms import CommonDraws
 from bayescal.density.low_rank import BUDGET
 from bayescal.density.priors import BORDER
-from bayescal.density.schema import TERMS
+from bayescal.density.schema import TERMS, ModelErrorConfig
 from bayescal.experiments.frame.memory import Need, check_memory
+from bayescal.experiments.shared.hidden import tabulate_hidden
+from bayescal.identifiability.hidden import choose_unseen, hide_in_posterior
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import ARCSECOND, MICROMETRE
 
@@ -130,13 +132,19 @@ def tabulate_functions(found: Sequence[tuple[str, FoundFunctions | None]]) -> di
 
 
 def tabulate_model_error(
-    variant: str, data: Measurements, held: np.ndarray, posterior: CalibrationPosterior, y: Array, draws: CommonDraws
+    variant: str,
+    data: Measurements,
+    held: np.ndarray,
+    posterior: CalibrationPosterior,
+    y: Array,
+    draws: CommonDraws,
+    error: ModelErrorConfig,
 ) -> dict[str, pd.DataFrame]:
     """Return what each term of a model error contributes, µm at the tool, as tables by name; none without terms.
 
     ``model_error`` has root mean squares over calibration rows and own channels, of each term and of all functions
     together; ``model_error_members`` those of each channel, of the posterior mean of each term; ``model_error_poses``
-    all functions together at every row.
+    all functions together at every row; ``model_error_hidden`` what errors that leave no trace hide of each parameter.
 
     Parameters
     ----------
@@ -151,6 +159,8 @@ def tabulate_model_error(
         Draws.
     draws : CommonDraws
         Of the errors common to all rows, one for each.
+    error : ModelErrorConfig
+        What is stated of it.
     """
     sizes, functions, tau = dict[str, Array](), dict[str, Array](), list[Array]()
     names, terms = list[str](), posterior.errors.of(posterior.zeta(y))
@@ -190,4 +200,11 @@ def tabulate_model_error(
                 "high_um": high.ravel(),
             }
         )
+        hidden, n = (
+            hide_in_posterior(posterior, y, choose_unseen(error.lengths(), list(functions))),
+            posterior.n_geometry,
+        )
+        sd = posterior.natural(y)[:, :n].std(axis=0)
+        known = posterior.sampling.names, posterior.units[:n]
+        tables["model_error_hidden"] = tabulate_hidden(variant, *known, hidden, sd)
     return {name: one for name, one in tables.items() if len(one)}

@@ -34,6 +34,7 @@ from bayescal.experiments.shared.trees import (
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.model_error import evaluate_functions
 from bayescal.experiments.study.structured import evaluate_structured
+from bayescal.identifiability.hidden import choose_unseen
 from bayescal.inference.correction import CostlyDensity, pull_back
 from bayescal.inference.exploration import Exploration, count_walkers
 from bayescal.inference.target import Fittable
@@ -149,7 +150,8 @@ class Legs(Subject):
         structured, pieces = own.likelihood.structured, dict[str, list[Array]]()
         if isinstance(own.likelihood, FunctionLikelihood):
             others = self._predict_from(own.likelihood, verification=True) if held.any() else None
-            return evaluate_functions(own, others, held, y, chosen, seed)
+            unseen = choose_unseen(self.inputs.config.leg_error.lengths(), own.likelihood.functions.sorts)
+            return evaluate_functions(own, others, held, y, chosen, seed, unseen)
         together: Arrays = {}
         for use, rng_seed in zip((False, True), seed.spawn(2), strict=True):
             if not np.any(held == use):

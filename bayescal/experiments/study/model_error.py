@@ -18,7 +18,9 @@ from bayescal.density.legs import LegPosterior, Likelihood
 from bayescal.density.prediction import FUNCTION_DRAWS, draw_functions, predict_given
 from bayescal.density.schema import TERMS
 from bayescal.experiments.shared.estimate import Arrays, Fit
+from bayescal.experiments.shared.hidden import tabulate_hidden
 from bayescal.experiments.shared.trees import spread
+from bayescal.identifiability.hidden import hide_in_posterior
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import MICROMETRE
 
@@ -29,6 +31,7 @@ if TYPE_CHECKING:
 OF_FUNCTIONS = "function_"
 """Before the names of arrays of the functions: fields of `FunctionDraws`."""
 BY_LEG = "function_by_leg"
+HIDDEN = "function_hidden"
 BY_POSE = ("mean", "low", "high")
 
 
@@ -39,8 +42,9 @@ def evaluate_functions(
     y: Array,
     chosen: np.ndarray,
     seed: np.random.SeedSequence,
+    unseen: Mapping[str, float],
 ) -> Arrays:
-    """Return densities, predictions and the functions at all poses, from draws (E, S, n).
+    """Return densities, predictions and the functions at all poses, from draws (E, S, n), and what they may hide.
 
     The density of a calibration pose is that given all other ones, that of a held-back pose given the calibration
     poses; so are they predicted.
@@ -57,6 +61,8 @@ def evaluate_functions(
     chosen : ndarray of int, shape (T,)
         Draws, chains laid end to end, whose replicates are kept.
     seed : SeedSequence
+    unseen : mapping of str to float
+        Root mean squares by term, mm, of errors that leave no trace.
     """
     likelihood, flat = cast("FunctionLikelihood", posterior.likelihood), y.reshape(-1, y.shape[-1])
     rngs = [np.random.default_rng(one) for one in seed.spawn(3)]
@@ -80,6 +86,7 @@ def evaluate_functions(
         "log_likelihood": pointwise.reshape(*y.shape[:2], -1),
         **{name: one[back] for name, one in by_pose.items()},
         **{OF_FUNCTIONS + name: one for name, one in functions.items()},
+        HIDDEN: hide_in_posterior(posterior, flat, unseen),
         **together,
     }
 
@@ -88,9 +95,10 @@ def tabulate_model_error(inputs: StudyInputs, fits: Mapping[Task, Fit]) -> dict[
     """Return what each term of the model error contributes, µm along the legs, as tables by name; some may be empty.
 
     ``model_error`` has root mean squares over calibration poses and legs, ``model_error_members`` those of each leg, of
-    the posterior mean of each term, and ``model_error_poses`` all functions together at every pose.
+    the posterior mean of each term, ``model_error_poses`` all functions together at every pose, and
+    ``model_error_hidden`` what errors that leave no trace hide of each parameter.
     """
-    terms, members, poses = list[pd.DataFrame](), list[pd.DataFrame](), list[pd.DataFrame]()
+    terms, members, poses, hidden = (list[pd.DataFrame]() for _ in range(4))
     for task, fit in fits.items():
         if not task.with_model_error:
             continue
@@ -103,7 +111,10 @@ def tabulate_model_error(inputs: StudyInputs, fits: Mapping[Task, Fit]) -> dict[
             terms.append(_summarise(task.variant, "together", together))
             members.append(_tabulate_members(task.variant, sorts, of[f"{OF_FUNCTIONS}mean_by_leg"]))
             poses.append(_tabulate_poses(inputs, task.variant, of))
+            n = len(of[HIDDEN])
+            hidden.append(tabulate_hidden(task.variant, fit.names[:n], fit.units[:n], of[HIDDEN], fit.sd[:n]))
     found = {"model_error": terms, "model_error_members": members, "model_error_poses": poses}
+    found["model_error_hidden"] = hidden
     return {name: pd.concat(frames, ignore_index=True) for name, frames in found.items() if frames}
 
 

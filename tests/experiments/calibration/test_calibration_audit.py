@@ -47,25 +47,35 @@ def take(results, table, variant="both"):
     return found[found["variant"] == variant].reset_index(drop=True)
 
 
+def state_error(stated):
+    return ("[sensors]", f"[model_error]\n{stated}\n[sensors]")
+
+
 def write_poses(folder, table):
     table.to_csv(folder / "poses.csv", index=False)
     return ("count = 40", POSES)
 
 
-def test_deviations_are_those_of_a_calibration_of_simulated_data(folder, run):
-    """Predicted at the poses of the data, against draws from the posterior of the data: another machine, with noise."""
+@pytest.mark.parametrize(("stated", "error"), [('terms = ["independent"]', {}), ("expected_um = 0.0", None)])
+def test_deviations_are_those_of_a_calibration_of_simulated_data(folder, run, stated, error):
+    """Predicted at the poses of the data, against draws from the posterior of the data: another machine, with noise.
+
+    Without a model error, and by default, of a machine that does not err.
+    """
     true = pd.read_csv(folder / "data" / "true_poses.csv", comment="#")
-    results, _ = run(write_poses(folder, true[true["pose"].str.startswith("C")]))
+    results, _ = run(write_poses(folder, true[true["pose"].str.startswith("C")]), state_error(stated))
     predicted = take(results, "parameters").set_index("parameter")
-    config = load(folder / "study.toml")[1].model_copy(update={"model_error": {}})  # an audit's model does not err
+    config = load(folder / "study.toml")[1]
+    config = config if error is None else config.model_copy(update={"model_error": error})
     variant = read_inputs(config, folder).variants["all"]
     posterior, rng = variant.posterior().anchored(), np.random.default_rng(1)
     found = explore(posterior, np.random.SeedSequence(1), 48, max_pilots=0)
     drawn = resample(found.straight.log_density, found.proposal, rng, 16000, 2000)
     sd = posterior.natural(found.straight.y_from_x(drawn.draws)).std(axis=0)
-    share = (predicted["posterior_sd"] / predicted["prior_sd"]).loc[list(posterior.names)]
-    np.testing.assert_allclose(sd / posterior.prior_sd / share, 1.0, atol=0.15)
-    assert (predicted["posterior_sd"] < 0.5 * predicted["prior_sd"]).all()
+    n = posterior.n_geometry
+    share = (predicted["posterior_sd"] / predicted["prior_sd"]).loc[list(posterior.names[:n])]
+    np.testing.assert_allclose((sd / posterior.prior_sd)[:n] / share, 1.0, atol=0.15)
+    assert error is None or (predicted["posterior_sd"] < 0.5 * predicted["prior_sd"]).all()
 
 
 def test_requirements_are_met_with_a_probability_that_falls_with_the_limit(run):
@@ -85,6 +95,31 @@ def test_requirements_are_met_with_a_probability_that_falls_with_the_limit(run):
     np.testing.assert_allclose(other["probability"], found["everywhere"])
 
 
+def test_larger_errors_tell_less_and_meet_less(run):
+    """Parameters and requirements with no error, the expected one and three times it; what unseen ones would hide."""
+    results, page = run()
+    sizes = results.table("error_sizes").pivot(index=["what", "name"], columns="times", values="sd")
+    assert (np.diff(sizes.to_numpy(), axis=1) > 0.0).all()
+    best = take(results, "parameters").set_index("parameter")
+    np.testing.assert_allclose(sizes[1.0]["parameter"]["t_x"], best["posterior_sd"]["t_x"])
+    chances = (
+        results.table("error_sizes")
+        .dropna(subset="probability")
+        .pivot(index="name", columns="times", values="probability")
+    )
+    assert (np.diff(chances.to_numpy(), axis=1) <= 0.0).all()
+    assert chances[3.0].min() < chances[0.0].min() - 0.15
+    hidden = results.table("model_error_hidden").set_index("parameter")
+    assert (hidden["hidden"] > 0.0).all()
+    assert (hidden["hidden"] < 0.7 * hidden["sd"]).all()
+    assert "assumed to err by 10 µm rms" in page
+    assert "Errors of 10 µm rms that leave none" in page
+    stated, page = run(state_error("at_least_um = 10.0"))
+    allowed = stated.table("model_error_hidden").set_index("parameter")
+    assert (allowed["sd"] > hidden["sd"]).all()
+    assert "as large as stated" in page
+
+
 def test_noise_that_is_too_much_by_itself_is_said(run):
     results, page = run(("x = 0.05", "x = 0.0001"))
     assert take(results, "variants")["probability"][0] < 0.01
@@ -93,10 +128,11 @@ def test_noise_that_is_too_much_by_itself_is_said(run):
 
 def test_chosen_poses_tell_what_they_promise(folder, run):
     """What is left after the last chosen pose is what an audit of just these poses finds."""
-    results, _ = run()
+    alone = state_error('terms = ["independent"]')  # poses are chosen as if all errors changed from pose to pose
+    results, _ = run(alone)
     chosen = take(results, "selected")
     names = ["x_mm", "y_mm", "z_mm"]
-    again, _ = run(write_poses(folder, chosen[names].assign(pose=[f"S{k}" for k in chosen["step"]])))
+    again, _ = run(write_poses(folder, chosen[names].assign(pose=[f"S{k}" for k in chosen["step"]])), alone)
     after = chosen[[f"after_{name}" for name in names]].to_numpy()
     np.testing.assert_allclose(take(again, "accuracy")["after"], after[-1], rtol=1e-5)
     assert (np.diff((after**2).sum(axis=1)) < 0.0).all()
@@ -171,8 +207,18 @@ REFUSED = {
     "a unit of no file": ("count = 40", "count = 40\nunit_mm = 2.0", "unit_mm: found it without configurations"),
     "no error to leave out": (
         "[sensors]",
-        '[[what_if]]\nname = "none"\nstructured_error = false\n[sensors]',
+        '[[what_if]]\nname = "none"\nstructured_error = false\n[model_error]\nterms = ["independent"]\n[sensors]',
         "what_if 'none': structured_error: found none to leave out",
+    ),
+    "errors of a term that is not there": (
+        "[sensors]",
+        '[model_error]\nterms = ["own"]\nexpected_um = { drift = 1.0 }\n[sensors]',
+        "expected_um: found ['drift'], expected some of the terms ['own']",
+    ),
+    "a kernel of an audit": (
+        "[sensors]",
+        '[model_error]\nterms = ["independent"]\nkernel = "linear"\n[sensors]',
+        "kernel: found 'linear', expected [structured_error]",
     ),
     "given to a machine that needs nothing": ("[sensors]", "[given]\nt = [0.0, 1.0]\n[sensors]", "given: found 't'"),
 }

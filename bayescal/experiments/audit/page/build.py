@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bayescal.experiments.audit.page import figures, tables
+from bayescal.experiments.audit.page.model_error import show_model_error
 from bayescal.experiments.audit.page.readings import show_counts, show_selected, show_sets, show_variants
 from bayescal.experiments.audit.page.results import AuditResults
 from bayescal.experiments.audit.page.verdict import count_poses, list_failures, state_headline, state_verdict
@@ -118,6 +119,7 @@ def _build_sections(audit: AuditResults) -> tuple[Section, ...]:
         Section("Undetermined combinations", (RIDGES if ridges else NO_RIDGES, *ridges), "ridges", "Ridges"),
         Section("What to free", _show_selection(audit), "selection"),
         Section("Requirements", requirements, "requirements"),
+        *show_model_error(audit),
         *show_sets(audit),
         *show_next(audit.tables, audit.best, asked),
         *show_selected(audit),

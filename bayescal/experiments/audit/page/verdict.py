@@ -8,6 +8,7 @@ from typing import Any
 
 import pandas as pd
 
+from bayescal.experiments.audit.page.model_error import state_model_error
 from bayescal.experiments.audit.page.results import AuditResults, Change, Requirement
 from bayescal.experiments.audit.page.wording import (
     count,
@@ -123,6 +124,7 @@ def state_verdict(results: AuditResults) -> list[Statement]:
         _state_equations,
         _state_freedom,
         _state_requirements,
+        state_model_error,
         _state_harm,
         _state_help,
         _state_sets,

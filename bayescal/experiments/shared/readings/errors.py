@@ -15,7 +15,7 @@ from bayescal.density.calibration.model_error import OwnChannels, build_model_er
 from bayescal.density.calibration.terms import Errors, ErrorTerm, TermRows, check_term
 from bayescal.density.components import MOST_ROWS
 from bayescal.density.priors import Prior
-from bayescal.density.schema import TERMS, TermName
+from bayescal.density.schema import TERMS, ModelErrorConfig, TermName
 from bayescal.errors import InputError, name_faults
 from bayescal.experiments.shared.function_errors import check_functions
 from bayescal.experiments.shared.readings.noise import group_channels
@@ -25,6 +25,7 @@ from bayescal.machines.readings import ReadingModel
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import MICROMETRE
 
+NO_ERRORS = Errors()
 LARGEST_GRID = 3**6  # poses over the workspace, from which the readings' ranges are taken
 
 
@@ -94,15 +95,16 @@ def _draw_ends(q: int) -> Array:
 
 
 def build_terms_of_model(
-    config: StudyConfig,
-    section: VariantConfig,
+    error: ModelErrorConfig,
+    terms: Sequence[TermName],
     model: ReadingModel,
     data: Measurements,
     start: Array,
     used: np.ndarray,
     workspace: Workspace,
     tolerances: Mapping[str, Prior],
-    others: Errors,
+    others: Errors = NO_ERRORS,
+    few: bool | None = None,
 ) -> tuple[tuple[ErrorTerm, ...], str]:
     """Return the terms of a variant's model error, and in a line which of them there cannot be; empty for none.
 
@@ -110,8 +112,9 @@ def build_terms_of_model(
 
     Parameters
     ----------
-    config : StudyConfig
-    section : VariantConfig
+    error : ModelErrorConfig
+    terms : sequence of str
+        Those of the variant.
     model : ReadingModel
         The machine with the K channels that the variant takes in.
     data : Measurements
@@ -125,21 +128,19 @@ def build_terms_of_model(
         Of what is free.
     others : Errors
         What else the readings err by: beside outliers, and other functions, coefficients are integrated out one by one.
+    few : bool, optional
+        Whether functions are made of few columns; by default where there are many rows.
 
     Raises
     ------
     InputError
-        For terms beside errors by channel, terms asked for by name that there cannot be, and a floor beyond all
-        tolerances.
+        For terms asked for by name that there cannot be, and a floor beyond all tolerances.
     """
-    error, terms = config.leg_error, config.leg_error.terms_for(section)
-    if terms and config.channel_errors:
-        raise InputError(f"model_error: found terms {terms} beside errors by channel in [model_error], expected one")
     if not terms:
         return (), ""
     own = OwnChannels.find(model, data, start, used, *measure_ranges(model, data, workspace))
     missing = own.find_missing(terms, _find_costly(others))
-    if missing and terms != list(TERMS):  # asked for by name
+    if missing and list(terms) != list(TERMS):  # asked for by name
         name, why = next(iter(missing.items()))
         raise InputError(f"model_error: found term {name!r}, but {why}, expected other terms")
     floors = error.floors()
@@ -152,7 +153,7 @@ def build_terms_of_model(
         (MICROMETRE * error.scale_um, MICROMETRE * error.functions_um),
         {name: MICROMETRE * floor for name, floor in floors.items()},
         error.per_leg,
-        few=data.n_poses * (len(model.channels) - start.shape[1]) > MOST_ROWS,
+        few=data.n_poses * (len(model.channels) - start.shape[1]) > MOST_ROWS if few is None else few,
     )
     without = [([name for name, why in missing.items() if why == one], one) for one in dict.fromkeys(missing.values())]
     said = [f"no term{'s' * (len(names) > 1)} {', '.join(names)}, as {why}" for names, why in without]

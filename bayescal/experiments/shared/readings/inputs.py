@@ -215,7 +215,12 @@ def _build(
     check_readings(data.n_poses, len(chosen), len(priors), len(model.coordinates))
     start = find_starts(unplaced.posterior(np.ones(data.n_poses, dtype=bool)), workspace, config.seed)
     used = ~unplaced.verification
-    found, missing = build_terms_of_model(config, section, model, data, start, used, workspace, priors, unplaced.errors)
+    wanted = config.leg_error.terms_for(section)
+    if wanted and config.channel_errors:
+        raise InputError(f"model_error: found terms {wanted} beside errors by channel in [model_error], expected one")
+    found, missing = build_terms_of_model(
+        config.leg_error, wanted, model, data, start, used, workspace, priors, unplaced.errors
+    )
     placed = replace(unplaced, start=start, errors=replace(unplaced.errors, terms=(*terms, *found)), missing=missing)
     check_reach(placed.suspicion(np.ones(data.n_poses, dtype=bool)))
     return placed

@@ -176,7 +176,7 @@ def weigh(variant: Variant, at: View) -> Array:
     return np.asarray(np.einsum("wti,wtj->ij", lengths, lengths))
 
 
-def _inform(posterior: CalibrationPosterior, y: Array, rows: Array) -> Information:
+def inform(posterior: CalibrationPosterior, y: Array, rows: Array) -> Information:
     """Return the information of white rows (P, K, m), beside errors common to all rows of their stated scales."""
     if not posterior.errors.has_columns:
         return information_of_rows(rows, np.ones(posterior.n_geometry))
@@ -192,7 +192,7 @@ def _judge(
 ) -> tuple[tuple[str, ...], list[tuple[str, float, str]]]:
     """Return the verdict on each parameter, and directions that contract too little, in words."""
     rows = see(posterior, y)
-    information = _inform(posterior, y, rows)
+    information = inform(posterior, y, rows)
     nothing = np.empty((posterior.n_geometry, 0))
     names, n = posterior.sampling.names, posterior.n_geometry
     found = describe_reading_ridges(

@@ -12,6 +12,7 @@ import pandas as pd
 from bayescal.experiments.frame.results import Row
 from bayescal.experiments.shared import knowledge_page
 from bayescal.experiments.shared.origin import name_origin
+from bayescal.experiments.study.page.model_error import LEAD
 from bayescal.experiments.study.page.results import VERDICTS, StudyResults, get_number
 from bayescal.report.blocks import Block, Cell, Column, Counts, Level, Section, Statement, Table, make_pairs, make_table
 from bayescal.report.numbers import NOTHING, format_estimate, format_fixed, format_significant, join_words
@@ -75,7 +76,7 @@ def state_data(study: StudyResults) -> list[Statement]:
         found.append(Statement(study.summary["unused"], "warning", "Data"))
     if "missing_terms" in study.summary:
         text = study.summary["missing_terms"]
-        found.append(Statement(f"{text[:1].upper()}{text[1:]}.", lead="Model error"))
+        found.append(Statement(f"{text[:1].upper()}{text[1:]}.", lead=LEAD))
     fit = study.fit(study.chosen)
     if get_number(fit, "n_equations") < fit["n_parameters"]:
         text = f"{fit['n_equations']} equations for {fit['n_parameters']} unknowns: what the readings do not determine"
@@ -88,7 +89,7 @@ def state_data(study: StudyResults) -> list[Statement]:
             found.append(Statement(f"The noise of {what} is {amount} times the stated one (± 1 sd).", lead="Noise"))
         elif kind == "model_error":
             text = f"Beyond its noise, {what} errs by {amount} {unit} (± 1 sd)."
-            found.append(Statement(text, lead="Model error"))
+            found.append(Statement(text, lead=LEAD))
     return found
 
 

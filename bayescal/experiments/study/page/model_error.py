@@ -18,9 +18,11 @@ from matplotlib.figure import Figure as Drawing
 from matplotlib.lines import Line2D
 
 from bayescal.experiments.frame.results import Row
+from bayescal.experiments.shared.hidden import show_hidden
 from bayescal.experiments.study.page.parameters import draw_intervals, label_legs
 from bayescal.experiments.study.page.results import INDEPENDENT, TERMS, TOGETHER, VARIANT, StudyResults
 from bayescal.experiments.study.page.styles import Styles, add_legend, assign_styles
+from bayescal.limits import UNSEEN_UM
 from bayescal.report.blocks import Block, Column, Figure, Fold, Section, Statement, Table, make_table
 from bayescal.report.numbers import (
     MICROMETRES,
@@ -35,6 +37,7 @@ from bayescal.report.numbers import (
 from bayescal.report.style import GREY, INK
 from bayescal.report.symbols import MODEL_ERROR, quote
 
+LEAD = "Model error"
 TEXT = (
     "τ is the standard deviation of the model error along a leg, beyond the noise of {} and actuators. Where it is "
     "near zero the model suffices; where it is large the posterior widens all intervals instead of attributing "
@@ -79,8 +82,11 @@ KINDS: dict[str, Kind] = {
         "Let the machine warm up and return to one pose now and then: what changes there is drift",
     ),
 }
-TRACE = 1.0 / 3.0
-"""Lower end of a size's 90 % interval over its median, from which on the data show an error; about a tenth without."""
+NO_TRACE = (0.10, 0.32, 0.46, 0.56)
+"""Lower end of a 90 % interval over the median of the size of one to four terms together without any trace of them:
+each is then about flat from zero to what the data allow, and several together are never near zero."""
+BEYOND = 0.26
+"""Share of the way from there to one, from which on the data show an error: of one term at a third of the median."""
 OUTSTANDING = 1.5  # times the median of the others, from which on one member is named
 WHY = (
     "What a model leaves out is systematic: it repeats with the pose, and the geometry imitates a part of it. Without "
@@ -91,7 +97,8 @@ WHY = (
 WHERE = {"leg": "along the leg", "channel": "what the channel moves the tool by"}
 SIZES = (
     "Size: rms over the calibration poses, median and 90 % interval. An error is said to be seen where the lower end "
-    "of the interval is at least a third of the median."
+    "of the interval is at least a third of the median; of several terms together, which are never near zero, up to "
+    "two thirds."
 )
 NO_FLOOR = (
     "An error that the parameters can imitate leaves no trace in any data. None is allowed for beyond what the terms "
@@ -120,7 +127,7 @@ def show_model_error(study: StudyResults) -> Section | None:
     """Return what was found of the model error; None where no variant was computed without any and none has terms."""
     described = _list_described(study)
     if described:
-        return Section("Model error", tuple(_show_terms(study, described)), anchor="model-error")
+        return Section(LEAD, tuple(_show_terms(study, described)), anchor="model-error")
     return _show_tau(study) if "zero" in study.settings else None
 
 
@@ -163,9 +170,11 @@ class _Found(NamedTuple):
         return [name for name in (*self.functions, INDEPENDENT) if is_seen(self.sizes.get(name))]
 
 
-def is_seen(size: Mapping[str, Any] | None) -> bool:
+def is_seen(size: Mapping[str, Any] | None, n_terms: int = 1) -> bool:
     """Whether the data show an error of that size: its lower end is not as near to zero as the prior has it."""
-    return size is not None and bool(size["q05_um"] >= TRACE * size["median_um"] > 0.0)
+    without = NO_TRACE[min(max(n_terms, 1), len(NO_TRACE)) - 1]
+    least = without + BEYOND * (1.0 - without)
+    return size is not None and bool(size["q05_um"] >= least * size["median_um"] > 0.0)
 
 
 def _find(study: StudyResults, name: str) -> _Found:
@@ -185,19 +194,20 @@ def state_terms(study: StudyResults) -> list[Statement]:
 def _advise(found: _Found) -> Statement:
     """Say what to do, how large the systematic error is, in which leg or channel and along what."""
     seen = [name for name in found.seen if name in found.functions]
-    if not seen and is_seen(found.whole):  # terms that imitate each other: only their sum is known
+    # terms that imitate each other: only their sum is known
+    if not seen and is_seen(found.whole, len(found.functions)):
         seen = list(found.functions)
     if not seen or found.whole is None:
         scatters = INDEPENDENT in found.seen
         first = f"{KINDS[INDEPENDENT].advice}. " if scatters else ""
-        return Statement(f"{first}{_describe_absent(found)}", "plain" if scatters else "good", "Model error")
+        return Statement(f"{first}{_describe_absent(found)}", "plain" if scatters else "good", LEAD)
     main, outstanding = KINDS[seen[0]], _name_outstanding(found)
     text = (
         f"{main.advice.format(member=outstanding or f'every {found.member}')}. {found.label} leaves out a "
         f"systematic error of {_format_size(found.whole)} µm rms (90 % interval), {_describe_members(found)}; the "
         f"largest part is {main.along} ({main.causes}). The intervals allow for it. {_describe_independent(found)}"
     )
-    return Statement(text.rstrip(), lead="Model error")
+    return Statement(text.rstrip(), lead=LEAD)
 
 
 def _describe_absent(found: _Found) -> str:
@@ -249,7 +259,7 @@ def _show_terms(study: StudyResults, described: list[str]) -> list[Block]:
     """Return what to do, how sure that is and why, of the variant to use; of the others the sizes, folded."""
     name, *others = described
     found = _find(study, name)
-    blocks: list[Block] = [_advise(found), _tabulate_terms(found), _state_floor(study)]
+    blocks: list[Block] = [_advise(found), _tabulate_terms(found)]
     rows = study.table("model_error_poses", name)
     if found.members:
         most = sorted(found.members, key=lambda member: -found.members[member])[:MOST_PANELS]
@@ -265,6 +275,7 @@ def _show_terms(study: StudyResults, described: list[str]) -> list[Block]:
     by_member = study.table("model_error_members", name)
     if len(by_member):
         blocks.append(_tabulate_members(found, by_member))
+    blocks += _show_floor(study, name)
     if others:
         blocks.append(Fold("The model error of the other variants", (_tabulate_variants(study, described),)))
     return blocks
@@ -277,18 +288,22 @@ def _tabulate_terms(found: _Found) -> Table:
     rows = []
     for name, size in found.sizes.items():
         along, causes = (KINDS[name].along, KINDS[name].causes) if name in KINDS else ("systematic errors together", "")
-        rows.append([along, _format_size(size), "seen" if is_seen(size) else "no trace", causes])
+        n_terms = len(found.functions) if name == TOGETHER else 1
+        rows.append([along, _format_size(size), "seen" if is_seen(size, n_terms) else "no trace", causes])
     return make_table(f"Model error of {found.label}.", columns, rows, [Statement(SIZES)])
 
 
-def _state_floor(study: StudyResults) -> Statement:
-    """Say what is allowed for of errors that leave no trace."""
+def _show_floor(study: StudyResults, name: str) -> list[Block]:
+    """Say what errors that leave no trace would hide, and which of them are allowed for."""
     stated = study.config.get("model_error", {}).get("at_least_um", 0.0)
     if isinstance(stated, dict):
-        sizes = [f"{format_plain(size)} µm rms {KINDS[name].along}" for name, size in stated.items() if size > 0.0]
+        sizes = [f"{format_plain(size)} µm rms {KINDS[term].along}" for term, size in stated.items() if size > 0.0]
     else:
         sizes = [f"{format_plain(stated)} µm rms"] if stated > 0.0 else []
-    return Statement(FLOOR.format(join_words(sizes)) if sizes else NO_FLOOR)
+    if not study.has("model_error_hidden"):
+        return [Statement(FLOOR.format(join_words(sizes)) if sizes else NO_FLOOR)]
+    size = join_words(sizes) if sizes else f"{format_plain(UNSEEN_UM)} µm rms"
+    return show_hidden(study.table("model_error_hidden", name), size, bool(sizes), study.shown_in)
 
 
 def _tabulate_members(found: _Found, rows: pd.DataFrame) -> Table:
@@ -361,7 +376,7 @@ def _show_tau(study: StudyResults) -> Section:
         draw = partial(_draw_model_error, rows.assign(nominal=0.0), assign_styles(study), study.tau_scale)
         blocks.append(Figure("model_error", CAPTION, draw))
         blocks.append(Fold("τ of every leg, variant by variant", (_tabulate_legs(study, rows),)))
-    return Section("Model error", tuple(blocks), anchor="model-error")
+    return Section(LEAD, tuple(blocks), anchor="model-error")
 
 
 def _tabulate_legs(study: StudyResults, free: pd.DataFrame) -> Table:

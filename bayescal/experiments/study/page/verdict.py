@@ -25,7 +25,7 @@ from bayescal.experiments.shared.headline import (
 from bayescal.experiments.study.page.data import state_claims, state_comparison, state_data
 from bayescal.experiments.study.page.errors import state_held_back, state_outliers
 from bayescal.experiments.study.page.functions import state_functions
-from bayescal.experiments.study.page.model_error import state_terms
+from bayescal.experiments.study.page.model_error import LEAD, state_terms
 from bayescal.experiments.study.page.parameters import state_undetermined
 from bayescal.experiments.study.page.results import StudyResults, get_number
 from bayescal.experiments.study.page.soundness import (
@@ -49,6 +49,7 @@ from bayescal.report.symbols import describe_deformation, format_amount
 
 BEYOND_BELIEF = 15.0  # nats from which odds rest on the assumptions, no longer on the data
 CLEAR = 2.0  # standard errors of a difference of elpd from which on it says something
+SEVERITY = ("good", "plain", "warning", "bad")
 NOTHING_GAINED = 0.1  # difference of log-evidences, nats, that is no reason for anything
 SCORES = {
     "calibration": ("Leave-one-out cross-validation (elpd LOO)", "agrees"),
@@ -105,11 +106,10 @@ def _say_uncertainty(study: StudyResults) -> str:
 
 def state_verdict(study: StudyResults) -> list[Statement]:
     """Return the sentences below the headline, the most important first."""
-    return [
+    found = [
         *state_soundness(study),
         *state_data(study),
         *state_outliers(study),
-        *state_terms(study),
         *_state_accuracy(study),
         *state_ruled_out(study.candidates(), "largest position error"),
         *state_convergence(study),
@@ -125,12 +125,23 @@ def state_verdict(study: StudyResults) -> list[Statement]:
         *state_functions(study),
         *state_claims(study),
         *_state_stability(study),
-        *_state_model_error(study),
         *state_coverage(study),
         *_state_odds(study),
         *state_comparison(study),
         *knowledge_page.state_next(study.tables, study.chosen, study.units),
     ]
+    return _tell_model_error([*state_terms(study), *_state_model_error(study)], found, len(state_soundness(study)))
+
+
+def _tell_model_error(own: list[Statement], others: list[Statement], place: int) -> list[Statement]:
+    """Return all that is said of the model error in one statement, at a place among the others."""
+    own = [*own, *(one for one in others if one.lead == LEAD)]
+    rest = [one for one in others if one.lead != LEAD]
+    if not own:
+        return rest
+    level = max((one.level for one in own), key=SEVERITY.index)
+    together = Statement(" ".join(one.text for one in own), level, LEAD)
+    return [*rest[:place], together, *rest[place:]]
 
 
 def _state_accuracy(study: StudyResults) -> list[Statement]:
@@ -492,7 +503,7 @@ def _state_model_error(study: StudyResults) -> list[Statement]:
 def _compare_without(study: StudyResults, leaders: list[str], text: str) -> Statement:
     """Add who leads with the model error set to zero; a warning where it is another variant."""
     if len(study.compared) < 2:
-        return Statement(f"{text}.", lead="Model error")
+        return Statement(f"{text}.", lead=LEAD)
     without = study.find_leaders("zero")
     compared = [name for name in study.compared if study.is_compared(name, "zero")]
     others = [study.evidence(name, "zero") for name in compared if name not in without]
@@ -503,9 +514,9 @@ def _compare_without(study: StudyResults, leaders: list[str], text: str) -> Stat
     if set(without) == set(leaders) and len(leaders) > 1:
         spread = format_fixed(study.spread(without, "zero"), 1)
         text = f"{text}. Without model error the same {len(leaders)} lead{lead}, within {spread} nat."
-        return Statement(text, lead="Model error")
+        return Statement(text, lead=LEAD)
     verb = "leads" if len(without) == 1 else "lead"
     text = f"{text}. Without model error {study.name_variants(without)} {verb}{lead}"
     if not set(without) & set(leaders):
-        return Statement(f"{text}: not the variant that leads with model error.", "warning", "Model error")
-    return Statement(f"{text}.", lead="Model error")
+        return Statement(f"{text}: not the variant that leads with model error.", "warning", LEAD)
+    return Statement(f"{text}.", lead=LEAD)

@@ -1,0 +1,70 @@
+"""What errors that leave no trace hide of each parameter: as a table, and on the pages of studies and audits."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final
+
+import pandas as pd
+
+from bayescal.numerics.geometry import Array
+from bayescal.report.blocks import Block, Column, Fold, Statement, make_table
+from bayescal.report.numbers import format_fixed, format_significant
+from bayescal.report.symbols import split_name
+
+FEW: Final = 12  # parameters that are shown one by one
+ALLOWED: Final = (
+    "An error that the parameters imitate leaves no trace in any data. Of errors as large as stated, {size}, this is "
+    "how far those without a trace put each parameter off (rms), beside its posterior sd, which allows for it."
+)
+BESIDE: Final = (
+    "An error that the parameters imitate leaves no trace in any data. Errors of {size} that leave none would put each "
+    "parameter off by this much (rms). Posterior sds do not allow for it: if such an error cannot be excluded, "
+    "state its size (at_least_um in [model_error])."
+)
+
+
+def tabulate_hidden(variant: str, names: Sequence[str], units: Sequence[str], hidden: Array, sd: Array) -> pd.DataFrame:
+    """Return by how much unseen errors put n parameters off (n,), and their standard deviations (n,), a row each."""
+    return pd.DataFrame({"variant": variant, "parameter": names, "unit": units, "hidden": hidden, "sd": sd})
+
+
+def show_hidden(
+    rows: pd.DataFrame, size: str, allowed: bool, shown_in: Callable[[str], tuple[float, str]]
+) -> list[Block]:
+    """Return what unseen errors hide of the parameters of one variant, symbol by symbol; each by itself folded.
+
+    ``size``: of the errors, in words; ``allowed``: whether posterior sds have them in; ``shown_in``: factor and name of
+    the unit that values of another one are shown in.
+    """
+    if rows.empty:
+        return []
+    said = Statement((ALLOWED if allowed else BESIDE).format(size=size))
+    records = [{str(key): value for key, value in row.items()} for row in rows.to_dict("records")]
+    every = [_list_cells(str(row["parameter"]), [row], shown_in) for row in records]
+    if len(every) <= FEW:
+        return [said, make_table("What unseen errors hide.", _list_columns("Parameter"), every)]
+    by_symbol = dict[str, list[dict[str, Any]]]()
+    for row in records:
+        by_symbol.setdefault(split_name(str(row["parameter"]))[0], []).append(row)
+    cells = [_list_cells(symbol, some, shown_in) for symbol, some in by_symbol.items()]
+    return [
+        said,
+        make_table("What unseen errors hide, rms over legs or channels.", _list_columns("Symbol"), cells),
+        Fold("Of each parameter", (make_table("What unseen errors hide.", _list_columns("Parameter"), every),)),
+    ]
+
+
+def _list_columns(first: str) -> list[Column]:
+    return [Column(first, kind="text"), *map(Column, ("Hides", "Posterior sd", "Hides / sd"))]
+
+
+def _list_cells(
+    name: str, rows: Sequence[Mapping[str, Any]], shown_in: Callable[[str], tuple[float, str]]
+) -> list[str]:
+    factor, unit = shown_in(str(rows[0]["unit"]))
+    hidden, sd = (math.sqrt(sum(row[key] ** 2 for row in rows) / len(rows)) for key in ("hidden", "sd"))
+    share = format_fixed(hidden / sd, 2) if sd > 0.0 else ""
+    amounts = (f"{format_significant(factor * value, 2)} {unit}".rstrip() for value in (hidden, sd))
+    return [name, *amounts, share]
