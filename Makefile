@@ -2,6 +2,7 @@
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+export BAYESCAL_TRUST := 1  # the repository's own configs run its own code
 THREADS := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 
 .PHONY: study real audits reproduce test test-runs test-browser test-dask test-slow check docs dist data picture benchmark soak clean help

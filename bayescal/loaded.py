@@ -46,7 +46,7 @@ class LoadedResults:
     results : Results
         Summary, tables and provenance as they were written.
     trust : bool
-        Whether the code of classes of its own that the results keep may be run.
+        Whether the code of classes of its own that the results keep is run, trusted or not.
     project : object
         What the files that the results were made of are kept by; None where nobody keeps them.
     """
@@ -394,7 +394,8 @@ CLASSES: dict[str, type[LoadedResults]] = {"study": StudyResult, "audit": Audit}
 def load_results(folder: Path | str, trust: bool = False) -> LoadedResults:
     """Return the results of a finished run: `StudyResult`, `Audit`, or `LoadedResults` of any other kind.
 
-    With ``trust`` the code of a machine's own class that they keep is run where that is asked for.
+    With ``trust`` the code of a machine's own class that they keep is run where that is needed, though nobody has
+    trusted it.
 
     Raises
     ------

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import sys
 from pathlib import Path
@@ -16,6 +17,22 @@ from bayescal import cli
 from bayescal.errors import InputError
 from bayescal.report.pictures import Picture, render_picture
 from bayescal.report.style import RC
+
+os.environ["BAYESCAL_TRUST"] = "1"  # the code of this repository and of its tests, in processes of theirs too
+
+
+@pytest.fixture(autouse=True)
+def _say_nothing_of_code(request, monkeypatch):
+    """Leave the line that names a file's code to the tests of trust: others count the lines of faults."""
+    if "distrust" not in request.fixturenames:
+        monkeypatch.setattr(sys.modules["bayescal.cli.app"], "_say", lambda line: None)
+
+
+@pytest.fixture
+def distrust(monkeypatch, tmp_path_factory):
+    """Run code only where somebody has trusted it, as a user's shell does."""
+    monkeypatch.setenv("BAYESCAL_TRUST", "")
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path_factory.mktemp("settings")))
 
 
 @pytest.fixture

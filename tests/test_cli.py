@@ -148,7 +148,7 @@ def test_bad_input_is_one_line_and_nothing_written(refuse, study, command, name,
 
 def test_unknown_claims(refuse, study):
     studies.edit(Path(study), "seed = 11", 'seed = 11\nclaims = "rr8096"')
-    assert "claims: found 'rr8096', expected module:Class or file.py:Class" in refuse("run", study)
+    assert "claims: found 'rr8096', expected file.py:Class" in refuse("run", study)
 
 
 def test_kind_of_another_command(refuse, study):
@@ -344,7 +344,7 @@ def test_report_of_what_is_no_results_directory(refuse, study):
         ('{"tables": {}}', "found no kind of experiment in its provenance"),
         ('{"kind": ["study"], "tables": {}}', "found no kind of experiment in its provenance"),
         ('{"kind": "studdy", "tables": {}}', "kind: found 'studdy', did you mean 'study'?"),
-        ('{"kind": "os:system", "tables": {}}', "whose code would be run, expected --trust-code"),
+        ('{"kind": "os:system", "tables": {}}', "found 'os:system', which no installed package offers"),
         ('{"kind": "study", "tables": {}}', "summary.json: experiment: found nothing, expected str"),
         ('{"kind": "study", "tables": {"x.csv": {"a": ["text"]}}}', "x.csv: a: found kind ['text'] in provenance.json"),
         ('{"kind": "study", "tables": {}, "empty_tables": 3}', "empty_tables: found 3, expected lists of columns"),

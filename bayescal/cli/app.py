@@ -17,7 +17,7 @@ from typing import Annotated, Any, get_type_hints
 import typer
 from rich.console import Console
 
-from bayescal.config.trust import allow_own_classes
+from bayescal.config.trust import TRUST, change_policy
 from bayescal.errors import BayescalError, InputError, NumericalError, SeveralFaultsError
 from bayescal.experiments.frame.interrupts import INTERRUPTED
 from bayescal.files.plain_text import make_plain
@@ -52,16 +52,41 @@ def begin(
         bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Print the version and end.")
     ] = False,
     no_plugins: NoPlugins = False,
+    trust: Trust = False,
 ) -> None:
     """Bayesian identification of parallel-kinematic machines."""
-    del version, no_plugins
+    del version, no_plugins, trust
     if context.invoked_subcommand is None:
         typer.echo(context.get_help())
 
 
 def _forbid_plugins(forbidden: bool) -> None:
     if forbidden:
-        allow_own_classes(False)
+        change_policy(own=False)
+
+
+def _trust_code(trusted: bool) -> None:
+    if trusted:
+        change_policy(everything=True)
+
+
+def _be_quiet(quiet: bool) -> bool:
+    if quiet:
+        change_policy(say=None)
+    return quiet
+
+
+def is_interactive() -> bool:
+    """Whether somebody sits there who can be asked."""
+    return sys.stdin.isatty() and sys.stderr.isatty()
+
+
+def _say(line: str) -> None:
+    typer.echo(f"bayescal: {make_plain(line)}", err=True)
+
+
+def _ask(question: str) -> bool:
+    return typer.confirm(make_plain(question), err=True)
 
 
 Experiment = Annotated[Path, typer.Argument(metavar="EXPERIMENT.toml", help="Config of the experiment.")]
@@ -79,7 +104,14 @@ NoPlugins = Annotated[
 
 
 Trust = Annotated[
-    bool, typer.Option("--trust-code", help="Run the code of classes of their own that the results keep.")
+    bool,
+    typer.Option(
+        "--trust",
+        "--trust-code",
+        callback=_trust_code,
+        is_eager=True,
+        help=f"Run the code of files that config or results name, trusted or not; {TRUST}=1 does the same.",
+    ),
 ]
 
 
@@ -99,8 +131,11 @@ class RunOptions:
         ),
     ] = None
     resume: Annotated[bool, typer.Option("--resume", help="Take up an interrupted run of the same config.")] = False
-    quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False
+    quiet: Annotated[
+        bool, typer.Option("--quiet", callback=_be_quiet, is_eager=True, help="Print nothing but errors.")
+    ] = False
     no_plugins: NoPlugins = False
+    trust: Trust = False
 
 
 def spread_options(command: Callable[..., None]) -> Callable[..., None]:
@@ -162,6 +197,7 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal without Greek letters
+    change_policy(say=_say, ask=_ask if is_interactive() else None)
     try:
         code = app(standalone_mode=False)
     except typer.TyperException as error:
@@ -188,7 +224,7 @@ def main() -> None:
             raise
         code = _complain(_describe_own_fault(error), NumericalError.exit_code)
     finally:
-        allow_own_classes(True)  # what a call forbids holds for that call
+        change_policy()  # what a call forbids or allows holds for that call
     sys.exit(code or 0)
 
 

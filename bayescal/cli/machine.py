@@ -52,7 +52,7 @@ class MachineOptions:
         """Return the machine; see `load_calibrated`."""
         from bayescal.experiments.shared.calibrating import load_calibrated
 
-        return load_calibrated(results, self.variant, self.experiment, self.force, self.trust)
+        return load_calibrated(results, self.variant, self.experiment, self.force)
 
 
 @app.command(epilog="Example: bayescal export results/m2_hexapod --format urdf --out machines/m2")

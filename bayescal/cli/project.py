@@ -19,12 +19,13 @@ def report(
     trust: Trust = False,
 ) -> None:
     """Write the page of a results directory anew, from its files alone."""
+    del trust
     from joblib import cpu_count
 
     from bayescal.experiments.frame.engine import stop_workers
     from bayescal.experiments.frame.run import write_report
 
-    typer.echo(f"wrote {write_report(results, trust, cpu_count())}")
+    typer.echo(f"wrote {write_report(results, workers=cpu_count())}")
     stop_workers()
 
 
@@ -32,8 +33,10 @@ def report(
 def show(
     machine: Annotated[Path, typer.Argument(metavar="MACHINE.toml", help="A machine's file.")],
     out: Annotated[Path | None, typer.Option(help="HTML file; default MACHINE.html here.")] = None,
+    trust: Trust = False,
 ) -> None:
     """Draw a machine as a page in which it can be turned, with its joints and legs."""
+    del trust
     from bayescal.experiments.shared.show import describe_machine
     from bayescal.report.page import render_page
 
@@ -47,16 +50,17 @@ def compare(
     trust: Trust = False,
 ) -> None:
     """Set several results side by side; of studies of the same data, rank their variants together."""
+    del trust
     from bayescal.experiments.frame.run import compare_results
 
-    experiment, table = compare_results(results, trust)
+    experiment, table = compare_results(results)
     experiment.show_comparison(table, make_console(WIDE))
 
 
 @app.command(epilog="Example: bayescal validate experiments/telescope/study.toml")
-def validate(experiment: Experiment, no_plugins: NoPlugins = False) -> None:
+def validate(experiment: Experiment, no_plugins: NoPlugins = False, trust: Trust = False) -> None:
     """Find everything at fault in a config and its files without computing, and say what a run would do."""
-    del no_plugins
+    del no_plugins, trust
     from bayescal.experiments.frame.run import check_file
     from bayescal.files.plain_text import add_article
 
@@ -98,6 +102,27 @@ def _ask(option: str, choices: list[str]) -> str:
         raise InputError(f"init: {option}: missing, expected one of {', '.join(choices)}")
     answer: str = typer.prompt(f"{option.removeprefix('--')} ({', '.join(choices)})", default=choices[0])
     return answer.strip()
+
+
+@app.command("trust", epilog="Example: bayescal trust examples/own_machine")
+def trust_folder(
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="With configs or results, in it or below.")],
+    look: Annotated[bool, typer.Option("--list", help="List the files, and trust none.")] = False,
+    forget: Annotated[bool, typer.Option("--forget", help="Trust them no longer.")] = False,
+) -> None:
+    """Trust the code that configs and results in a folder name, as it is now: every command may run it."""
+    from bayescal.config.trust import forget as forget_files
+    from bayescal.config.trust import list_code, remember
+
+    if not folder.is_dir():
+        raise InputError(f"{folder}: found no directory, expected one with configs or results")
+    files = list_code(folder)
+    if not look:
+        (forget_files if forget else remember)(files)
+    for path in files:
+        typer.echo(f"{'' if look else 'forgotten: ' if forget else 'trusted: '}{path}")
+    if not files:
+        typer.echo(f"{folder}: no config and no results in it name a file with code")
 
 
 @app.command("list", epilog="Example: bayescal list models")

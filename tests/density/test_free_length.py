@@ -94,8 +94,7 @@ def test_exact_density_has_the_length(poses, free):
     length = float(np.exp(likelihood.log_nodes[300]))
     theta, errors = draw(poses[2], 2, length)
     known, found = (
-        ExactDensity(poses[0], machines.ACTUATOR_NOISE, functions=one)
-        for one in (fix(poses, name, length), likelihood)
+        ExactDensity(poses[0], machines.ACTUATOR_NOISE, functions=one) for one in (fix(poses, name, length), likelihood)
     )
     np.testing.assert_allclose(found(theta, errors), known(theta, errors[:, :-1]), atol=1e-5)
 

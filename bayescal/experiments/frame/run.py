@@ -17,6 +17,7 @@ from threadpoolctl import threadpool_limits
 from bayescal.config.load import read_extended
 from bayescal.config.registry import hash_modules, list_sources
 from bayescal.config.sections import ExperimentConfig
+from bayescal.config.trust import trusting
 from bayescal.errors import BayescalError, InputError, NumericalError, SeveralFaultsError, name_faults
 from bayescal.experiments.frame.blocks import CODE, PageBlock, add_blocks, find_blocks, find_kept, keep_code
 from bayescal.experiments.frame.engine import Processes, call_side_by_side, import_all, open_engine, start_ahead
@@ -265,7 +266,7 @@ def write_report(folder: Path, trust: bool = False, workers: int = 1) -> Path:
     ----------
     folder : Path
     trust : bool
-        Run the code of a kind that is not built in: results keep it, and a report of a stranger's runs none unasked.
+        Run the code of a kind that is not built in, which results keep, though nobody has trusted it.
     workers : int
         Processes that draw many pictures side by side; they are the same for any number.
 
@@ -275,11 +276,12 @@ def write_report(folder: Path, trust: bool = False, workers: int = 1) -> Path:
         Where a file is missing or not what an experiment of its kind writes, and for code that nobody has allowed to
         run; nothing is written then.
     """
-    experiment = find_results_kind(folder, trust)
     try:
-        results = read_results(folder)
-        names = [find_kept(folder, results, "BLOCKS", str(name), trust) for name in results.config.get("blocks", [])]
-        _write_page(experiment, find_blocks(names, folder, folder / CODE), folder, workers)
+        with trusting(trust):
+            experiment, results = find_results_kind(folder), read_results(folder)
+            names = [find_kept(folder, results, "BLOCKS", str(name)) for name in results.config.get("blocks", [])]
+            blocks = find_blocks(names, folder, folder / CODE)
+        _write_page(experiment, blocks, folder, workers)
     except (KeyError, IndexError, TypeError, ValueError, AttributeError, ArithmeticError, AssertionError) as error:
         what = f"{type(error).__name__}: {' '.join(str(error).split())}"
         versions, here = read_results(folder).provenance.get("versions"), version("bayescal")
@@ -292,7 +294,7 @@ def write_report(folder: Path, trust: bool = False, workers: int = 1) -> Path:
     return folder / PAGE
 
 
-def find_results_kind(folder: Path, trust: bool = False) -> AnyExperiment:
+def find_results_kind(folder: Path) -> AnyExperiment:
     """Return the kind of a results directory; see `write_report`."""
     results = read_results(folder)
     found = results.provenance.get("kind")
@@ -300,7 +302,7 @@ def find_results_kind(folder: Path, trust: bool = False) -> AnyExperiment:
         raise InputError(f"{folder}: found no kind of experiment in its provenance, expected one")
     if ":" not in found:
         return find_kind(found, folder, None)
-    return find_kind(find_kept(folder, results, "KINDS", found, trust), folder, folder / CODE)
+    return find_kind(find_kept(folder, results, "KINDS", found), folder, folder / CODE)
 
 
 def compare_results(folders: Sequence[Path], trust: bool = False) -> tuple[AnyExperiment, pd.DataFrame]:
@@ -319,5 +321,6 @@ def compare_results(folders: Sequence[Path], trust: bool = False) -> tuple[AnyEx
                 f"{folder}: found results of kind {kind!r}, expected {kinds[0]!r} as in {folders[0]}: evidences "
                 "compare only of the same data, which tables of two kinds do not show"
             )
-    experiment = find_results_kind(folders[0], trust)
+    with trusting(trust):
+        experiment = find_results_kind(folders[0])
     return experiment, experiment.compare(results)

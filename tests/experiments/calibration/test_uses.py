@@ -69,13 +69,13 @@ def test_results_alone_are_enough_from_python(results):
 
 
 @pytest.mark.parametrize("what", ["study", "machine"])
-def test_the_kept_code_is_run_only_where_somebody_says_so(what, results, call):
+def test_the_kept_code_is_run_only_where_somebody_says_so(what, results, call, distrust):
     table = calibrations.OWN_MACHINE / "commands.csv"
     before = studies.snapshot(results)
     code, out, err = call("predict", results / what, table)
     assert (code, out, err.count("\n")) == (2, "", 1)
-    assert "found a machine of its own class 'linear_delta.py:LinearDelta', whose code would be run" in err
-    assert "expected --trust-code" in err
+    assert "machine.toml: kind: found 'linear_delta.py:LinearDelta': code (linear_delta.py in " in err
+    assert "that nobody has trusted, expected: read it, then bayescal trust" in err
     assert studies.snapshot(results) == before
 
 
