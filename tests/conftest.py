@@ -15,6 +15,7 @@ from studies import snapshot
 
 from bayescal import cli
 from bayescal.errors import InputError
+from bayescal.files import manifest
 from bayescal.report.pictures import Picture, render_picture
 from bayescal.report.style import RC
 
@@ -23,9 +24,26 @@ os.environ["BAYESCAL_TRUST"] = "1"  # the code of this repository and of its tes
 
 @pytest.fixture(autouse=True)
 def _say_nothing_of_code(request, monkeypatch):
-    """Leave the line that names a file's code to the tests of trust: others count the lines of faults."""
-    if "distrust" not in request.fixturenames:
+    """Leave lines that name a file's code, or results of earlier versions, to the tests of these."""
+    if not {"distrust", "voice"} & set(request.fixturenames):
         monkeypatch.setattr(sys.modules["bayescal.cli.app"], "_say", lambda line: None)
+
+
+REFUSE = manifest._refuse
+
+
+@pytest.fixture(autouse=True, scope="session")
+def _take_doctored_results():
+    """Take results whose files a test has changed on purpose, for instance to pass them off as converged."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(manifest, "_refuse", lambda folder, faults: None)
+        yield
+
+
+@pytest.fixture
+def voice(monkeypatch):
+    """Let results be whole or refused, and commands say what code they run and what is not known of results."""
+    monkeypatch.setattr(manifest, "_refuse", REFUSE)
 
 
 @pytest.fixture

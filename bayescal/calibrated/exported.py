@@ -24,6 +24,7 @@ from bayescal.config.sections import InputFile, NotNegative, Number, Section
 from bayescal.config.trust import check_same, hash_file
 from bayescal.errors import InputError
 from bayescal.files.csv_tables import format_table, read_matrix, read_table
+from bayescal.files.manifest import check_whole
 from bayescal.files.netcdf import read_netcdf
 from bayescal.machines.deformations import MatrixDeformation, NominalDeformation
 from bayescal.machines.kinematics import check_home_pose
@@ -233,6 +234,7 @@ def read_exported(folder: Path) -> CalibratedMachine:
         For anything at fault in its files.
     """
     path = folder / CALIBRATED
+    check_whole(folder, expected=False, additions=True)
     content, text = read_toml(path)
     config = check_section(ExportedConfig, content, path, text)
     if (config.mechanism is None) == (config.machine is None):

@@ -20,6 +20,7 @@ from rich.console import Console
 from bayescal.config.trust import TRUST, change_policy
 from bayescal.errors import BayescalError, InputError, NumericalError, SeveralFaultsError
 from bayescal.experiments.frame.interrupts import INTERRUPTED
+from bayescal.files.manifest import say_by
 from bayescal.files.plain_text import make_plain
 from bayescal.limits import LARGEST_SEED
 
@@ -115,6 +116,11 @@ Trust = Annotated[
 ]
 
 
+Force = Annotated[
+    bool, typer.Option("--force", help="Take results whose files are not as they were written; what is, is said.")
+]
+
+
 @dataclass(frozen=True)
 class RunOptions:
     """How an experiment is run, whatever its kind."""
@@ -197,6 +203,7 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal without Greek letters
+    say_by(_say)
     change_policy(say=_say, ask=_ask if is_interactive() else None)
     try:
         code = app(standalone_mode=False)
@@ -224,6 +231,7 @@ def main() -> None:
             raise
         code = _complain(_describe_own_fault(error), NumericalError.exit_code)
     finally:
+        say_by(None)
         change_policy()  # what a call forbids or allows holds for that call
     sys.exit(code or 0)
 

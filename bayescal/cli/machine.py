@@ -44,7 +44,7 @@ class MachineOptions:
     ] = None
     force: Annotated[
         bool,
-        typer.Option("--force", help="Take a posterior that did not converge; files say so."),
+        typer.Option("--force", help="Take a posterior that did not converge, and files that were changed."),
     ] = False
     trust: Trust = False
 

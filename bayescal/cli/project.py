@@ -9,14 +9,16 @@ from typing import Annotated
 import typer
 from rich.padding import Padding
 
-from bayescal.cli.app import WIDE, Experiment, NoPlugins, Trust, app, make_console, put
+from bayescal.cli.app import WIDE, Experiment, Force, NoPlugins, Trust, app, make_console, put
 from bayescal.errors import InputError
+from bayescal.files.manifest import MANIFEST, overlooking
 
 
 @app.command(epilog="Example: bayescal report results/telescope")
 def report(
     results: Annotated[Path, typer.Argument(metavar="RESULTS", help="Results directory.")],
     trust: Trust = False,
+    force: Force = False,
 ) -> None:
     """Write the page of a results directory anew, from its files alone."""
     del trust
@@ -25,7 +27,8 @@ def report(
     from bayescal.experiments.frame.engine import stop_workers
     from bayescal.experiments.frame.run import write_report
 
-    typer.echo(f"wrote {write_report(results, workers=cpu_count())}")
+    with overlooking(force):
+        typer.echo(f"wrote {write_report(results, workers=cpu_count())}")
     stop_workers()
 
 
@@ -48,12 +51,14 @@ def show(
 def compare(
     results: Annotated[list[Path], typer.Argument(metavar="RESULTS...", help="Results directories of one kind.")],
     trust: Trust = False,
+    force: Force = False,
 ) -> None:
     """Set several results side by side; of studies of the same data, rank their variants together."""
     del trust
     from bayescal.experiments.frame.run import compare_results
 
-    experiment, table = compare_results(results)
+    with overlooking(force):
+        experiment, table = compare_results(results)
     experiment.show_comparison(table, make_console(WIDE))
 
 
@@ -102,6 +107,21 @@ def _ask(option: str, choices: list[str]) -> str:
         raise InputError(f"init: {option}: missing, expected one of {', '.join(choices)}")
     answer: str = typer.prompt(f"{option.removeprefix('--')} ({', '.join(choices)})", default=choices[0])
     return answer.strip()
+
+
+@app.command(epilog="Example: bayescal seal results/telescope")
+def seal(
+    results: Annotated[list[Path], typer.Argument(metavar="RESULTS...", help="Results directories.")],
+) -> None:
+    """Take the files of results as they are now: those of earlier versions, and those that you changed on purpose."""
+    from bayescal.experiments.frame.results import read_results
+    from bayescal.files.manifest import write_manifest
+
+    for folder in results:
+        read_results(folder, checked=False)  # that they are some
+    for folder in results:
+        write_manifest(folder)
+        typer.echo(f"wrote {folder / MANIFEST}")
 
 
 @app.command("trust", epilog="Example: bayescal trust examples/own_machine")

@@ -27,9 +27,11 @@ from bayescal.experiments.frame.load import AnyExperiment, find_kind, load, read
 from bayescal.experiments.frame.memory import check_memory
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import (
+    MANIFEST_KEY,
+    PROVENANCE_FILE,
     SUMMARY_FILE,
-    WRITTEN,
     Results,
+    check_results,
     list_written,
     read_results,
     write_json,
@@ -37,8 +39,10 @@ from bayescal.experiments.frame.results import (
 )
 from bayescal.experiments.frame.store import Store
 from bayescal.experiments.frame.terminal import Progress
+from bayescal.files.atomic import read_json
+from bayescal.files.manifest import MANIFEST, renew_manifest, write_manifest
 from bayescal.report.blocks import Page
-from bayescal.report.page import PAGE, show_provenance, write_page
+from bayescal.report.page import PAGE, is_of_page, show_provenance, write_page
 
 MANY_PICTURES = 10  # fewer are drawn before other processes have started
 
@@ -230,12 +234,13 @@ def _write(
 ) -> Page:
     """Write results and page into an empty directory; the page is made from what was written."""
     summary = {**results.summary, "config_sha256": results.provenance["config_sha256"]}
+    results = replace(results, provenance={**results.provenance, MANIFEST_KEY: MANIFEST})
     with start_ahead(workers, experiment.page_imports) as await_workers:
         write_results(replace(results, summary=summary), folder, experiment.tables_in, experiment.digits)
         page = _write_page(experiment, blocks, folder, workers, await_workers)
     verdict = [{"lead": one.lead, "text": one.text, "level": one.level} for one in page.verdict]
     write_json(folder / SUMMARY_FILE, {**summary, "headline": page.headline, "verdict": verdict})
-    list_written(folder)
+    write_manifest(folder)
     return page
 
 
@@ -246,10 +251,10 @@ def _write_page(
     workers: int,
     await_workers: Callable[[], None] = lambda: None,
 ) -> Page:
-    results = read_results(folder)
+    results = read_results(folder, checked=False)
     page = add_blocks(experiment.page(results), results, blocks)
-    earlier = results.provenance.get(WRITTEN)
-    if not isinstance(earlier, list):  # new ones, or of an earlier version: all figures are its own
+    earlier = list_written(folder)
+    if earlier is None:  # new ones, or of an earlier version: all figures are its own
         earlier = [path.relative_to(folder).as_posix() for path in folder.glob("figures/*.png")]
     many = sum(1 for _ in page.figures()) >= MANY_PICTURES
     if many:
@@ -278,13 +283,15 @@ def write_report(folder: Path, trust: bool = False, workers: int = 1) -> Path:
     """
     try:
         with trusting(trust):
-            experiment, results = find_results_kind(folder), read_results(folder)
+            results = _read_for_page(folder)
+            experiment = find_results_kind(folder, results)
             names = [find_kept(folder, results, "BLOCKS", str(name)) for name in results.config.get("blocks", [])]
             blocks = find_blocks(names, folder, folder / CODE)
         _write_page(experiment, blocks, folder, workers)
+        renew_manifest(folder, is_of_page)
     except (KeyError, IndexError, TypeError, ValueError, AttributeError, ArithmeticError, AssertionError) as error:
         what = f"{type(error).__name__}: {' '.join(str(error).split())}"
-        versions, here = read_results(folder).provenance.get("versions"), version("bayescal")
+        versions, here = read_json(folder / PROVENANCE_FILE).get("versions"), version("bayescal")
         written = versions.get("bayescal") if isinstance(versions, dict) else None
         if written not in (None, here):
             raise InputError(
@@ -294,9 +301,14 @@ def write_report(folder: Path, trust: bool = False, workers: int = 1) -> Path:
     return folder / PAGE
 
 
-def find_results_kind(folder: Path) -> AnyExperiment:
+def _read_for_page(folder: Path) -> Results:
+    """Return results that are whole but for their page, which is about to be written."""
+    check_results(folder, is_of_page)
+    return read_results(folder, checked=False)
+
+
+def find_results_kind(folder: Path, results: Results) -> AnyExperiment:
     """Return the kind of a results directory; see `write_report`."""
-    results = read_results(folder)
     found = results.provenance.get("kind")
     if not isinstance(found, str):
         raise InputError(f"{folder}: found no kind of experiment in its provenance, expected one")
@@ -322,5 +334,5 @@ def compare_results(folders: Sequence[Path], trust: bool = False) -> tuple[AnyEx
                 "compare only of the same data, which tables of two kinds do not show"
             )
     with trusting(trust):
-        experiment = find_results_kind(folders[0])
+        experiment = find_results_kind(folders[0], next(iter(results.values())))
     return experiment, experiment.compare(results)

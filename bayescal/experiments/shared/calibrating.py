@@ -16,6 +16,7 @@ from bayescal.experiments.frame.identity import identify
 from bayescal.experiments.frame.load import find_kind, load
 from bayescal.experiments.shared.trees import read_draws
 from bayescal.files.atomic import read_json
+from bayescal.files.manifest import overlooking
 from bayescal.numerics.geometry import Array
 
 if TYPE_CHECKING:
@@ -73,7 +74,7 @@ def load_calibrated(
     experiment : Path or str, optional
         The config of the results, for those that do not hold the nominal machine.
     force : bool
-        Take a posterior that did not converge, too.
+        Take a posterior that did not converge, too, and files that are not as they were written.
     trust : bool
         Run the code of classes that are the machine's own, which results keep, though nobody has trusted it.
 
@@ -90,7 +91,7 @@ def load_calibrated(
     ((14,), (9, 9))
     """
     path = Path(path)
-    with trusting(trust):
+    with trusting(trust), overlooking(force):
         if (path / CALIBRATED).is_file():
             found = _check_exported(read_exported(path), path, variant)
         else:
