@@ -118,7 +118,7 @@ def seal(
     from bayescal.files.manifest import write_manifest
 
     for folder in results:
-        read_results(folder, checked=False)  # that they are some
+        read_results(folder, (), checked=False)  # that they are some
     for folder in results:
         write_manifest(folder)
         typer.echo(f"wrote {folder / MANIFEST}")
