@@ -19,6 +19,7 @@ import numpy as np
 from bayescal.config.load import describe_unknown
 from bayescal.errors import InputError
 from bayescal.files.manifest import overlooking
+from bayescal.files.plain_text import make_plain
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -118,7 +119,7 @@ class LoadedResults:
         for title, table in self.list_shown().items():
             text = table.to_string(index=False, max_rows=ROWS, max_cols=8, float_format="{:.4g}".format)
             said.append(f"{title}:\n{text}")
-        return "\n".join(one for one in said if one)
+        return make_plain("\n".join(one for one in said if one), but="\n")
 
     def _repr_html_(self) -> str:
         said = [f"<h3>{escape(str(self.summary.get('title', self.kind)))}</h3>"]

@@ -82,8 +82,13 @@ def is_interactive() -> bool:
     return sys.stdin.isatty() and sys.stderr.isatty()
 
 
+def echo(text: str, nl: bool = True, err: bool = False) -> None:
+    """Print a text that others may have written."""
+    typer.echo(make_plain(text, but="\n\t"), nl=nl, err=err)
+
+
 def _say(line: str) -> None:
-    typer.echo(f"bayescal: {make_plain(line)}", err=True)
+    echo(f"bayescal: {line}", err=True)
 
 
 def _ask(question: str) -> bool:
@@ -164,11 +169,13 @@ def spread_options(command: Callable[..., None]) -> Callable[..., None]:
 
 def make_console(width: int = WIDTH) -> Console:
     """Return where to print; without a terminal as wide as COLUMNS says, or as is given."""
-    found = Console(highlight=False, markup=False)
+    from bayescal.experiments.frame.terminal import PlainConsole
+
+    found = PlainConsole()
     if found.is_terminal:
         return found
     told = os.environ.get("COLUMNS", "")
-    return Console(width=int(told) if told.isdecimal() and int(told) else width, highlight=False, markup=False)
+    return PlainConsole(width=int(told) if told.isdecimal() and int(told) else width)
 
 
 def check_out(out: Path | None) -> None:
@@ -188,11 +195,11 @@ def put(text: str, out: Path | None) -> None:
     from bayescal.files.atomic import make_directory, write_atomically
 
     if out is None:
-        typer.echo(text, nl=False)
+        echo(text, nl=False)
     else:
         make_directory(out.parent)
         write_atomically(out, text.encode())
-        typer.echo(f"wrote {out}")
+        echo(f"wrote {out}")
 
 
 def main() -> None:
@@ -246,5 +253,5 @@ def _describe_own_fault(error: Exception) -> str:
 
 
 def _complain(message: str, code: int) -> int:
-    typer.echo(f"bayescal: {make_plain(' '.join(message.split()))}", err=True)
+    echo(f"bayescal: {make_plain(' '.join(message.split()))}", err=True)
     return code

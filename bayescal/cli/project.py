@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 from rich.padding import Padding
 
-from bayescal.cli.app import WIDE, Experiment, Force, NoPlugins, Trust, app, make_console, put
+from bayescal.cli.app import WIDE, Experiment, Force, NoPlugins, Trust, app, echo, make_console, put
 from bayescal.errors import InputError
 from bayescal.files.manifest import MANIFEST, overlooking
 
@@ -28,7 +28,7 @@ def report(
     from bayescal.experiments.frame.run import write_report
 
     with overlooking(force):
-        typer.echo(f"wrote {write_report(results, workers=cpu_count())}")
+        echo(f"wrote {write_report(results, workers=cpu_count())}")
     stop_workers()
 
 
@@ -70,14 +70,14 @@ def validate(experiment: Experiment, no_plugins: NoPlugins = False, trust: Trust
     from bayescal.files.plain_text import add_article
 
     _, config, files, outlook, doubts = check_file(experiment)
-    typer.echo(f"{experiment}: fit to run, {add_article(config.kind)} {config.name!r} ({config.title})")
+    echo(f"{experiment}: fit to run, {add_article(config.kind)} {config.name!r} ({config.title})")
     for line in outlook:
-        typer.echo(line)
+        echo(line)
     for doubt in doubts:
-        typer.echo(f"but {doubt}")
-    typer.echo(f"{len(files)} files belong to it: {', '.join(files)}" if files else "no other file belongs to it")
+        echo(f"but {doubt}")
+    echo(f"{len(files)} files belong to it: {', '.join(files)}" if files else "no other file belongs to it")
     command = "simulate" if config.kind == "simulation" else "run"
-    typer.echo(f"next: bayescal {command} {experiment}, into results/{config.name}")
+    echo(f"next: bayescal {command} {experiment}, into results/{config.name}")
 
 
 @app.command(epilog="Example: bayescal init my_hexapod --machine hexapod --instrument poses")
@@ -97,8 +97,8 @@ def init(
     if instrument is None and machine != OWN:
         instrument = _ask("--instrument", list(INSTRUMENTS))
     for path in start_project(folder, machine, instrument):
-        typer.echo(f"wrote {path}")
-    typer.echo(f"the data are simulated; next: cd {folder}, bayescal run study.toml, and read README.md")
+        echo(f"wrote {path}")
+    echo(f"the data are simulated; next: cd {folder}, bayescal run study.toml, and read README.md")
 
 
 def _ask(option: str, choices: list[str]) -> str:
@@ -121,7 +121,7 @@ def seal(
         read_results(folder, (), checked=False)  # that they are some
     for folder in results:
         write_manifest(folder)
-        typer.echo(f"wrote {folder / MANIFEST}")
+        echo(f"wrote {folder / MANIFEST}")
 
 
 @app.command("trust", epilog="Example: bayescal trust examples/own_machine")
@@ -140,9 +140,9 @@ def trust_folder(
     if not look:
         (forget_files if forget else remember)(files)
     for path in files:
-        typer.echo(f"{'' if look else 'forgotten: ' if forget else 'trusted: '}{path}")
+        echo(f"{'' if look else 'forgotten: ' if forget else 'trusted: '}{path}")
     if not files:
-        typer.echo(f"{folder}: no config and no results in it name a file with code")
+        echo(f"{folder}: no config and no results in it name a file with code")
 
 
 @app.command("list", epilog="Example: bayescal list models")
@@ -170,4 +170,4 @@ def schema(kind: Annotated[str, typer.Argument(metavar="KIND", help="Kind of exp
 
     from bayescal.experiments.frame.load import describe_schema
 
-    typer.echo(json.dumps(describe_schema(kind), indent=1, ensure_ascii=False))
+    echo(json.dumps(describe_schema(kind), indent=1, ensure_ascii=False))

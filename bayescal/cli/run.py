@@ -15,6 +15,7 @@ from bayescal.cli.app import (
     Trust,
     app,
     check_out,
+    echo,
     make_console,
     put,
     spread_options,
@@ -160,7 +161,7 @@ def simulate(
     make_directory(out)
     for name, text in results.files.items():
         write_atomically(out / name, str(text).encode())
-        typer.echo(f"wrote {out / name}")
+        echo(f"wrote {out / name}")
 
 
 @app.command(

@@ -14,7 +14,7 @@ import pandas as pd
 from bayescal.errors import InputError
 from bayescal.files import manifest
 from bayescal.files.atomic import read_json
-from bayescal.files.plain_text import add_article
+from bayescal.files.plain_text import add_article, guard_cell, release_cell
 
 SUMMARY_FILE = "summary.json"
 PROVENANCE_FILE = "provenance.json"
@@ -98,7 +98,8 @@ def write_results(results: Results, folder: Path, tables_in: str = "", digits: i
         if not table.empty:
             path = f"{tables_in}/{name}.csv" if tables_in else f"{name}.csv"
             text = f"%.{digits}g" if digits else None
-            table.to_csv(folder / path, index=False, float_format=text, lineterminator="\n")
+            guarded = table.map(lambda cell: guard_cell(cell) if isinstance(cell, str) else cell)
+            guarded.to_csv(folder / path, index=False, float_format=text, lineterminator="\n")
             lengths[path] = len(table)
             kinds[path] = {str(column): find_kind(table[column]) for column in table.columns}
         else:
@@ -211,7 +212,7 @@ def _read_column(path: Path, cells: pd.Series, kind: str) -> pd.Series:
     if not isinstance(kind, str) or kind not in KINDS:
         raise InputError(f"{path}: {cells.name}: found kind {kind!r} in {PROVENANCE_FILE}, expected {', '.join(KINDS)}")
     if kind == "text":
-        return cells
+        return cells.map(release_cell)
     read, values = KINDS[kind], []
     for row, cell in enumerate(cells, start=2):
         try:
