@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import shutil
@@ -172,15 +173,16 @@ def test_out_without_permission(refuse, study, tmp_path):
     refuse("run", study, "--out", "locked/out")
 
 
-def test_full_disk_is_one_line(call, study, monkeypatch, quick):
+@pytest.mark.parametrize("fault", [errno.ENOSPC, errno.EDQUOT, errno.EFBIG], ids=["disk", "quota", "ulimit -f"])
+def test_full_disk_is_one_line(fault, call, study, monkeypatch, quick):
     def fail(*_):
-        raise OSError(28, "No space left on device", "out")
+        raise OSError(fault, os.strerror(fault), "out")
 
     monkeypatch.setattr(compute, "run_task", fail)
     code, _, err = call("run", study, "--out", "out", "--workers", 1, "--quiet")
     assert code == 3
     assert err.count("\n") == 1
-    assert "No space left on device" in err
+    assert f"out: {os.strerror(fault)}, expected room to write" in err
 
 
 # --- run -------------------------------------------------------------------------------------------------------------

@@ -222,7 +222,7 @@ def main() -> None:
         code = _complain(str(error), error.exit_code)
     except OSError as error:  # a file or directory that may not be read or written, a full disk
         where = error.filename or "a file of the results"
-        full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO)
+        full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
         code = _complain(
             f"{where}: {error.strerror}, expected {'room to write' if full else 'to read or write there'}",
             NumericalError.exit_code if full else InputError.exit_code,
