@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import sys
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from bayescal.report.pictures import Picture, render_picture
 from bayescal.report.style import RC
 
 os.environ["BAYESCAL_TRUST"] = "1"  # the code of this repository and of its tests, in processes of theirs too
+os.environ["XDG_CONFIG_HOME"] = tempfile.mkdtemp(prefix="bayescal-tests-")  # what a user has trusted is left alone
 
 
 @pytest.fixture(autouse=True)
