@@ -1,13 +1,11 @@
 """The command line: a module of commands each for running, machines, and results and projects."""
 
-import os
 import sys
 
 from bayescal import list_elsewhere
 
-# before libraries are imported, which a file of the current folder may be called as; worker processes do the same
+# before libraries are imported, which a file of the current folder may be called as
 sys.path[:] = list_elsewhere()
-os.environ.setdefault("PYTHONSAFEPATH", "1")
 
 # The order of the imports is that of the help.
 # isort: off

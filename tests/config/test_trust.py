@@ -189,6 +189,19 @@ def test_nothing_of_the_current_folder_is_imported(shadow, tmp_path, mark):
     assert not mark.exists()
 
 
+@pytest.mark.runs
+def test_worker_processes_import_nothing_of_the_current_folder(tmp_path, mark):
+    here = Path(start_project(tmp_path / "here", "own", None)[0]).parent
+    for name in ("joblib.py", "numexpr.py", "csv.py"):
+        (here / name).write_text(TRAP.format(str(mark)))
+    environment = {**os.environ, "PYTHONPATH": str(Path(bc.__file__).parents[1])}
+    script = Path(sys.executable).with_name("bayescal")
+    command = [script, "audit", "audit.toml", "--workers", "2", "--quiet"]
+    done = subprocess.run(command, cwd=here, env=environment, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert not mark.exists()
+
+
 def test_what_is_trusted_is_what_configs_and_results_name(tmp_path):
     for name in ("own.py", "helper.py", "unused.py", "results/code/kind.py", "results/code/other.py"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
