@@ -159,6 +159,11 @@ class Whitening:
         matrix = self.matrix if self.matrix is None or len(self.matrix) == 1 else self.matrix[some]
         return Whitening(self.diagonal[some], matrix, self.places, self.log_det[some])
 
+    def at_poses(self, some: np.ndarray) -> Whitening:
+        """Return that of some of the poses."""
+        matrix = self.matrix if self.matrix is None else self.matrix[:, some]
+        return Whitening(self.diagonal[:, some], matrix, self.places, self.log_det[:, some])
+
     def repeat(self, n: int) -> Whitening:
         """Return that of one machine for n of them."""
         matrix = self.matrix if self.matrix is None else np.broadcast_to(self.matrix, (n, *self.matrix.shape[1:]))

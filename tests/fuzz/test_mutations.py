@@ -29,7 +29,7 @@ from bayescal.numerics.geometry import rotation_vector_from_matrix
 
 pytestmark = pytest.mark.usefixtures("no_pictures")
 
-SORTS = {"inputs": (500, 5000, 50), "results": (48, 1040, 24), "tables": (40, 400, 20)}
+SORTS = {"inputs": (500, 5000, 50), "results": (24, 1064, 24), "tables": (40, 400, 20)}
 """Of each sort: quick cases, slow ones after them, and how many make a test."""
 COMPUTED = 200  # inputs after all others, of which what is cheap is computed
 QUICK_CASES = [(sort, first) for sort, (n, _, step) in SORTS.items() for first in range(0, n, step)]

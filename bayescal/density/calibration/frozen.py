@@ -58,7 +58,9 @@ class FrozenRows:
         By the stated noise, (1, P, K).
     left : ndarray, shape (P, K, m)
         Z.
-    shown : tuple of ndarray, shapes (P m, N)
+    kept : ndarray of int, shape (M,)
+        Which of all P m rows show something: those of channels that were not read do not.
+    shown : tuple of ndarray, shapes (M, N)
         What coefficients of each of C errors do to the rows at an amplitude of one; empty where functions are of few
         columns.
     few : LowRankComponents, optional
@@ -68,17 +70,44 @@ class FrozenRows:
     anchor: Array
     white: Whitening
     left: Array
+    kept: np.ndarray
     shown: tuple[Array, ...]
     few: LowRankComponents | None = None
 
     @cached_property
     def parts(self) -> Array:
-        """What errors of an amplitude of one add to the rows' covariance, (C, P m, P m)."""
+        """What errors of an amplitude of one add to the rows' covariance, (C, M, M)."""
         return np.stack([one @ one.T for one in self.shown])
 
+    @cached_property
+    def _spots(self) -> tuple[np.ndarray, np.ndarray]:
+        """Where numbers of the poses' blocks stand, of all (P m m), and where in a covariance of the rows, of (M M)."""
+        n_poses, _, m = self.left.shape
+        place = np.full(n_poses * m, -1)
+        place[self.kept] = np.arange(len(self.kept))
+        place = place.reshape(n_poses, m)
+        row, column = place[:, :, None], place[:, None, :]
+        there = (row >= 0) & (column >= 0)
+        return np.flatnonzero(there), (row * len(self.kept) + column)[there]
+
+    @cached_property
+    def _products(self) -> Array:
+        """Products of the columns of Z channel by channel, (P, K, m m)."""
+        n_poses, n, m = self.left.shape
+        return np.ascontiguousarray((self.left[..., :, None] * self.left[..., None, :]).reshape(n_poses, n, m * m))
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether all rows show something."""
+        return len(self.kept) == self.left.shape[0] * self.left.shape[2]
+
     @classmethod
-    def build(cls, likelihood: CalibrationLikelihood, errors: Errors, theta: Array) -> FrozenRows | None:
+    def build(
+        cls, likelihood: CalibrationLikelihood, errors: Errors, theta: Array, *, whole: bool = False
+    ) -> FrozenRows | None:
         """Return it about a machine (D,) for a density that starts where that explains the readings; None if it cannot.
+
+        Rows of channels that were not read are left out unless the ``whole`` is asked for.
 
         It cannot where single rows may be outliers, where columns have more than an amplitude, and with too many rows
         unless all functions are of few columns.
@@ -88,7 +117,7 @@ class FrozenRows:
         thin = [one for one in errors.terms if isinstance(one, ThinFunctionsOfPose)]
         is_few = bool(thin) and len(thin) == errors.n_common
         m = n - len(likelihood.model.coordinates)
-        if not errors.has_columns or errors.outliers.expected or m < 1 or (n_poses * m > MOST_ROWS and not is_few):
+        if not errors.has_columns or errors.outliers.expected or m < 1:
             return None
         acts = [] if is_few else errors.list_acts(data, likelihood.error_gain)
         if not acts and not is_few:
@@ -100,12 +129,18 @@ class FrozenRows:
         size = np.linalg.norm(slope, axis=1, keepdims=True)
         axes, _ = np.linalg.qr(slope / np.where(size > 0.0, size, 1.0), mode="complete")
         left = np.ascontiguousarray(axes[..., slope.shape[-1] :])
-        turned = np.swapaxes(left, -1, -2)
         if is_few:
-            found = cls(theta, white, left, ())
+            found = cls(theta, white, left, np.arange(n_poses * m), ())
             return replace(found, few=found._find_few(likelihood, errors, thin))
+        kept = np.arange(n_poses * m)
+        if not (whole or data.present.all()):
+            left, shows = _turn_to_present(left, data.present)
+            kept = np.flatnonzero(shows)
+        if len(kept) > MOST_ROWS:
+            return None
+        turned = np.swapaxes(left, -1, -2)
         seen = (white.rows(np.where(data.present[..., None], act, 0.0)[None])[0] for act in acts)
-        return cls(theta, white, left, tuple((turned @ one).reshape(n_poses * m, -1) for one in seen))
+        return cls(theta, white, left, kept, tuple((turned @ one).reshape(n_poses * m, -1)[kept] for one in seen))
 
     def density(self, likelihood: CalibrationLikelihood, theta: Array, errors: Errors, zeta: Array) -> Array:
         """Return the log-likelihood, shape (B,), for machines (B, D) and coordinates of errors (B, k)."""
@@ -116,7 +151,7 @@ class FrozenRows:
             return np.where(np.isfinite(total), total, -np.inf)
         for part in batches(len(theta), rows.shape[1]):
             own, weights = self._blocks(likelihood, errors, zeta[part]), errors.amplitudes(zeta[part]) ** 2
-            total[part] += weigh(assemble(own, self.parts, weights), rows[part])
+            total[part] += weigh(self._assemble(own, weights), rows[part])
         return np.where(np.isfinite(total), total, -np.inf)
 
     def density_by_row(self, likelihood: CalibrationLikelihood, theta: Array, errors: Errors, zeta: Array) -> Array:
@@ -129,8 +164,7 @@ class FrozenRows:
             return np.where(np.isfinite(found), found, -np.inf)
         for part in batches(len(theta), rows.shape[1]):
             own, weights = self._blocks(likelihood, errors, zeta[part]), errors.amplitudes(zeta[part]) ** 2
-            total = assemble(own, self.parts, weights)
-            found[part] += weigh_left_out(*leave_out(total, rows[part], len(self.left)))[0]
+            found[part] += weigh_left_out(*self._leave_out(self._assemble(own, weights), rows[part]))[0]
         return np.where(np.isfinite(found), found, -np.inf)
 
     def density_of_others(
@@ -140,7 +174,7 @@ class FrozenRows:
 
         Given the rows others are normal about C S⁻¹ e with the covariance that they have less C S⁻¹ Cᵀ.
         """
-        beyond = FrozenRows.build(other, errors, self.anchor)
+        beyond = FrozenRows.build(other, errors, self.anchor, whole=True)
         if beyond is None:
             return None
         rows, rest = self._find_rows(likelihood, theta)
@@ -161,7 +195,7 @@ class FrozenRows:
         inner = np.stack([one @ np.swapaxes(one, -1, -2) for one in by_pose])
         for part in batches(len(theta), rows.shape[1] + there.shape[1]):
             weights = errors.amplitudes(zeta[part]) ** 2
-            total = assemble(self._blocks(likelihood, errors, zeta[part]), self.parts, weights)
+            total = self._assemble(self._blocks(likelihood, errors, zeta[part]), weights)
             shared = np.tensordot(weights, across, 1)
             solved = np.linalg.solve(total, np.concatenate([np.swapaxes(shared, -1, -2), rows[part, :, None]], axis=-1))
             left = (there[part, :, None] - shared @ solved[..., -1:]).reshape(len(weights), n_poses, m)
@@ -186,23 +220,24 @@ class FrozenRows:
         if self.few is not None:
             return self._draw_few(self.few, likelihood, errors, zeta, rows, rng)
         ends = np.cumsum([one.shape[1] for one in self.shown])
-        drawn, noise = rng.standard_normal((len(theta), ends[-1])), rng.standard_normal(rows.shape)
+        n_poses, _, m = self.left.shape
+        drawn, noise = rng.standard_normal((len(theta), ends[-1])), rng.standard_normal((len(theta), n_poses, m, 1))
         for part in batches(len(theta), rows.shape[1]):
             own, amplitudes = self._blocks(likelihood, errors, zeta[part]), errors.amplitudes(zeta[part])
-            apart = np.linalg.cholesky(own) @ noise[part].reshape(*own.shape[:3], 1)
-            left, each = rows[part] - apart.reshape(len(own), -1), np.split(drawn[part], ends[:-1], axis=1)
+            apart = (np.linalg.cholesky(own) @ noise[part]).reshape(len(own), -1)
+            left, each = rows[part] - apart[:, self.kept], np.split(drawn[part], ends[:-1], axis=1)
             for one, shown, size in zip(each, self.shown, amplitudes.T, strict=True):
                 left -= size[:, None] * (one @ shown.T)
-            told = np.linalg.solve(assemble(own, self.parts, amplitudes**2), left[..., None])[..., 0]
+            told = np.linalg.solve(self._assemble(own, amplitudes**2), left[..., None])[..., 0]
             for one, shown, size in zip(each, self.shown, amplitudes.T, strict=True):
                 one += size[:, None] * (told @ shown)  # a view of ``drawn``
         return drawn
 
     def _find_rows(self, likelihood: CalibrationLikelihood, theta: Array) -> tuple[Array, Array]:
-        """Return rows (B, P m), and what log-densities have beside theirs, (B, P); -inf where there is no machine."""
+        """Return rows (B, M), and what log-densities have beside theirs, (B, P); -inf where there is no machine."""
         white = self.white.repeat(len(theta))
         at = likelihood.stand(theta, white)
-        rows = np.einsum("pkm,bpk->bpm", self.left, at.error).reshape(len(theta), -1)
+        rows = self._take(np.swapaxes(np.swapaxes(at.error, 0, 1) @ self.left, 0, 1).reshape(len(theta), -1))
         rest = likelihood.offset(white, at) - 0.5 * np.log(2.0 * np.pi) * likelihood.n_spare
         good = np.isfinite(rows).all(axis=1) & np.isfinite(rest).all(axis=1)
         return np.where(good[:, None], rows, 0.0), np.where(good[:, None], rest, -np.inf)
@@ -212,8 +247,8 @@ class FrozenRows:
         at = likelihood.stand(theta[None], self.white)
         error, _, by_parameters = likelihood.rows(theta, change, self.white, at.pose)
         left = np.swapaxes(self.left, -1, -2)
-        residual = (left @ error[..., None]).ravel()
-        slope = -(left @ by_parameters).reshape(len(residual), -1)
+        residual = (left @ error[..., None]).ravel()[self.kept]
+        slope = -(left @ by_parameters).reshape(left.shape[0] * left.shape[1], -1)[self.kept]
         m = slope.shape[1]
 
         both, none = np.column_stack([slope, residual]), (np.zeros((m, m)), np.zeros(m))
@@ -227,11 +262,41 @@ class FrozenRows:
                 thin = self._factorise(few, likelihood, errors, one)
                 return thin.square(both), thin.half_log_det
             own = self._blocks(likelihood, errors, one[None])
-            total = assemble(own, self.parts, errors.amplitudes(one[None]) ** 2)[0]
+            total = self._assemble(own, errors.amplitudes(one[None]) ** 2)[0]
             white = White(cholesky(total, lower=True, check_finite=False))
             return white.square(both), white.half_log_det
 
         return LinearRows(*none, square)
+
+    # --- rows of channels that were read -------------------------------------------------------------------------
+
+    def _take(self, rows: Array) -> Array:
+        """Return the rows that show something, (B, P m) to (B, M)."""
+        return rows if self.is_whole else rows[:, self.kept]
+
+    def _assemble(self, own: Array, weights: Array) -> Array:
+        """Return the rows' covariance (B, M, M) of the poses' blocks (B, P, m, m) and weights (B, C) of the parts."""
+        if self.is_whole:
+            return assemble(own, self.parts, weights)
+        size, (source, target) = len(self.kept), self._spots
+        total = np.asarray(weights @ self.parts.reshape(len(self.parts), -1))
+        total[:, target] += own.reshape(len(own), -1)[:, source]
+        return total.reshape(-1, size, size)
+
+    def _leave_out(self, covariance: Array, rows: Array) -> tuple[Array, Array]:
+        """Return what `bayescal.density.components.leave_out` does, of covariances (B, M, M) and rows (B, M).
+
+        Rows that show nothing are zero and white beside.
+        """
+        (n_poses, _, m), n = self.left.shape, len(rows)
+        if self.is_whole:
+            return leave_out(covariance, rows, n_poses)
+        inverse, (source, target) = np.linalg.inv(covariance), self._spots
+        alpha, precision = np.zeros((n, n_poses * m)), np.tile(np.eye(m).ravel(), (n, n_poses))
+        alpha[:, self.kept] = (inverse @ rows[..., None])[..., 0]
+        precision[:, source] = inverse.reshape(n, -1)[:, target]
+        blocks = precision.reshape(n, n_poses, m, m)
+        return np.linalg.solve(blocks, alpha.reshape(n, n_poses, m, 1))[..., 0], blocks
 
     # --- functions of few columns --------------------------------------------------------------------------------
 
@@ -301,7 +366,8 @@ class FrozenRows:
         own, tau = likelihood.noise(errors, zeta)
         if self.white.matrix is None:
             ratio = np.where(there, (own**2 + tau**2) / likelihood.sd**2, 1.0)
-            return np.einsum("pkm,bpk,pkn->bpmn", self.left, ratio, self.left, optimize=True)
+            products = np.swapaxes(np.swapaxes(ratio, 0, 1) @ self._products, 0, 1)
+            return products.reshape(*ratio.shape[:2], *2 * self.left.shape[-1:])
         covariance = own[..., :, None] * likelihood.correlation * own[..., None, :]
         gain = likelihood.error_gain
         spread = tau[..., None, :] * (np.eye(there.shape[1]) if gain is None else gain)
@@ -309,6 +375,13 @@ class FrozenRows:
         white = self.white.rows(np.swapaxes(self.white.rows(covariance), -1, -2))
         missing = np.eye(there.shape[1]) * ~there[:, None, :]
         return np.asarray(np.swapaxes(self.left, -1, -2) @ (white + missing) @ self.left)
+
+
+def _turn_to_present(left: Array, present: np.ndarray) -> tuple[Array, np.ndarray]:
+    """Return the span of Z (P, K, m) by columns of channels that were read, (P, K), or not, and which were, (P, m)."""
+    missing = np.where(present[..., None], 0.0, left)
+    share, axes = np.linalg.eigh(np.swapaxes(missing, -1, -2) @ missing)
+    return np.ascontiguousarray(left @ axes), share < 1.0 - 1e-9
 
 
 def _list_alone(errors: Errors) -> list[IndependentErrors] | None:

@@ -99,6 +99,7 @@ STEP = 0.01  # of what a parameter's machines deviate, for the derivative of H: 
 NATS, LARGEST_CHANGE = 1e-3, 0.1  # of the log-density that an expansion may be wrong by; square of the change of H
 TRIALS = 4  # directions in which poses are moved to see how straight the readings are
 MAX_STEPS, MAX_CHORDS, MAX_SEARCH, PATIENCE = 30, 8, 60, 4
+JOINED = 1e-3  # of the spread of the starts, within which two ways are one
 
 
 @dataclass(frozen=True, eq=False)
@@ -463,26 +464,56 @@ class PoseElimination:
 
 
 def search_poses(likelihood: PoseElimination, theta: Array, white: Whitening, start: Array) -> tuple[Array, Array]:
-    """Return poses (C, P, q) that explain readings better, and what they leave, r² (C, P), by damped steps.
+    """Return poses (C, P, q) that explain readings of a machine (D,) better, and what they leave, r² (C, P).
 
-    Slower than `PoseElimination.stand`, it finds the way from starts (C, P, q) that are far off.
+    By damped steps: slower than `PoseElimination.stand`, they find the way from C starts (C, P, q) that are far off.
+    The way of a start ends where it joins that of a better one of the same pose.
+
+    Parameters
+    ----------
+    likelihood : PoseElimination
+    theta : ndarray, shape (D,)
+    white : Whitening
+        Of one machine, (1, P, K).
+    start : ndarray, shape (C, P, q)
     """
-    pose, damping, idle = start.copy(), np.full(start.shape[:2], 1e-3), 0
-    error, slope, _ = likelihood.linearise(theta, pose, white)
-    square = np.einsum("cpk,cpk->cp", error, error)
+    bare, (n_starts, n, _) = replace(likelihood, expansion=None), start.shape
+    at_once = max(1, ROWS // n_starts)
+    parts = [slice(k, k + at_once) for k in range(0, n, at_once)]
+    found = [_search(bare, theta, white, start[:, part], np.arange(n)[part]) for part in parts]
+    return np.concatenate([one for one, _ in found], axis=1), np.concatenate([one for _, one in found], axis=1)
+
+
+def _search(
+    likelihood: PoseElimination, theta: Array, white: Whitening, start: Array, rows: np.ndarray
+) -> tuple[Array, Array]:
+    """Return the same of some poses, by their places (P,); only starts that are still on their way are looked at."""
+    shape, every, q = start.shape[:2], np.tile(rows, len(start)), start.shape[2]
+
+    def look(which: np.ndarray, pose: Array) -> tuple[Array, Array, Array]:
+        own = every[which]
+        error, slope, _ = likelihood.pick(own).linearise(theta[None], pose[None], white.at_poses(own))
+        return error[0], slope[0], np.einsum("pk,pk->p", error[0], error[0])
+
+    pose, joined = start.reshape(-1, q).copy(), np.tile(JOINED * np.ptp(start, axis=0), (len(start), 1))
+    damping, idle, way = np.full(len(pose), 1e-3), np.zeros(len(pose), dtype=int), np.arange(len(pose))
+    error, slope, square = look(way, pose)
     for _ in range(MAX_SEARCH):
         # damping as further readings, of each coordinate by itself, that say it stays
-        size = np.sqrt(damping)[..., None] * np.linalg.norm(slope, axis=-2)
-        rows = np.concatenate([slope, size[..., None] * np.eye(slope.shape[-1])], axis=-2)
-        step, _ = find_step(rows, np.concatenate([error, np.zeros_like(size)], axis=-1))
-        moved = np.where(np.isfinite(step), pose + step, pose)
-        other, there, _ = likelihood.linearise(theta, moved, white)
-        found = np.einsum("cpk,cpk->cp", other, other)
-        better = (found < square) | (np.isnan(square) & np.isfinite(found))
-        idle = 0 if np.any(better & ~(square - found < 1e-4 * square)) else idle + 1
-        damping = np.where(better, damping / 10.0, damping * 10.0)
-        pose, error = (np.where(better[..., None], new, old) for new, old in ((moved, pose), (other, error)))
-        slope, square = np.where(better[..., None, None], there, slope), np.where(better, found, square)
-        if idle == PATIENCE:
+        size = np.sqrt(damping[way])[:, None] * np.linalg.norm(slope[way], axis=-2)
+        longer = np.concatenate([slope[way], size[..., None] * np.eye(q)], axis=-2)
+        step, _ = find_step(longer[None], np.concatenate([error[way], np.zeros_like(size)], axis=-1)[None])
+        moved = np.where(np.isfinite(step[0]), pose[way] + step[0], pose[way])
+        other, there, found = look(way, moved)
+        better = (found < square[way]) | (np.isnan(square[way]) & np.isfinite(found))
+        idle[way] = np.where(better & ~(square[way] - found < 1e-4 * square[way]), 0, idle[way] + 1)
+        damping[way] *= np.where(better, 0.1, 10.0)
+        gone = way[better]
+        pose[gone], error[gone], slope[gone], square[gone] = moved[better], other[better], there[better], found[better]
+        best = np.where(np.isfinite(square), square, np.inf).reshape(shape).argmin(axis=0)
+        ahead = np.tile(best * shape[1] + np.arange(shape[1]), shape[0])
+        behind = (np.abs(pose - pose[ahead]) <= joined).all(axis=1) & (ahead != np.arange(len(pose)))
+        way = way[(idle[way] < PATIENCE) & ~behind[way]]
+        if not len(way):
             break
-    return pose, square
+    return pose.reshape(start.shape), square.reshape(shape)

@@ -8,7 +8,7 @@ from bayescal.experiments.frame.experiment import Experiment
 from bayescal.experiments.frame.memory import Need, estimate_arrays
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
-from bayescal.experiments.selection.compute import compute_selections
+from bayescal.experiments.selection.compute import check_problems, compute_selections
 from bayescal.experiments.selection.inputs import SelectionInputs, read_selection
 from bayescal.experiments.selection.page import build_page
 from bayescal.experiments.selection.schema import SelectionConfig
@@ -29,7 +29,9 @@ class Selection(Experiment[SelectionConfig, SelectionInputs]):
 
     def read(self, config: SelectionConfig, folder: Path) -> SelectionInputs:
         """Return what the experiment computes with."""
-        return read_selection(config, folder)
+        inputs = read_selection(config, folder)
+        check_problems(inputs)
+        return inputs
 
     def estimate_memory(self, inputs: SelectionInputs) -> Need:
         """Return what the rows of all candidates take."""

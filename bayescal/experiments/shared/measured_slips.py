@@ -153,9 +153,9 @@ class Suspicion:
         middle, half = 0.5 * (self.low + self.high), 0.5 * (self.high - self.low)
         elsewhere = middle + SPREAD * half * np.vstack([0.0 * half, rng.uniform(-1.0, 1.0, (STARTS - 1, len(half)))])
         starts = np.concatenate([some.start[None], np.repeat(elsewhere[:, None], len(which), axis=1)])
-        white = some.whiten(*some.noise(posterior.errors, posterior.zeta(np.repeat(y, len(starts), axis=0))))
+        white = some.whiten(*some.noise(posterior.errors, posterior.zeta(y)))
         with np.errstate(all="ignore"):
-            found, square = search_poses(some, np.tile(posterior.sampling.start, (len(starts), 1)), white, starts)
+            found, square = search_poses(some, posterior.sampling.start, white, starts)
         square = np.where(np.isfinite(square), square, np.inf)
         best = square.argmin(axis=0)
         before = np.where(np.isfinite(at.square[0]), at.square[0], np.inf)[which]

@@ -290,9 +290,8 @@ class Readings:
         spread = middle + SPREAD * half * rng.uniform(-1.0, 1.0, (n_starts, len(half)))
         elsewhere = np.vstack([likelihood.model.home_pose, spread])[: n_starts - 1]
         starts = np.concatenate([likelihood.start[None], np.repeat(elsewhere[:, None], len(likelihood.start), axis=1)])
-        sd = np.repeat(likelihood.sd[None], n_starts, axis=0)
-        white = likelihood.whiten(sd, np.zeros((1, 1, sd.shape[2])))
-        found, off = search_poses(likelihood, np.tile(theta, (n_starts, 1)), white, starts)
+        white = likelihood.whiten(likelihood.sd[None], np.zeros((1, 1, likelihood.sd.shape[1])))
+        found, off = search_poses(likelihood, theta, white, starts)
         best = np.where(np.isfinite(off), off, np.inf).argmin(axis=0)
         return np.asarray(found[best, np.arange(len(best))])
 

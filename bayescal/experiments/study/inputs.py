@@ -66,6 +66,7 @@ if TYPE_CHECKING:
     from bayescal.experiments.study.claims import Claims
 
 FEW_POSES = f"fewer than {FEWEST_POSES} poses calibrate the machine"
+SPOILT = "each pose may be a blunder by itself: intervals do not allow for errors that repeat with the pose"
 ALONE_STATED = 'terms = ["independent"]'
 
 
@@ -285,9 +286,17 @@ class StudyInputs(Inputs):
         return self.config.leg_error.name_for(variant)
 
     def list_sorts(self, variant: VariantConfig) -> tuple[str, ...]:
-        """Return the terms of a variant's model error that are functions of the pose, none with too few poses."""
-        few = np.count_nonzero(~self.verification) < FEWEST_POSES
-        return () if few else self._want_sorts(variant)
+        """Return the terms of a variant's model error that are functions of the pose: none where these cannot be.
+
+        They cannot with too few poses, and all of them, which nobody asked for by name, not beside blunders.
+        """
+        beside = self.config.blunders is not None and self.config.leg_error.terms_for(variant) == list(TERMS)
+        return () if self.has_few_poses or beside else self._want_sorts(variant)
+
+    @property
+    def has_few_poses(self) -> bool:
+        """Whether errors that are functions of the pose cannot be told from the geometry by so few poses."""
+        return bool(np.count_nonzero(~self.verification) < FEWEST_POSES)
 
     def _want_sorts(self, variant: VariantConfig) -> tuple[str, ...]:
         return tuple(name for name in self.config.leg_error.terms_for(variant) if name in SORTS)
@@ -302,7 +311,8 @@ class StudyInputs(Inputs):
         wanted = dict.fromkeys(name for one in self.config.variants for name in self._want_sorts(one))
         if not wanted or any(self.list_sorts(one) for one in self.config.variants):
             return ""
-        return f"the model error has no terms {', '.join(wanted)}, as {FEW_POSES}"
+        why = FEW_POSES if self.has_few_poses else SPOILT
+        return f"the model error has no terms {', '.join(wanted)}, as {why}"
 
     def give_functions(self, base: Likelihood, variant: VariantConfig) -> FunctionLikelihood:
         """Return a density of the calibration poses with the errors of a variant that are functions of the pose.

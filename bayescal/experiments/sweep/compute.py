@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from difflib import get_close_matches
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from bayescal.errors import InputError
 from bayescal.experiments.frame.parallel import Failed, Run
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.frame.store import open_pool
-from bayescal.experiments.sweep.inputs import Outcome, Setting, SweepInputs, compute_member, look_up
+from bayescal.experiments.sweep.inputs import Outcome, Setting, SweepInputs, compute_member, list_keys, look_up
 from bayescal.experiments.sweep.schema import SEED, AxisConfig, FigureConfig, SweepConfig
 from bayescal.numerics.geometry import Array
 from bayescal.report.numbers import format_plain
@@ -34,8 +35,12 @@ def compute_sweep(inputs: SweepInputs, run: Run) -> Results:
     taken, addresses, tasks, faults = _plan(inputs)
     rows = {address: _read_row(inputs.config, fault) for address, fault in faults.items()}
     run = _keep(inputs.config, run)
+    is_told = False
     for address, outcome in run.stream("members", compute_member, inputs.base, tasks, (Outcome,)):
         known = Outcome.from_failure(outcome.reason) if isinstance(outcome, Failed) else outcome
+        if known.has_summary and not is_told:
+            _check_figures(inputs.config, known.read())
+            is_told = True
         rows[address] = _read_row(inputs.config, known)
     members = _tabulate(inputs.config, taken, [rows[address] for address in addresses])
     answers = find_answers(inputs.config, members)
@@ -43,6 +48,15 @@ def compute_sweep(inputs: SweepInputs, run: Run) -> Results:
         _summarise(inputs.config, members, len(set(addresses)), answers),
         {"members": members, "answers": pd.DataFrame(answers, columns=list(COLUMNS)).astype(NUMBERS)},
     )
+
+
+def _check_figures(config: SweepConfig, summary: dict[str, Any]) -> None:
+    """Raise InputError where the summary of the first member that is done has none of the figures."""
+    keys = [figure.key for figure in config.figures]
+    if all(look_up(summary, key) is None for key in keys):
+        near = get_close_matches(keys[0], list_keys(summary), 1, 0.0)
+        said = f", expected such as {near[0]!r}" if near else ""
+        raise InputError(f"figures: found none of {', '.join(keys)} in the summary of the first member{said}")
 
 
 def _plan(
@@ -109,8 +123,9 @@ def _summarise(
     figures = {}
     for figure in config.figures:
         column = members[figure.key]
-        known = column.dropna() if column.dtype.kind == "f" else column[:0]
-        spread = {"least": float(known.min()), "most": float(known.max())} if len(known) else {}
+        is_number = column.dtype.kind == "f"
+        known = column.dropna() if is_number else column[column != ""]
+        spread = {"least": float(known.min()), "most": float(known.max())} if is_number and len(known) else {}
         figures[figure.key] = {"n_known": len(known), **spread}
     states = members["state"]
     return {
@@ -124,6 +139,13 @@ def _summarise(
         "figures": figures,
         "answers": answers,
     }
+
+
+def list_missing(summary: Mapping[str, Any]) -> list[str]:
+    """Return the figures that are in no member's summary; none where all members failed."""
+    if summary["n_failed"] == summary["n_members"]:
+        return []
+    return [key for key, one in summary["figures"].items() if one["n_known"] == 0]
 
 
 def is_scale(axis: AxisConfig, column: pd.Series) -> bool:

@@ -266,6 +266,15 @@ def look_up(summary: Any, key: str) -> Any:
     return None
 
 
+def list_keys(summary: Any, before: str = "") -> Iterator[str]:
+    """Yield the dotted keys of all numbers of a summary."""
+    inner = summary.items() if isinstance(summary, dict) else enumerate(summary) if isinstance(summary, list) else ()
+    for key, value in inner:
+        yield from list_keys(value, f"{before}{key}.")
+    if isinstance(summary, int | float):
+        yield before[:-1]
+
+
 @dataclass(frozen=True, eq=False)
 class SweepInputs:
     """What a sweep computes with.

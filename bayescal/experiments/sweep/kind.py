@@ -8,7 +8,7 @@ from bayescal.experiments.frame.experiment import Experiment
 from bayescal.experiments.frame.memory import Need
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
-from bayescal.experiments.sweep.compute import compute_sweep
+from bayescal.experiments.sweep.compute import compute_sweep, list_missing
 from bayescal.experiments.sweep.inputs import SweepInputs, list_files, read_sweep
 from bayescal.experiments.sweep.page import build_page
 from bayescal.experiments.sweep.schema import SweepConfig
@@ -43,6 +43,11 @@ class Sweep(Experiment[SweepConfig, SweepInputs]):
     def compute(self, inputs: SweepInputs, run: Run) -> Results:
         """Return all members' figures."""
         return compute_sweep(inputs, run)
+
+    def list_failures(self, results: Results) -> list[str]:
+        """Return which figures no member has."""
+        missing = list_missing(results.summary)
+        return [f"found {', '.join(missing)} in no member's summary"] if missing else []
 
     def page(self, results: Results) -> Page:
         """Return the page."""

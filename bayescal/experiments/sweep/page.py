@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from bayescal.experiments.frame.results import Results
-from bayescal.experiments.sweep.compute import ALWAYS, FROM, MIXED, NEVER, UP_TO, group_others, is_scale
+from bayescal.experiments.sweep.compute import ALWAYS, FROM, MIXED, NEVER, UP_TO, group_others, is_scale, list_missing
 from bayescal.experiments.sweep.schema import AxisConfig, FigureConfig, SweepConfig
 from bayescal.report.blocks import (
     Block,
@@ -111,9 +111,8 @@ def _state_members(config: SweepConfig, summary: dict[str, Any]) -> Iterator[Sta
     text += f", {format_count(unsure)} did not converge" if unsure else ""
     level: Level = "bad" if failed == n else "warning" if failed or unsure else "plain"
     yield Statement(f"{text}.", level, "Members")
-    for figure in config.figures:
-        if summary["figures"][figure.key]["n_known"] == 0 and summary["n_failed"] < summary["n_members"]:
-            yield Statement(f"No member's summary has a number at {figure.key}.", "warning", "Missing")
+    for key in list_missing(summary):
+        yield Statement(f"No member's summary has anything at {key}.", "bad", "Missing")
 
 
 def _span(axis: AxisConfig) -> str:

@@ -373,6 +373,6 @@ def test_poses_are_found_from_far_off(rng):
     expected = likelihood.stand(near[:1], white)
     start = likelihood.start[None] + rng.uniform(-1.0, 1.0, (1, 10, 3)) * [60.0, 60.0, 0.3]
     with np.errstate(all="ignore"):
-        pose, square = search_poses(likelihood, near[:1], white, start)
+        pose, square = search_poses(likelihood, near[0], white, start)
     np.testing.assert_allclose(pose, expected.pose, rtol=0, atol=1e-5)
     np.testing.assert_allclose(square, expected.square, rtol=1e-4)

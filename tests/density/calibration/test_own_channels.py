@@ -231,6 +231,19 @@ def test_rows_held_back_have_the_same_density_given_the_others_by_columns(arm, u
     assert (anchored.predict_density(held, y)[2] == -np.inf).all()
 
 
+def test_rows_of_channels_that_were_not_read_are_left_out(arm, used):
+    """The density, also of each row given the others, is that of all rows, where these are zero and white."""
+    anchored, rng = posterior_of(arm, used).anchored(), np.random.default_rng(3)
+    likelihood, n = anchored.likelihood, anchored.n_geometry
+    whole = FrozenRows.build(likelihood, anchored.errors, likelihood.frozen.anchor, whole=True)
+    assert len(likelihood.frozen.kept) == len(whole.kept) - (~likelihood.data.present).sum() < len(whole.kept)
+    y = np.tile(anchored.polish(np.zeros(anchored.n_parameters)), (5, 1))
+    y += rng.standard_normal(y.shape) * np.repeat([3e-4, 0.7], [n, y.shape[1] - n])
+    at = anchored.at(y)
+    for found, expected in zip(*[[one.density, one.density_by_row] for one in (likelihood.frozen, whole)], strict=True):
+        np.testing.assert_allclose(found(likelihood, *at), expected(likelihood, *at), rtol=1e-9)
+
+
 def test_draws_of_functions_given_the_rows_are_those_by_columns(arm, used):
     """Mean and covariance of the errors at all rows, the held-back ones too: Matheron's rule beside coefficients."""
     _, _, data, _ = arm

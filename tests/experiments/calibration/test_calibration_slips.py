@@ -6,6 +6,7 @@ import calibrations
 import numpy as np
 import pandas as pd
 import pytest
+from shares import run_rest
 
 from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load
@@ -54,7 +55,7 @@ def say(path):
         return [str(error)]
 
 
-@pytest.mark.parametrize("slip", SLIPS)
+@pytest.mark.parametrize("slip", run_rest(SLIPS, 4))
 def test_the_likely_cause_of_readings_far_off_is_said(drawn, slip):
     said, restore = plant(drawn, slip)
     try:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import planar_rrr
 import pytest
+from shares import run_rest
 
 
 def change(columns, function):
@@ -39,7 +40,7 @@ def readings():
     return planar_rrr.simulate(14)
 
 
-@pytest.mark.parametrize("mistake", MISTAKES)
+@pytest.mark.parametrize("mistake", run_rest(MISTAKES, 4))
 def test_a_usual_mistake_is_one_line_that_says_what_is_wrong(mistake, readings, tmp_path, call):
     change_readings, said = MISTAKES[mistake]
     path = planar_rrr.write_project(tmp_path / "project", change_readings(readings))
@@ -49,6 +50,11 @@ def test_a_usual_mistake_is_one_line_that_says_what_is_wrong(mistake, readings, 
     assert "cannot be reached by" in complaint
     assert "if corrected: " in complaint
     assert said in complaint.partition("if corrected: ")[2]
+
+
+def test_readings_that_never_change_are_refused(readings, tmp_path, refuse):
+    path = planar_rrr.write_project(tmp_path / "project", 0.0 * readings)
+    refuse("found the same readings in all 14 rows, expected a machine that moves", tmp_path / "out", "run", path)
 
 
 def test_another_zero_is_doubted_where_the_machine_can_have_it(readings, tmp_path, call):

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from shares import run_rest
 
 from bayescal.experiments.check.faults import state_cause
 from bayescal.experiments.shared import slip_search
@@ -40,8 +41,8 @@ def plant(subject, slip, seed):
     return subject.measured.retake(values), fault, words
 
 
-@pytest.mark.parametrize("slip", SLIPS)
-@pytest.mark.parametrize("machine", ["linear delta", "serial arm"])
+@pytest.mark.parametrize("slip", run_rest(SLIPS, 2))
+@pytest.mark.parametrize("machine", ["linear delta", pytest.param("serial arm", marks=pytest.mark.runs)])
 def test_a_planted_slip_is_named_first(subjects, machine, slip):
     measured, fault, words = plant(subjects[machine], slip, 1)
     found = search_cause(measured).first
@@ -63,6 +64,7 @@ def test_most_planted_slips_are_named(subjects, machine, slip):
     assert named >= 2
 
 
+@pytest.mark.runs
 @pytest.mark.parametrize("machine", KINDS)
 @pytest.mark.parametrize("seed", range(2))
 def test_clean_studies_are_not_accused(subjects, machine, seed):

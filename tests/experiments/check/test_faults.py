@@ -61,6 +61,7 @@ def judge_noise(subject):
     return check_noise(subject.measured)
 
 
+@pytest.mark.runs
 @pytest.mark.parametrize("seed", range(2))
 def test_clean_studies_pass(seed):
     faults, said = look(checked.make_clean(seed))
@@ -76,6 +77,7 @@ def test_a_clean_calibration_passes(subject):
     np.testing.assert_allclose(subject.posterior.natural(y), draws, rtol=1e-12)
 
 
+@pytest.mark.runs
 def test_the_tiny_study_passes_with_the_noise_of_its_targets():
     faults, _ = look(checked.tiny_subject())
     assert faults == []
@@ -149,6 +151,7 @@ def test_noise_of_targets_stated_at_half_is_named():
     assert "State target_noise_um 2 times as large" in found.text
 
 
+@pytest.mark.runs
 @pytest.mark.parametrize("factor", [1 / 25.4, 10.0, -1.0])
 def test_a_unit_slip_of_the_actuators_is_named(factor):
     start = checked.tiny_subject().measured.legs.machine.mechanism.initial_actuator_positions
@@ -158,6 +161,7 @@ def test_a_unit_slip_of_the_actuators_is_named(factor):
     assert "displacements of rho from home seem to be" in said["Likely cause"].text
 
 
+@pytest.mark.runs
 def test_shifted_rows_are_named():
     found = checked.change_actuators(checked.make_clean(4), lambda rho: np.roll(rho, 1, axis=0))
     found = state_cause(search_cause(found.measured))
@@ -165,6 +169,7 @@ def test_shifted_rows_are_named():
     assert "rows of rho seem to be shifted by one" in found.text
 
 
+@pytest.mark.runs
 def test_rotations_in_degrees_are_named():
     subject = checked.make_clean(4)
     poses = subject.measured.legs.poses
@@ -174,6 +179,7 @@ def test_rotations_in_degrees_are_named():
     assert (found.fault, "in degrees" in found.text) == ("unit", True)
 
 
+@pytest.mark.runs
 @pytest.mark.parametrize("legs", [(0, 1), (2, 5)])
 def test_two_exchanged_legs_are_named(legs):
     def exchange(rho):

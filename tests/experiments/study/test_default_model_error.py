@@ -173,7 +173,10 @@ def test_misfit_counts_functions_as_noise(silent):
 @pytest.mark.parametrize(
     ("sections", "fault"),
     [
-        ({"blunders": ""}, r"blunders: found them beside the terms linear, own, smooth, drift .* terms = \[\"indep"),
+        (
+            {"blunders": "", "model_error": 'terms = ["independent", "own"]'},
+            r"blunders: found them beside the terms own .* terms = \[\"indep",
+        ),
         (
             {"model_error": "at_least_um = 4000.0"},
             r"model_error.at_least_um: found .* for 'linear', .* tolerance, 2000 µm",
@@ -196,6 +199,13 @@ def test_poses_that_memory_cannot_hold_are_refused_before_their_columns_are_made
         InputError, match=r"13 calibration poses with errors that .* fewer poses or \[model_error\] with"
     ):
         inputs.give_functions(base, variant)
+
+
+def test_beside_blunders_tau_alone_is_left_and_said(silent):
+    inputs = studies.load_study(edited(silent, blunders=""))
+    names = inputs.posterior(inputs.config.variants[0], with_model_error=True).names
+    assert set(SCALES) & set(names) == {"tau"}
+    assert "the model error has no terms linear, own, smooth, drift, as each pose may be a blunder" in inputs.unused
 
 
 def test_terms_that_too_few_poses_cannot_show_are_left_out_and_said(silent):

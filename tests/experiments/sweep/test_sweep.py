@@ -18,6 +18,7 @@ from bayescal.experiments.frame.run import compute_experiment, run_experiment
 from bayescal.experiments.frame.store import Store
 from bayescal.experiments.sweep.compute import find_answers
 from bayescal.experiments.sweep.inputs import change, look_up
+from bayescal.experiments.sweep.kind import Sweep
 from bayescal.files.toml import write_toml
 
 pytestmark = pytest.mark.runs
@@ -250,11 +251,22 @@ def test_another_kind_is_no_sweep(refuse, tmp_path):
     refuse("expected 'sweep'", tmp_path / "out", "sweep", tmp_path / "tiny.toml")
 
 
+def test_a_sweep_none_of_whose_figures_is_there_ends_with_its_first_member(call, tmp_path):
+    path = sweeps.write(tmp_path, sweep=sweeps.SWEEP.replace("tracker.a.sd", "tracker.sd"), counted=True)
+    code, _, complaint = call("run", path, "--out", tmp_path / "out", "--workers", 1, "--quiet")
+    assert (code, complaint.count("\n")) == (2, 1)
+    assert "found none of sensors.tracker.sd in the summary of the first member" in complaint
+    assert "such as 'sensors.tracker.a.sd'" in complaint
+    assert not (tmp_path / "out").exists()
+    assert count_computed(tmp_path) == 1
+
+
 def test_figures_that_nobody_has_are_said(tmp_path):
-    path = sweeps.write(tmp_path, '[[figures]]\nkey = "nothing.of.the.sort"\n')
+    path = sweeps.write(tmp_path, '[[figures]]\nkey = "seed"\n[[figures]]\nkey = "nothing.of.the.sort"\n')
     finished = run(path, tmp_path / "out")
     assert any("nothing.of.the.sort" in one.text for one in finished.page.verdict)
     assert math.isnan(finished.results.table("members")["nothing.of.the.sort"][0])
+    assert Sweep().list_failures(finished.results) == ["found nothing.of.the.sort in no member's summary"]
 
 
 # --- the shipped one ---------------------------------------------------------------------------------------------

@@ -30,6 +30,8 @@ from bayescal.experiments.shared.study_schema import StudyConfig, VariantConfig
 from bayescal.machines.readings import ReadingModel, place
 from bayescal.numerics.geometry import Array
 
+FEWEST_ROWS = 3  # fewer may be alike on purpose
+
 
 @dataclass(frozen=True, eq=False)
 class Variant:
@@ -188,6 +190,7 @@ def _build(
         None if readings.correlation is None else readings.correlation[:, chosen][:, :, chosen],
         readings.commanded[:, chosen] if readings.commanded[rows].any() else None,
     ).pick(rows)
+    _check_moves(data)
     _check_commanded(readings.commanded[rows], whole, model)
     _check_noise(data, model)
     model.check_given(data.poses, data.given, [one for name in priors for one in common.get(name, (name,))])
@@ -231,6 +234,13 @@ def _choose_poses(section: VariantConfig, model: ReadingModel, readings: PoseRea
         for k in np.flatnonzero(rows & ~known[name])[:1]:
             raise InputError(f"pose {readings.poses[k]!r}: found no {name}, expected it, or poses_with = [{name!r}]")
     return rows
+
+
+def _check_moves(data: Measurements) -> None:
+    """Raise InputError where nothing that was read differs from row to row."""
+    moved = np.fmax.reduce(data.values) > np.fmin.reduce(data.values)
+    if data.n_poses >= FEWEST_ROWS and not moved.any():
+        raise InputError(f"data: found the same readings in all {data.n_poses} rows, expected a machine that moves")
 
 
 def _check_commanded(commanded: np.ndarray, whole: ReadingModel, model: ReadingModel) -> None:

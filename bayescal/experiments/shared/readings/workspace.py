@@ -119,14 +119,12 @@ def find_starts(posterior: CalibrationPosterior, workspace: Workspace, seed: int
     likelihood = posterior.likelihood
     starts, n = workspace.starts(seed), likelihood.data.n_poses
     white = likelihood.whiten(
-        *posterior.likelihood.noise(posterior.errors, posterior.zeta(np.zeros((len(starts), posterior.n_parameters))))
+        *posterior.likelihood.noise(posterior.errors, posterior.zeta(np.zeros((1, posterior.n_parameters))))
     )
-    theta = np.tile(posterior.sampling.start, (len(starts), 1))
-    every = np.broadcast_to(starts[:, None], (len(starts), n, starts.shape[1]))
-    pose = np.array(every)
+    pose = np.repeat(starts[:, None], n, axis=1)
     if pose.shape[-1]:
         with np.errstate(all="ignore"):
-            found, square = search_poses(likelihood, theta, white, pose)
+            found, square = search_poses(likelihood, posterior.sampling.start, white, pose)
         best = np.where(np.isnan(square), np.inf, square).argmin(axis=0)
         pose = found[best, np.arange(n)]
     else:
