@@ -371,7 +371,7 @@ def test_a_task_of_another_run_is_not_finished(store):
 # --- files of others -------------------------------------------------------------------------------------------------
 
 
-def test_files_of_others_stay_in_the_results(store):
+def test_files_of_others_stay_in_the_results(store, voice):
     fill(store.stage(), "old")
     write_manifest(store.staged)
     store.publish()
