@@ -137,6 +137,7 @@ def trust(folder: Path | str) -> list[Path]:
 
     Examples
     --------
+    >>> import bayescal as bc
     >>> [path.name for path in bc.trust("examples/own_machine")]
     ['linear_delta.py']
     """
