@@ -2,9 +2,10 @@
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+export BAYESCAL_TRUST := 1  # the repository's own configs run its own code
 THREADS := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 
-.PHONY: study real audits reproduce test test-runs test-browser test-dask test-slow check docs dist data picture benchmark soak clean help
+.PHONY: study real audits reproduce seal test test-runs test-browser test-dask test-slow check docs dist data picture benchmark soak clean help
 
 help:
 	@echo "make study      the telescope study: environment, run, ranking, report (one to two minutes on two cores)"
@@ -17,6 +18,7 @@ help:
 	@echo "make test-dask  schedulers and workers of dask, killed and late (installs dask.distributed)"
 	@echo "make test-browser  every kind's page in the system's Chromium (installs playwright, no browser)"
 	@echo "make check      linter, types, import contracts"
+	@echo "make seal       the manifests of committed results, of the files that git has of them"
 	@echo "make data       simulate the shipped twins again"
 	@echo "make docs       the documentation, its tutorials run, into docs/_build/html (installs Sphinx)"
 	@echo "make dist       the wheel, into dist"
@@ -65,6 +67,13 @@ check: $(STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
+
+seal: $(STAMP)
+	rm -rf build/sealed && git checkout-index --prefix=build/sealed/ $$(git ls-files results)
+	@for provenance in $$(git ls-files 'results/*/provenance.json'); do \
+	  folder=$$(dirname $$provenance) && rm -f build/sealed/$$folder/manifest.json && \
+	  $(BIN)/bayescal seal build/sealed/$$folder && cp build/sealed/$$folder/manifest.json $$folder || exit $$?; \
+	done
 
 data: $(STAMP)
 	@for folder in telescope m2_hexapod m2_hexapod_table hexaglide camera_hexapod; do \

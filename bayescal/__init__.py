@@ -5,10 +5,30 @@ The names below are the way in from Python, in the order in which they are neede
 
 from __future__ import annotations
 
-from importlib import import_module
-from importlib.metadata import version
+import os
+import sys
+
+
+def list_elsewhere() -> list[str]:
+    """Return `sys.path` without the current folder, from which nothing is imported unless bayescal itself lies there.
+
+    Python puts it first for ``python -m`` and at a prompt: a stranger's file with a library's name would be run.
+    """
+    try:  # of os.path, which has been imported already: a library's name may be that of such a file
+        here, own = os.path.realpath(os.curdir), os.path.realpath(f"{__file__}/../..")
+    except OSError:  # a folder that is gone
+        return sys.path[:]
+    return [one for one in sys.path if here == own or os.path.realpath(one or os.curdir) != here]
+
+
+if sys.argv[:1] == ["-m"]:  # `python -m bayescal`, before anything else is imported
+    sys.path[:] = list_elsewhere()
+
+from importlib import import_module  # noqa: E402
+from importlib.metadata import version  # noqa: E402
 
 _HOMES = {
+    "trust": "bayescal.config.trust",
     "load_machine": "bayescal.front",
     "audit": "bayescal.front",
     "simulate": "bayescal.front",

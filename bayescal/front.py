@@ -24,6 +24,7 @@ from bayescal.calibrated.exported import keep_machines
 from bayescal.config.load import read_toml
 from bayescal.config.local_imports import find_local_imports
 from bayescal.config.sections import ExperimentConfig, Section
+from bayescal.config.trust import vouch
 from bayescal.errors import InputError, name_faults
 from bayescal.experiments.frame.load import load
 from bayescal.files.csv_tables import read_table
@@ -134,7 +135,7 @@ def load_machine(machine: AnyMachine) -> MachineFiles:
     Raises
     ------
     InputError
-        For anything wrong with the file or the class.
+        For anything wrong with the file or the class, and for code that a file names and nobody has trusted (`trust`).
 
     Examples
     --------
@@ -162,6 +163,7 @@ def load_machine(machine: AnyMachine) -> MachineFiles:
         module, files = _list_sources(found)
         content = {"kind": f"{module}:{found.__qualname__}", "name": found.__name__.lower(), "title": found.__name__}
         files[MACHINE] = write_toml(content | ({"machine": section} if section else {})).encode()
+        vouch(files.values())  # whoever has the class has run its code
         MachineFiles(files, MACHINE, None).write(Path(folder))  # type: ignore[arg-type]  # only its files are written
         with _leave_out(Path(folder)):
             return MachineFiles(files, MACHINE, read_reading_model(Path(folder) / MACHINE))

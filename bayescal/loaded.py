@@ -18,6 +18,8 @@ import numpy as np
 
 from bayescal.config.load import describe_unknown
 from bayescal.errors import InputError
+from bayescal.files.manifest import overlooking
+from bayescal.files.plain_text import make_plain
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -46,13 +48,16 @@ class LoadedResults:
     results : Results
         Summary, tables and provenance as they were written.
     trust : bool
-        Whether the code of classes of its own that the results keep may be run.
+        Whether the code of classes of its own that the results keep is run, trusted or not.
+    force : bool
+        Whether files are taken that are not as they were written.
     project : object
         What the files that the results were made of are kept by; None where nobody keeps them.
     """
 
     results: Results
     trust: bool = False
+    force: bool = False
     project: Any = None
 
     def keep(self, project: Any) -> Self:
@@ -114,7 +119,7 @@ class LoadedResults:
         for title, table in self.list_shown().items():
             text = table.to_string(index=False, max_rows=ROWS, max_cols=8, float_format="{:.4g}".format)
             said.append(f"{title}:\n{text}")
-        return "\n".join(one for one in said if one)
+        return make_plain("\n".join(one for one in said if one), but="\n")
 
     def _repr_html_(self) -> str:
         said = [f"<h3>{escape(str(self.summary.get('title', self.kind)))}</h3>"]
@@ -298,7 +303,8 @@ class VariantResult:
         """The calibrated machine; InputError where its posterior did not converge."""
         from bayescal.experiments.shared.calibrating import load_calibrated
 
-        return load_calibrated(self.study.folder, self.name, trust=self.study.trust)
+        with overlooking(self.study.force):
+            return load_calibrated(self.study.folder, self.name, trust=self.study.trust)
 
     def predict(self, commands: Table) -> pd.DataFrame:
         """Return where machine and tool are at commands, with standard deviations and covariances.
@@ -391,15 +397,16 @@ def _read(text: str) -> pd.DataFrame:
 CLASSES: dict[str, type[LoadedResults]] = {"study": StudyResult, "audit": Audit}
 
 
-def load_results(folder: Path | str, trust: bool = False) -> LoadedResults:
+def load_results(folder: Path | str, trust: bool = False, force: bool = False) -> LoadedResults:
     """Return the results of a finished run: `StudyResult`, `Audit`, or `LoadedResults` of any other kind.
 
-    With ``trust`` the code of a machine's own class that they keep is run where that is asked for.
+    With ``trust`` the code of a machine's own class that they keep is run where that is needed, though nobody has
+    trusted it; with ``force`` files are taken that are not as they were written.
 
     Raises
     ------
     InputError
-        Where the folder holds no results, or a table of them is missing.
+        Where the folder holds no results, or a file of them was edited, is missing or was added.
 
     Examples
     --------
@@ -408,8 +415,9 @@ def load_results(folder: Path | str, trust: bool = False) -> LoadedResults:
     """
     from bayescal.experiments.frame.results import read_results
 
-    results = read_results(Path(folder))
-    return CLASSES.get(str(results.provenance.get("kind")), LoadedResults)(results, trust)
+    with overlooking(force):
+        results = read_results(Path(folder))
+    return CLASSES.get(str(results.provenance.get("kind")), LoadedResults)(results, trust, force)
 
 
 def _make_axes(axes: Axes | None) -> Axes:

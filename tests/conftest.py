@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import re
 import sys
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +16,43 @@ from studies import snapshot
 
 from bayescal import cli
 from bayescal.errors import InputError
+from bayescal.files import manifest
 from bayescal.report.pictures import Picture, render_picture
 from bayescal.report.style import RC
+
+os.environ["BAYESCAL_TRUST"] = "1"  # the code of this repository and of its tests, in processes of theirs too
+os.environ["XDG_CONFIG_HOME"] = tempfile.mkdtemp(prefix="bayescal-tests-")  # what a user has trusted is left alone
+
+
+@pytest.fixture(autouse=True)
+def _say_nothing_of_code(request, monkeypatch):
+    """Leave lines that name a file's code, or results of earlier versions, to the tests of these."""
+    if not {"distrust", "voice"} & set(request.fixturenames):
+        monkeypatch.setattr(sys.modules["bayescal.cli.app"], "_say", lambda line: None)
+
+
+REFUSE = manifest._refuse
+
+
+@pytest.fixture(autouse=True, scope="session")
+def _take_doctored_results():
+    """Take results whose files a test has changed on purpose, for instance to pass them off as converged."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(manifest, "_refuse", lambda folder, faults: None)
+        yield
+
+
+@pytest.fixture
+def voice(monkeypatch):
+    """Let results be whole or refused, and commands say what code they run and what is not known of results."""
+    monkeypatch.setattr(manifest, "_refuse", REFUSE)
+
+
+@pytest.fixture
+def distrust(monkeypatch, tmp_path_factory):
+    """Run code only where somebody has trusted it, as a user's shell does."""
+    monkeypatch.setenv("BAYESCAL_TRUST", "")
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path_factory.mktemp("settings")))
 
 
 @pytest.fixture

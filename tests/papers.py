@@ -12,5 +12,5 @@ YU, RR, SIKA = (studies.EXPERIMENTS / name for name in ("yu2023", "rr8096", "sik
 
 load_class("KINDS", "kind.py:HexapodCalibrations", YU)
 load_class("KINDS", "self_calibrations.py:SelfCalibrations", SIKA)
-claims = sys.modules[load_class("CLAIMS", "claims.py:Rr8096", RR).__module__]
+claims = sys.modules[load_class("CLAIMS", "claims.py:Rr8096", studies.TELESCOPE).__module__]
 pose_methods = sys.modules[load_class("KINDS", "pose_methods.py:PoseMethods", RR).__module__]

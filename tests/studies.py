@@ -16,7 +16,8 @@ from bayescal.machines.kinematics import STEP_TOLERANCE
 
 EXPERIMENTS = Path(__file__).parents[1] / "experiments"
 TELESCOPE = EXPERIMENTS / "telescope"
-CLAIMS = f"{EXPERIMENTS}/rr8096/claims.py:Rr8096"
+CLAIMS = "claims.py:Rr8096"
+"""Of the telescope; a tiny study has the files beside it."""
 N_CALIBRATION = 13
 N_VERIFICATION = 3
 SEED = 20
@@ -180,7 +181,8 @@ def write_texts(folder: Path, texts: dict[str, str]) -> None:
 
 def write_tiny_study(folder: Path) -> Path:
     """Write a tiny study with its data to a folder and return its config."""
-    write_texts(folder, tiny_texts() | tiny_survey_texts())
+    code = {path.relative_to(TELESCOPE).as_posix(): path.read_text() for path in TELESCOPE.rglob("*.py")}
+    write_texts(folder, tiny_texts() | tiny_survey_texts() | code)
     return folder / "study.toml"
 
 

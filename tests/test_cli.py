@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import shutil
@@ -148,7 +149,7 @@ def test_bad_input_is_one_line_and_nothing_written(refuse, study, command, name,
 
 def test_unknown_claims(refuse, study):
     studies.edit(Path(study), "seed = 11", 'seed = 11\nclaims = "rr8096"')
-    assert "claims: found 'rr8096', expected module:Class or file.py:Class" in refuse("run", study)
+    assert "claims: found 'rr8096', expected file.py:Class" in refuse("run", study)
 
 
 def test_kind_of_another_command(refuse, study):
@@ -172,15 +173,16 @@ def test_out_without_permission(refuse, study, tmp_path):
     refuse("run", study, "--out", "locked/out")
 
 
-def test_full_disk_is_one_line(call, study, monkeypatch, quick):
+@pytest.mark.parametrize("fault", [errno.ENOSPC, errno.EDQUOT, errno.EFBIG], ids=["disk", "quota", "ulimit -f"])
+def test_full_disk_is_one_line(fault, call, study, monkeypatch, quick):
     def fail(*_):
-        raise OSError(28, "No space left on device", "out")
+        raise OSError(fault, os.strerror(fault), "out")
 
     monkeypatch.setattr(compute, "run_task", fail)
     code, _, err = call("run", study, "--out", "out", "--workers", 1, "--quiet")
     assert code == 3
     assert err.count("\n") == 1
-    assert "No space left on device" in err
+    assert f"out: {os.strerror(fault)}, expected room to write" in err
 
 
 # --- run -------------------------------------------------------------------------------------------------------------
@@ -344,7 +346,7 @@ def test_report_of_what_is_no_results_directory(refuse, study):
         ('{"tables": {}}', "found no kind of experiment in its provenance"),
         ('{"kind": ["study"], "tables": {}}', "found no kind of experiment in its provenance"),
         ('{"kind": "studdy", "tables": {}}', "kind: found 'studdy', did you mean 'study'?"),
-        ('{"kind": "os:system", "tables": {}}', "whose code would be run, expected --trust-code"),
+        ('{"kind": "os:system", "tables": {}}', "found 'os:system', which no installed package offers"),
         ('{"kind": "study", "tables": {}}', "summary.json: experiment: found nothing, expected str"),
         ('{"kind": "study", "tables": {"x.csv": {"a": ["text"]}}}', "x.csv: a: found kind ['text'] in provenance.json"),
         ('{"kind": "study", "tables": {}, "empty_tables": 3}', "empty_tables: found 3, expected lists of columns"),

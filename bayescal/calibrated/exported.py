@@ -1,8 +1,7 @@
 """Exported machines as directories: ``calibrated.toml`` names the machine's file and how well it is known.
 
 Results and exported machines keep the file that a machine is read from and, where its class stands in a file beside
-it, that file with what it imports from beside itself. Whoever loads a stranger's results runs that code only if they
-say so.
+it, that file with what it imports from beside itself. Loading them runs that code only where somebody has trusted it.
 """
 
 from __future__ import annotations
@@ -20,11 +19,12 @@ from bayescal.calibrated.machine import CalibratedMachine, Errors, LegErrors, So
 from bayescal.calibrated.tables import read_given, read_quantities
 from bayescal.config.classes import CLASS
 from bayescal.config.load import check_section, read_toml
-from bayescal.config.registry import list_references
+from bayescal.config.registry import list_references, list_sources
 from bayescal.config.sections import InputFile, NotNegative, Number, Section
-from bayescal.config.trust import check_same, check_trust, hash_file
+from bayescal.config.trust import check_same, hash_file
 from bayescal.errors import InputError
 from bayescal.files.csv_tables import format_table, read_matrix, read_table
+from bayescal.files.manifest import check_whole
 from bayescal.files.netcdf import read_netcdf
 from bayescal.machines.deformations import MatrixDeformation, NominalDeformation
 from bayescal.machines.kinematics import check_home_pose
@@ -225,13 +225,8 @@ def _encode_draws(calibrated: CalibratedMachine) -> bytes:
 # --- reading -------------------------------------------------------------------------------------------------------
 
 
-def read_exported(folder: Path, trust: bool = False) -> CalibratedMachine:
+def read_exported(folder: Path) -> CalibratedMachine:
     """Return the machine of an exported directory.
-
-    Parameters
-    ----------
-    trust : bool
-        Whether the code of a machine's own class may be run.
 
     Raises
     ------
@@ -239,15 +234,12 @@ def read_exported(folder: Path, trust: bool = False) -> CalibratedMachine:
         For anything at fault in its files.
     """
     path = folder / CALIBRATED
+    check_whole(folder, expected=False, additions=True)
     content, text = read_toml(path)
     config = check_section(ExportedConfig, content, path, text)
     if (config.mechanism is None) == (config.machine is None):
         raise InputError(f"{path}: found both or none of mechanism and machine, expected one of them")
-    model = (
-        _read_legs(config, folder)
-        if config.machine is None
-        else read_kept(folder / config.machine, trust, config.sha256)
-    )
+    model = _read_legs(config, folder) if config.machine is None else read_kept(folder / config.machine, config.sha256)
     theta = model.layout.nominal if config.parameters is None else _read_parameters(folder / config.parameters, model)
     names, covariance = _read_covariance(folder, config.covariance)
     for name in names:
@@ -419,38 +411,36 @@ def keep_machines(
     return files, {path: one.relative_to(root).as_posix() for path, one in known.items()}
 
 
-def read_kept(path: Path, trust: bool, known: Collection[str] | None = None) -> ReadingModel:
+def read_kept(path: Path, known: Collection[str] | None = None) -> ReadingModel:
     """Return the machine of a kept file.
 
     Parameters
     ----------
     path : Path
         The machine's TOML file.
-    trust : bool
-        Whether the code of a class of its own may be run.
     known : collection of str, optional
         SHA-256 of files that the results go back to: code has to be one of these.
 
     Raises
     ------
     InputError
-        For code that nobody has allowed to run, or that is another than the results'.
+        For code that nobody has trusted, or that is another than the results'.
     """
-    for name in _list_own_classes(path):
-        check_trust(path, f"machine of its own class {name!r}", trust)
     check_same(path.parent, [path.name], known)
+    for what, name in _list_own_classes(path):  # before any of it is run
+        check_same(path.parent, list_sources(what, name, path.parent), known)
     check_same(path.parent, list_machine_sources(path), known)
     return read_reading_model(path)
 
 
-def _list_own_classes(path: Path) -> list[str]:
-    """Return the names of classes in a machine's file that are neither built in nor an installed package's."""
+def _list_own_classes(path: Path) -> list[tuple[str, str]]:
+    """Return the classes in a machine's file that are neither built in nor an installed package's, with their sort."""
     content = read_toml(path)[0]
     named = [("MACHINES", content.get("kind"))]
     if content.get("kind") == LEGS:
         named = [("MODELS", content.get("model")), ("DEFORMATIONS", content.get("deformation"))]
     found = [(what, one.get(CLASS) if isinstance(one, dict) else one) for what, one in named]
-    return [one for what, one in found if isinstance(one, str) and one not in list_references(what)]
+    return [(what, one) for what, one in found if isinstance(one, str) and one not in list_references(what)]
 
 
 def format_mechanism(mechanism: Mechanism, comments: Sequence[str] = ()) -> str:

@@ -17,6 +17,7 @@ from bayescal.config.load import look_up
 from bayescal.errors import InputError, name_faults
 from bayescal.files.atomic import make_directory, write_atomically
 from bayescal.files.csv_tables import format_table
+from bayescal.files.manifest import renew_manifest
 from bayescal.machines.deformations import NoDeformation
 from bayescal.machines.kinematics import Machine, check_home_pose
 from bayescal.machines.models.six_pus import SixPus
@@ -317,4 +318,5 @@ def export_machine(calibrated: CalibratedMachine, folder: Path, name: str | None
     for one, content in files.items():
         (folder / one).parent.mkdir(parents=True, exist_ok=True)
         write_atomically(folder / one, content)
+    renew_manifest(folder, set(files).__contains__, begin=True)
     return [folder / one for one in files]

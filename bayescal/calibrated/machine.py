@@ -15,6 +15,7 @@ import numpy as np
 from bayescal.calibrated.functions import KnownFunctions
 from bayescal.density.calibration.measurements import Comparison
 from bayescal.errors import InputError
+from bayescal.files.plain_text import name_file
 from bayescal.machines.deformations import (
     DEFORMATIONS,
     Deformation,
@@ -154,7 +155,7 @@ class Source:
     @property
     def stem(self) -> str:
         """Name of a directory for the machine."""
-        return f"{self.experiment}-{self.variant.replace('/', '-').replace(' ', '_')}"
+        return f"{name_file(self.experiment)}-{name_file(self.variant)}"
 
     def describe(self) -> list[str]:
         """Return lines for the head of a file."""

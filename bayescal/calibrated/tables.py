@@ -190,7 +190,7 @@ def format_command(
     sd = np.full(command.commands.shape, np.nan) if command.sd is None else command.sd * _fine(channels)
     known = _list_given(given, len(names))
     rows = [
-        (name, _quote(fault) or "yes", *own, *_format_cells(value, ".9f", fault), *_format_cells(spread, ".6g", fault))
+        (name, fault or "yes", *own, *_format_cells(value, ".9f", fault), *_format_cells(spread, ".6g", fault))
         for name, fault, own, value, spread in zip(names, command.faults, known, command.commands, sd, strict=True)
     ]
     comments = [
@@ -280,7 +280,3 @@ def _format_values(values: Array, channels: Sequence[Channel]) -> list[str]:
 def _format_cells(values: Array, digits: str, fault: str) -> list[str]:
     """Return cells, empty ones where there is nothing to be had."""
     return ["" if fault or not np.isfinite(value) else format(value, digits) for value in values]
-
-
-def _quote(text: str) -> str:
-    return f'"{text}"' if "," in text else text

@@ -17,9 +17,10 @@ from typing import Annotated, Any, get_type_hints
 import typer
 from rich.console import Console
 
-from bayescal.config.trust import allow_own_classes
+from bayescal.config.trust import TRUST, change_policy
 from bayescal.errors import BayescalError, InputError, NumericalError, SeveralFaultsError
 from bayescal.experiments.frame.interrupts import INTERRUPTED
+from bayescal.files.manifest import say_by
 from bayescal.files.plain_text import make_plain
 from bayescal.limits import LARGEST_SEED
 
@@ -52,16 +53,46 @@ def begin(
         bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Print the version and end.")
     ] = False,
     no_plugins: NoPlugins = False,
+    trust: Trust = False,
 ) -> None:
     """Bayesian identification of parallel-kinematic machines."""
-    del version, no_plugins
+    del version, no_plugins, trust
     if context.invoked_subcommand is None:
         typer.echo(context.get_help())
 
 
 def _forbid_plugins(forbidden: bool) -> None:
     if forbidden:
-        allow_own_classes(False)
+        change_policy(own=False)
+
+
+def _trust_code(trusted: bool) -> None:
+    if trusted:
+        change_policy(everything=True)
+
+
+def _be_quiet(quiet: bool) -> bool:
+    if quiet:
+        change_policy(say=None)
+    return quiet
+
+
+def is_interactive() -> bool:
+    """Whether somebody sits there who can be asked."""
+    return sys.stdin.isatty() and sys.stderr.isatty()
+
+
+def echo(text: str, nl: bool = True, err: bool = False) -> None:
+    """Print a text that others may have written."""
+    typer.echo(make_plain(text, but="\n\t"), nl=nl, err=err)
+
+
+def _say(line: str) -> None:
+    echo(f"bayescal: {line}", err=True)
+
+
+def _ask(question: str) -> bool:
+    return typer.confirm(make_plain(question), err=True)
 
 
 Experiment = Annotated[Path, typer.Argument(metavar="EXPERIMENT.toml", help="Config of the experiment.")]
@@ -79,7 +110,19 @@ NoPlugins = Annotated[
 
 
 Trust = Annotated[
-    bool, typer.Option("--trust-code", help="Run the code of classes of their own that the results keep.")
+    bool,
+    typer.Option(
+        "--trust",
+        "--trust-code",
+        callback=_trust_code,
+        is_eager=True,
+        help=f"Run the code of files that config or results name, trusted or not; {TRUST}=1 does the same.",
+    ),
+]
+
+
+Force = Annotated[
+    bool, typer.Option("--force", help="Take results whose files are not as they were written; what is, is said.")
 ]
 
 
@@ -99,8 +142,11 @@ class RunOptions:
         ),
     ] = None
     resume: Annotated[bool, typer.Option("--resume", help="Take up an interrupted run of the same config.")] = False
-    quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False
+    quiet: Annotated[
+        bool, typer.Option("--quiet", callback=_be_quiet, is_eager=True, help="Print nothing but errors.")
+    ] = False
     no_plugins: NoPlugins = False
+    trust: Trust = False
 
 
 def spread_options(command: Callable[..., None]) -> Callable[..., None]:
@@ -123,11 +169,13 @@ def spread_options(command: Callable[..., None]) -> Callable[..., None]:
 
 def make_console(width: int = WIDTH) -> Console:
     """Return where to print; without a terminal as wide as COLUMNS says, or as is given."""
-    found = Console(highlight=False, markup=False)
+    from bayescal.experiments.frame.terminal import PlainConsole
+
+    found = PlainConsole()
     if found.is_terminal:
         return found
     told = os.environ.get("COLUMNS", "")
-    return Console(width=int(told) if told.isdecimal() and int(told) else width, highlight=False, markup=False)
+    return PlainConsole(width=int(told) if told.isdecimal() and int(told) else width)
 
 
 def check_out(out: Path | None) -> None:
@@ -147,11 +195,11 @@ def put(text: str, out: Path | None) -> None:
     from bayescal.files.atomic import make_directory, write_atomically
 
     if out is None:
-        typer.echo(text, nl=False)
+        echo(text, nl=False)
     else:
         make_directory(out.parent)
         write_atomically(out, text.encode())
-        typer.echo(f"wrote {out}")
+        echo(f"wrote {out}")
 
 
 def main() -> None:
@@ -162,6 +210,8 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal without Greek letters
+    say_by(_say)
+    change_policy(say=_say, ask=_ask if is_interactive() else None)
     try:
         code = app(standalone_mode=False)
     except typer.TyperException as error:
@@ -172,7 +222,7 @@ def main() -> None:
         code = _complain(str(error), error.exit_code)
     except OSError as error:  # a file or directory that may not be read or written, a full disk
         where = error.filename or "a file of the results"
-        full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO)
+        full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
         code = _complain(
             f"{where}: {error.strerror}, expected {'room to write' if full else 'to read or write there'}",
             NumericalError.exit_code if full else InputError.exit_code,
@@ -188,7 +238,8 @@ def main() -> None:
             raise
         code = _complain(_describe_own_fault(error), NumericalError.exit_code)
     finally:
-        allow_own_classes(True)  # what a call forbids holds for that call
+        say_by(None)
+        change_policy()  # what a call forbids or allows holds for that call
     sys.exit(code or 0)
 
 
@@ -202,5 +253,5 @@ def _describe_own_fault(error: Exception) -> str:
 
 
 def _complain(message: str, code: int) -> int:
-    typer.echo(f"bayescal: {make_plain(' '.join(message.split()))}", err=True)
+    echo(f"bayescal: {make_plain(' '.join(message.split()))}", err=True)
     return code

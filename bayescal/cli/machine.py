@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 import typer
 
-from bayescal.cli.app import Trust, app, check_out, put, spread_options
+from bayescal.cli.app import Trust, app, check_out, echo, put, spread_options
 from bayescal.errors import InputError, name_faults
 from bayescal.limits import LARGEST_SEED
 
@@ -44,7 +44,7 @@ class MachineOptions:
     ] = None
     force: Annotated[
         bool,
-        typer.Option("--force", help="Take a posterior that did not converge; files say so."),
+        typer.Option("--force", help="Take a posterior that did not converge, and files that were changed."),
     ] = False
     trust: Trust = False
 
@@ -52,7 +52,7 @@ class MachineOptions:
         """Return the machine; see `load_calibrated`."""
         from bayescal.experiments.shared.calibrating import load_calibrated
 
-        return load_calibrated(results, self.variant, self.experiment, self.force, self.trust)
+        return load_calibrated(results, self.variant, self.experiment, self.force)
 
 
 @app.command(epilog="Example: bayescal export results/m2_hexapod --format urdf --out machines/m2")
@@ -74,7 +74,7 @@ def export(
     where = out or Path("machines") / calibrated.source.stem
     check_writable(where)
     for path in export_machine(calibrated, where, name):
-        typer.echo(f"wrote {path}")
+        echo(f"wrote {path}")
     _tell_missing(results, calibrated)
 
 
@@ -146,7 +146,7 @@ def _check_many(n_poses: int, n_draws: int, calibrated: CalibratedMachine) -> No
 def _tell_missing(results: Path, calibrated: CalibratedMachine) -> None:
     """Say on standard error that there is no covariance, and why."""
     if calibrated.covariance is None:
-        typer.echo(f"{results}: no draws of the posterior (posterior/*.nc): without covariance and draws", err=True)
+        echo(f"{results}: no draws of the posterior (posterior/*.nc): without covariance and draws", err=True)
 
 
 @app.command(epilog="Example: bayescal certificate results/m2_hexapod --out certificate.html")
@@ -187,7 +187,7 @@ def certificate(
     region = _read_region(calibrated, position_mm, rotation_deg, whole_range)
     wishes = Wishes(coverage, poses, cube_mm=cube, seed=seed, region=region, whole_range=whole_range)
     found = certify(calibrated, results, wishes)
-    typer.echo(state_headline(found))
+    echo(state_headline(found))
     page = build_certificate(found)
     pictures = {figure.name: render_picture(figure.draw) for figure in page.figures() if figure.draw is not None}
     put(render_page(page, pictures), where)
@@ -319,7 +319,7 @@ def recheck(
     sentence = describe_plan(plan)
     put(format_plan(calibrated, plan, sentence), out)
     if out is not None:
-        typer.echo(sentence)
+        echo(sentence)
 
 
 def _demand(

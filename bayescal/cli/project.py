@@ -9,22 +9,26 @@ from typing import Annotated
 import typer
 from rich.padding import Padding
 
-from bayescal.cli.app import WIDE, Experiment, NoPlugins, Trust, app, make_console, put
+from bayescal.cli.app import WIDE, Experiment, Force, NoPlugins, Trust, app, echo, make_console, put
 from bayescal.errors import InputError
+from bayescal.files.manifest import MANIFEST, overlooking
 
 
 @app.command(epilog="Example: bayescal report results/telescope")
 def report(
     results: Annotated[Path, typer.Argument(metavar="RESULTS", help="Results directory.")],
     trust: Trust = False,
+    force: Force = False,
 ) -> None:
     """Write the page of a results directory anew, from its files alone."""
+    del trust
     from joblib import cpu_count
 
     from bayescal.experiments.frame.engine import stop_workers
     from bayescal.experiments.frame.run import write_report
 
-    typer.echo(f"wrote {write_report(results, trust, cpu_count())}")
+    with overlooking(force):
+        echo(f"wrote {write_report(results, workers=cpu_count())}")
     stop_workers()
 
 
@@ -32,8 +36,10 @@ def report(
 def show(
     machine: Annotated[Path, typer.Argument(metavar="MACHINE.toml", help="A machine's file.")],
     out: Annotated[Path | None, typer.Option(help="HTML file; default MACHINE.html here.")] = None,
+    trust: Trust = False,
 ) -> None:
     """Draw a machine as a page in which it can be turned, with its joints and legs."""
+    del trust
     from bayescal.experiments.shared.show import describe_machine
     from bayescal.report.page import render_page
 
@@ -45,30 +51,33 @@ def show(
 def compare(
     results: Annotated[list[Path], typer.Argument(metavar="RESULTS...", help="Results directories of one kind.")],
     trust: Trust = False,
+    force: Force = False,
 ) -> None:
     """Set several results side by side; of studies of the same data, rank their variants together."""
+    del trust
     from bayescal.experiments.frame.run import compare_results
 
-    experiment, table = compare_results(results, trust)
+    with overlooking(force):
+        experiment, table = compare_results(results)
     experiment.show_comparison(table, make_console(WIDE))
 
 
 @app.command(epilog="Example: bayescal validate experiments/telescope/study.toml")
-def validate(experiment: Experiment, no_plugins: NoPlugins = False) -> None:
+def validate(experiment: Experiment, no_plugins: NoPlugins = False, trust: Trust = False) -> None:
     """Find everything at fault in a config and its files without computing, and say what a run would do."""
-    del no_plugins
+    del no_plugins, trust
     from bayescal.experiments.frame.run import check_file
     from bayescal.files.plain_text import add_article
 
     _, config, files, outlook, doubts = check_file(experiment)
-    typer.echo(f"{experiment}: fit to run, {add_article(config.kind)} {config.name!r} ({config.title})")
+    echo(f"{experiment}: fit to run, {add_article(config.kind)} {config.name!r} ({config.title})")
     for line in outlook:
-        typer.echo(line)
+        echo(line)
     for doubt in doubts:
-        typer.echo(f"but {doubt}")
-    typer.echo(f"{len(files)} files belong to it: {', '.join(files)}" if files else "no other file belongs to it")
+        echo(f"but {doubt}")
+    echo(f"{len(files)} files belong to it: {', '.join(files)}" if files else "no other file belongs to it")
     command = "simulate" if config.kind == "simulation" else "run"
-    typer.echo(f"next: bayescal {command} {experiment}, into results/{config.name}")
+    echo(f"next: bayescal {command} {experiment}, into results/{config.name}")
 
 
 @app.command(epilog="Example: bayescal init my_hexapod --machine hexapod --instrument poses")
@@ -88,8 +97,8 @@ def init(
     if instrument is None and machine != OWN:
         instrument = _ask("--instrument", list(INSTRUMENTS))
     for path in start_project(folder, machine, instrument):
-        typer.echo(f"wrote {path}")
-    typer.echo(f"the data are simulated; next: cd {folder}, bayescal run study.toml, and read README.md")
+        echo(f"wrote {path}")
+    echo(f"the data are simulated; next: cd {folder}, bayescal run study.toml, and read README.md")
 
 
 def _ask(option: str, choices: list[str]) -> str:
@@ -98,6 +107,42 @@ def _ask(option: str, choices: list[str]) -> str:
         raise InputError(f"init: {option}: missing, expected one of {', '.join(choices)}")
     answer: str = typer.prompt(f"{option.removeprefix('--')} ({', '.join(choices)})", default=choices[0])
     return answer.strip()
+
+
+@app.command(epilog="Example: bayescal seal results/telescope")
+def seal(
+    results: Annotated[list[Path], typer.Argument(metavar="RESULTS...", help="Results directories.")],
+) -> None:
+    """Take the files of results as they are now: those of earlier versions, and those that you changed on purpose."""
+    from bayescal.experiments.frame.results import read_results
+    from bayescal.files.manifest import write_manifest
+
+    for folder in results:
+        read_results(folder, (), checked=False)  # that they are some
+    for folder in results:
+        write_manifest(folder)
+        echo(f"wrote {folder / MANIFEST}")
+
+
+@app.command("trust", epilog="Example: bayescal trust examples/own_machine")
+def trust_folder(
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="With configs or results, in it or below.")],
+    look: Annotated[bool, typer.Option("--list", help="List the files, and trust none.")] = False,
+    forget: Annotated[bool, typer.Option("--forget", help="Trust them no longer.")] = False,
+) -> None:
+    """Trust the code that configs and results in a folder name, as it is now: every command may run it."""
+    from bayescal.config.trust import forget as forget_files
+    from bayescal.config.trust import list_code, remember
+
+    if not folder.is_dir():
+        raise InputError(f"{folder}: found no directory, expected one with configs or results")
+    files = list_code(folder)
+    if not look:
+        (forget_files if forget else remember)(files)
+    for path in files:
+        echo(f"{'' if look else 'forgotten: ' if forget else 'trusted: '}{path}")
+    if not files:
+        echo(f"{folder}: no config and no results in it name a file with code")
 
 
 @app.command("list", epilog="Example: bayescal list models")
@@ -125,4 +170,4 @@ def schema(kind: Annotated[str, typer.Argument(metavar="KIND", help="Kind of exp
 
     from bayescal.experiments.frame.load import describe_schema
 
-    typer.echo(json.dumps(describe_schema(kind), indent=1, ensure_ascii=False))
+    echo(json.dumps(describe_schema(kind), indent=1, ensure_ascii=False))

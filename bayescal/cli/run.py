@@ -7,7 +7,19 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from bayescal.cli.app import Experiment, NoPlugins, RunOptions, Seed, app, check_out, make_console, put, spread_options
+from bayescal.cli.app import (
+    Experiment,
+    NoPlugins,
+    RunOptions,
+    Seed,
+    Trust,
+    app,
+    check_out,
+    echo,
+    make_console,
+    put,
+    spread_options,
+)
 from bayescal.errors import InputError, NumericalError, name_faults
 from bayescal.experiments.frame.interrupts import end_on_interrupt
 
@@ -132,9 +144,10 @@ def simulate(
     out: Annotated[Path, typer.Option(help="Directory for the CSV files.")],
     seed: Seed = None,
     no_plugins: NoPlugins = False,
+    trust: Trust = False,
 ) -> None:
     """Simulate photogrammetry, an instrument's or a machine's own readings; the config states the truth."""
-    del no_plugins
+    del no_plugins, trust
     from bayescal.experiments.frame.load import load_kind
     from bayescal.experiments.frame.run import compute_experiment
     from bayescal.files.atomic import check_writable, make_directory, write_atomically
@@ -148,7 +161,7 @@ def simulate(
     make_directory(out)
     for name, text in results.files.items():
         write_atomically(out / name, str(text).encode())
-        typer.echo(f"wrote {out / name}")
+        echo(f"wrote {out / name}")
 
 
 @app.command(
@@ -158,8 +171,10 @@ def poses_from_targets(
     experiment: Experiment,
     out: Annotated[Path | None, typer.Option(help="CSV file for the poses; default standard output.")] = None,
     method: Annotated[str | None, typer.Option(help="robust, line or least_squares, in place of the config's.")] = None,
+    trust: Trust = False,
 ) -> None:
     """Extract the platform's poses in the base frame, with their covariances, from a study's targets."""
+    del trust
     from bayescal.config.load import look_up
     from bayescal.data.photogrammetry.poses import METHODS
     from bayescal.experiments.frame.load import load_kind

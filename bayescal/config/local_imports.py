@@ -10,13 +10,14 @@ import ast
 import contextlib
 import copyreg
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping
 from dataclasses import is_dataclass
 from functools import lru_cache
-from importlib.machinery import PathFinder
+from importlib.abc import MetaPathFinder
+from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
+from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
-from types import ModuleType
+from types import CodeType, ModuleType
 from typing import Any, TypeAliasType, cast, get_type_hints
 
 import cloudpickle
@@ -94,22 +95,68 @@ def _is_installed(top: str, root: Path) -> bool:
     return found is not None and found.origin is not None  # a mere folder of that name gives way to a module
 
 
-@contextmanager
-def import_from(root: Path, modules: dict[str, Path]) -> Iterator[None]:
-    """Let a file import from beside itself: what modules of these names were before, of other files, is forgotten.
+class _Source(SourceFileLoader):
+    """Runs a file as it was read: no bytecode that lies beside it, and nothing that was written since."""
 
-    No bytecode is left there: somebody's folder is read, and a file that changes within a second would be taken for the
-    one that was.
+    def __init__(self, name: str, path: Path, content: bytes) -> None:
+        super().__init__(name, str(path))
+        self.content = content
+
+    def get_code(self, fullname: str) -> CodeType:
+        return self.source_to_code(self.content, self.path)
+
+
+class _Beside(MetaPathFinder):
+    """Finds the modules beside a file that its text imports, and no others."""
+
+    def __init__(self, modules: Mapping[str, Path], contents: Mapping[Path, bytes]) -> None:
+        self.modules, self.contents = modules, contents
+
+    def find_spec(self, name: str, path: object = None, target: object = None) -> ModuleSpec | None:
+        del path, target
+        file = self.modules.get(name)
+        if file is not None:
+            found = spec_from_file_location(name, file, loader=_Source(name, file, self.contents[file]))
+            if found is not None and file.name == "__init__.py":
+                found.submodule_search_locations = []  # what is in it is found here alone
+            return found
+        if any(other.startswith(f"{name}.") for other in self.modules):  # a folder without __init__.py
+            found = ModuleSpec(name, None, is_package=True)
+            found.submodule_search_locations = []
+            return found
+        return None
+
+
+def import_from(name: str, path: Path, local: Mapping[str, Path], contents: Mapping[Path, bytes]) -> None:
+    """Import a file under a name, from contents that were read, and let it import from beside itself.
+
+    What modules of the same names were before, of other files, is forgotten.
+
+    Parameters
+    ----------
+    name : str
+        Where it is put in `sys.modules`.
+    path : Path
+    local : mapping of str to Path
+        See `find_local_imports`.
+    contents : mapping of Path to bytes
+        Of the file and of these.
     """
-    for name in modules:
-        sys.modules.pop(name, None)
-    before, sys.dont_write_bytecode = sys.dont_write_bytecode, True
-    sys.path.append(str(root))
+    for one in local:
+        sys.modules.pop(one, None)
+    specification = spec_from_file_location(name, path, loader=_Source(name, path, contents[path]))
+    assert specification is not None
+    assert specification.loader is not None
+    sys.modules[name] = module_from_spec(specification)
+    finder = _Beside(local, contents)
+    sys.meta_path.insert(0, finder)
     try:
-        yield
+        specification.loader.exec_module(sys.modules[name])
+    except BaseException:
+        del sys.modules[name]
+        raise
     finally:
-        sys.path.remove(str(root))
-        sys.dont_write_bytecode = before
+        sys.meta_path.remove(finder)
 
 
 def send_by_value(module: ModuleType) -> None:

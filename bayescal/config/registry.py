@@ -8,11 +8,11 @@ it.
 from __future__ import annotations
 
 import importlib
-import importlib.util
 import re
 import sys
 import zlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import entry_points
@@ -22,9 +22,10 @@ from typing import Any
 
 import cloudpickle
 
+from bayescal import list_elsewhere
 from bayescal.config.load import describe_unknown
 from bayescal.config.local_imports import find_local_imports, import_from, send_by_value
-from bayescal.config.trust import are_own_classes_allowed, hash_file
+from bayescal.config.trust import are_own_classes_allowed, hash_file, permit
 from bayescal.errors import InputError
 
 
@@ -96,7 +97,19 @@ def _list_built_in(what: str) -> dict[str, Any]:
 
 @cache
 def _list_entry_points(group: str) -> dict[str, str]:
-    return {one.name: one.value for one in entry_points(group=group)}
+    with _leave_current_folder():
+        return {one.name: one.value for one in entry_points(group=group)}
+
+
+@contextmanager
+def _leave_current_folder() -> Iterator[None]:
+    """Import from installed packages alone, and not from the folder where this process happens to be."""
+    before = sys.path[:]
+    sys.path[:] = list_elsewhere()
+    try:
+        yield
+    finally:
+        sys.path[:] = before
 
 
 def _refer(found: type) -> str:
@@ -104,7 +117,7 @@ def _refer(found: type) -> str:
 
 
 def find_class[T](what: str, name: str, base: type[T], field: str, where: Path, folder: Path | None) -> type[T]:
-    """Return a class by its name, or by ``module:Class`` or ``file.py:Class``.
+    """Return a class by its name, or by ``file.py:Class``, or by the ``module:Class`` of an entry point.
 
     Parameters
     ----------
@@ -141,16 +154,20 @@ def load_class(what: str, name: str, folder: Path | None) -> type:
         return listed
     if name not in references and (":" not in name or folder is None):
         raise InputError(
-            describe_unknown(references, name)
-            if references
-            else f"found {name!r}, expected module:Class or file.py:Class"
+            describe_unknown(references, name) if references else f"found {name!r}, expected file.py:Class"
         )
     location, _, attribute = references.get(name, name).partition(":")
     if name not in built_in and not are_own_classes_allowed():
         known = ", ".join(sorted(built_in))
         raise InputError(f"found {name!r}, which is no built-in one, and --no-plugins; expected one of {known}")
+    beside = name not in references and is_file(name)
+    if not beside and name not in {*references, *references.values()} and not location.startswith("bayescal."):
+        raise InputError(
+            f"found {name!r}, which no installed package offers, expected file.py:Class, or what one offers under "
+            f"the entry point {REGISTRIES[what].group!r}"
+        )
     try:
-        module = _import(location, folder)
+        module = _import_file(location, folder or Path()) if beside else _import_installed(location)
     except InputError as error:
         raise InputError(f"found {name!r}: {error}") from error
     except Exception as error:
@@ -226,30 +243,28 @@ def is_own(found: type) -> bool:
     return found.__module__.partition(".")[0] != "bayescal"
 
 
-def _import(location: str, folder: Path | None) -> ModuleType:
-    if not location.endswith(".py") or folder is None:
-        return importlib.import_module(location)
-    path = (folder / location).resolve()
+def _import_installed(module: str) -> ModuleType:
+    with _leave_current_folder():
+        return importlib.import_module(module)
+
+
+def _import_file(location: str, folder: Path) -> ModuleType:
+    """Return the module of a file in a folder or below; InputError for another, and for one that nobody trusts."""
+    root = folder.resolve()
+    path = (root / location).resolve()
+    if Path(location).is_absolute() or not path.is_relative_to(root):
+        raise InputError(f"{location}: a file outside of {folder}, expected one in that folder or below it")
     if not path.is_file():
         raise InputError(f"{path}: no such file, expected a Python module")
     local = find_local_imports(path)
+    contents = {file: file.read_bytes() for file in (path, *local.values())}
+    permit(contents, folder)
     content = zlib.crc32(str(path).encode())  # a file that was changed, or what it imports, is another module
-    for file in (path, *local.values()):
-        content = zlib.crc32(file.read_bytes(), content)
+    for one in contents.values():
+        content = zlib.crc32(one, content)
     name = f"{_FILE_MODULE}{path.stem}_{content:08x}"
-    if name in sys.modules:
-        return sys.modules[name]
-    specification = importlib.util.spec_from_file_location(name, path)
-    assert specification is not None
-    assert specification.loader is not None
-    module = importlib.util.module_from_spec(specification)
-    sys.modules[name] = module
-    try:
-        with import_from(path.parent, local):
-            specification.loader.exec_module(module)
-    except BaseException:
-        del sys.modules[name]
-        raise
-    for one in (module, *(sys.modules[other] for other in local if other in sys.modules)):
-        send_by_value(one)
-    return module
+    if name not in sys.modules:
+        import_from(name, path, local, contents)
+        for module in (sys.modules[name], *(sys.modules[other] for other in local if other in sys.modules)):
+            send_by_value(module)
+    return sys.modules[name]

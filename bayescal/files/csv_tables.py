@@ -17,7 +17,7 @@ import numpy as np
 
 from bayescal.errors import InputError
 from bayescal.files.atomic import read_text
-from bayescal.files.plain_text import is_plain
+from bayescal.files.plain_text import guard_cell, is_plain, release_cell
 from bayescal.numerics.geometry import Array
 
 LEG_NUMBER = re.compile(r"(?:^|[^0-9])([1-9][0-9]*)(?=_|$)")
@@ -43,7 +43,7 @@ class Table:
     def text(self, column: str) -> list[str]:
         """Return a column as stripped text; an empty cell is an error."""
         k = self.columns.index(column)
-        values = [row[k].strip() for row in self.rows]
+        values = [release_cell(row[k].strip()) for row in self.rows]
         for number, value in enumerate(values):
             if not value:
                 raise InputError(f"{self.where(number)}: {column}: found an empty cell, expected a name")
@@ -216,8 +216,13 @@ def read_by_leg(path: Path, columns: Sequence[str], n_legs: int) -> Array:
 
 
 def format_table(comments: Sequence[str], columns: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """Return the text of a CSV file with comment lines above the header."""
-    lines = [f"# {comment}" for comment in comments]
-    lines.append(",".join(columns))
-    lines.extend(",".join(str(cell) for cell in row) for row in rows)
+    """Return the text of a CSV file with comment lines above the header; no spreadsheet takes a text for a formula."""
+    lines = [f"# {' '.join(comment.splitlines())}" for comment in comments]
+    lines += [",".join(map(_write_cell, row)) for row in (columns, *rows)]
     return "\n".join(lines) + "\n"
+
+
+def _write_cell(value: object) -> str:
+    text = guard_cell(value) if isinstance(value, str) else str(value)
+    quoted = text.replace('"', '""')
+    return f'"{quoted}"' if any(sign in text for sign in ',"\r\n') else text

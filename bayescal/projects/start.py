@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from scipy.stats import qmc
 
 from bayescal.config.load import look_up
+from bayescal.config.trust import list_code, remember, vouch
 from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.run import compute_experiment
@@ -106,12 +108,15 @@ def start_project(folder: Path, machine: str, instrument: str | None) -> list[Pa
     make_directory(partial)
     try:
         _write_files(partial, kind, machine, instrument)
+        vouch(path.read_bytes() for path in list_code(partial))
         _simulate(partial)
         make_directory(folder)
         for path in partial.iterdir():
             path.replace(folder / path.name)
     finally:
         shutil.rmtree(partial, ignore_errors=True)
+    with suppress(OSError):  # where nothing can be kept, its code is asked for as any other
+        remember(list_code(folder))
     return sorted(path for path in folder.rglob("*") if path.is_file())
 
 

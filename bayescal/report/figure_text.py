@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayescal.report.numbers import format_plain, join_words
+from bayescal.report.symbols import LONGEST_TEXT, cut
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,7 +26,8 @@ TIP = "tip-"
 
 def write_plain(text: str) -> str:
     """Return a label of a figure without the marks of mathematical text: ``$a_{x}$`` becomes ``a_x``."""
-    return " ".join(re.sub(r"[${}\\]|\^(?=\{)|\\mathregular", "", text).replace("\u2009", " ").split())
+    plain = re.sub(r"[${}\\]|\^(?=\{)|\\mathregular", "", text[: 2 * LONGEST_TEXT]).replace("\u2009", " ")
+    return cut(" ".join(plain.split()), LONGEST_TEXT)
 
 
 # --- in words ----------------------------------------------------------------------------------------------------

@@ -37,6 +37,13 @@ from bayescal.report.symbols import split_symbol
 
 PAGE = "report.html"
 FIGURES = "figures"
+
+
+def is_of_page(name: str) -> bool:
+    """Whether a file of a results directory is its page or a figure of it, which are made from the other files."""
+    return name == PAGE or name.startswith(f"{FIGURES}/")
+
+
 FIGURE = re.compile(rf"{FIGURES}/[A-Za-z0-9_-]+\.png")
 SUBSCRIPT = re.compile(r"(?<![\w&#;.])(Δ?[A-Za-zα-ω])_([A-Za-z0-9]{1,2})(?!\w)")
 SUPERSCRIPT = re.compile(r"(?<![\w&#])([A-Za-zα-ω])\^([A-Za-z0-9])(?!\w)")

@@ -5,8 +5,10 @@ from __future__ import annotations
 import base64
 import io
 import re
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,6 +17,7 @@ from markupsafe import Markup, escape
 from bayescal.report.figure_text import TIP, describe_figure, mark_points
 from bayescal.report.stacked import measure_panels, needs_stacking, stack_panels
 from bayescal.report.style import RC
+from bayescal.report.symbols import LONGEST_NAME, LONGEST_TEXT, make_label
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -61,10 +64,16 @@ def render_picture(draw: Callable[[], Figure], stacked: bool = True) -> Picture:
 
     from bayescal.report.canvas import Canvas
 
-    with rc_context():
+    with rc_context(), warnings.catch_warnings():
+        for said in (
+            "Glyph .* missing",
+            "constrained_layout not applied",
+        ):  # of names that others chose
+            warnings.filterwarnings("ignore", said)
         rcdefaults()  # whatever somebody's matplotlibrc says
         rcParams.update(RC)  # type: ignore[arg-type]  # its keys are a literal type of three hundred names
         figure = draw()
+        _shorten(figure)
         Canvas(figure)
         figure.set_dpi(DPI)
         _lay_out(figure)
@@ -76,6 +85,25 @@ def render_picture(draw: Callable[[], Figure], stacked: bool = True) -> Picture:
         _lay_out(figure)
         most = 0 if len(wide) > MOST_STACKED else MOST_STACKED  # the same marks: not drawn only to be thrown away
         return Picture(png, wide, _make_markup(figure, most, "narrow"))
+
+
+def _shorten(figure: Figure) -> None:
+    """Cut a figure's texts, which others may have written, before their sizes are asked for."""
+    from matplotlib.legend import Legend
+    from matplotlib.text import Text
+    from matplotlib.ticker import FuncFormatter
+
+    for axes in figure.axes:
+        for axis in (axes.xaxis, axes.yaxis):
+            if isinstance(formatter := axis.get_major_formatter(), FuncFormatter):  # names at ticks are one, too
+                formatter.func = partial(_write_tick, formatter.func)
+    names = {id(text) for one in figure.findobj(Legend) for text in one.get_texts()}
+    for text in figure.findobj(Text):
+        text.set_text(make_label(text.get_text(), LONGEST_NAME if id(text) in names else LONGEST_TEXT))
+
+
+def _write_tick(write: Callable[[float, int | None], str], value: float, place: int | None = None) -> str:
+    return make_label(str(write(value, place)), LONGEST_NAME)
 
 
 def _make_markup(figure: Figure, most: float, shape: str = "") -> str:

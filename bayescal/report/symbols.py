@@ -31,6 +31,9 @@ SHOWN = {
 PLACES = {"mm": 0, "um": 0, "arcsec": 0, "deg": 1, "mrad": 1}
 """Decimals of coordinates that say where to measure."""
 
+LONGEST_NAME, LONGEST_TEXT = 48, 160
+"""Letters of a name beside others in a figure, at a tick or in a legend, and of any other text of it."""
+
 type Asked = Mapping[str, str] | None
 """The units of a config, ``length`` and ``angle``; None for mm and degrees."""
 
@@ -56,9 +59,25 @@ def split_symbol(symbol: str) -> tuple[str, str, str]:
     return GREEK.get(found[1], found[1]), f"{found[3]}{found[4] or ''}", found[2]
 
 
+_AS_IT_IS = r"(?:[^$\\]|\\.)*"
+OWN_MATHEMATICS = re.compile(rf"{_AS_IT_IS}(?:\$Δ?[^\W_]+(?:_\{{[\w,]+\}})?(?:\^\{{\w+\}})?\${_AS_IT_IS})*", re.DOTALL)
+"""A text whose mathematics, if any, `set_mathematics` has written."""
+
+
 def quote(text: str) -> str:
     """Return text that matplotlib sets as it stands."""
     return text.replace("\\", "").replace("$", r"\$")
+
+
+def make_label(text: str, most: int) -> str:
+    """Return a text of a figure, cut at so many letters, without mathematics that is not our own."""
+    text = cut(text, most)
+    return text if OWN_MATHEMATICS.fullmatch(text) else quote(text)
+
+
+def cut(text: str, most: int) -> str:
+    """Return a text of at most so many letters."""
+    return text if len(text) <= most else f"{text[: most - 1]}…"
 
 
 def set_mathematics(symbol: str, before: str = "", leg: int = 0) -> str:

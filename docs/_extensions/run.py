@@ -99,6 +99,7 @@ class Run(SphinxDirective):
         path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
         environment = os.environ | {
             "ROOT": str(ROOT),
+            "BAYESCAL_TRUST": "1",
             "PATH": path,
             "OMP_NUM_THREADS": "1",
             "OPENBLAS_NUM_THREADS": "1",

@@ -3,9 +3,11 @@
 #
 #     sh uses.sh
 #
-# Results keep the machine: what follows the run needs the folder `results` alone. Code of the class that they keep is run
-# because --trust-code says so; without it, it is not.
+# Results keep the machine: what follows the run needs the folder `results` alone.
 set -e
+
+# The class is code: read linear_delta.py first. It is run until it changes, from here and as the results keep it.
+bayescal trust .
 
 # Is the calibration sound? Few simulated data sets find the usual faults; without --data-sets it takes more, and longer.
 bayescal check study.toml --variant one_rod --data-sets 8 --out results/check --workers 1
@@ -15,16 +17,16 @@ bayescal run study.toml --out results/study --workers 1
 bayescal report results/study
 
 # Where is the tool at these carriages, and which carriages hold it there? Both with their uncertainty.
-bayescal predict results/study commands.csv --trust-code --out results/poses.csv
-bayescal command results/study results/poses.csv --trust-code --out results/commands.csv
+bayescal predict results/study commands.csv --out results/poses.csv
+bayescal command results/study results/poses.csv --out results/commands.csv
 
 # How well is the tool known over the workspace, and where does the uncertainty come from?
-bayescal certificate results/study --trust-code --poses 64 --out results/certificate.html
+bayescal certificate results/study --poses 64 --out results/certificate.html
 
 # Which few readings show later whether the calibration still holds? Which pose should be measured next?
-bayescal recheck results/study --trust-code --out results/recheck.csv
+bayescal recheck results/study --out results/recheck.csv
 bayescal next next.toml --out results/next --workers 1
 
 # The machine for the next tool: parameters with their covariance, as TOML, JSON and CSV; every command takes it again.
-bayescal export results/study --trust-code --out results/machine
-bayescal predict results/machine commands.csv --trust-code --out results/poses_again.csv
+bayescal export results/study --out results/machine
+bayescal predict results/machine commands.csv --out results/poses_again.csv

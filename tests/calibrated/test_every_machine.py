@@ -164,7 +164,7 @@ def _exact(machine: CalibratedMachine) -> CalibratedMachine:
 
 def test_exported_and_read_again_predicts_alike(machine, tmp_path):
     written = export_machine(machine, tmp_path / "out")
-    again = read_exported(tmp_path / "out", trust=True)
+    again = read_exported(tmp_path / "out")
     assert {path.suffix for path in written} >= {".toml", ".csv", ".nc"}
     commands, given = visit(machine, 4)
     one, other = predict_poses(machine, commands, given), predict_poses(again, commands, given)
@@ -224,16 +224,18 @@ def test_redundant_commands_are_weighed_by_their_noise(tmp_path):
 # --- what is refused -------------------------------------------------------------------------------------------------
 
 
-def test_the_code_of_a_strangers_class_is_not_run_unasked(tmp_path, refuse_line):
+def test_the_code_of_a_strangers_class_is_not_run_unasked(tmp_path, refuse_line, request):
     machine = build("arm", tmp_path)
     export_machine(machine, tmp_path / "out")
     source = tmp_path / "out" / "own_arm.py"
+    request.getfixturevalue("distrust")
     with pytest.raises(
-        InputError, match=r"machine.toml: found a machine of its own class 'own_arm.py:Arm', whose code"
+        InputError,
+        match=r"machine.toml: kind: found 'own_arm.py:Arm': code \(own_arm.py in .*\) that nobody has trusted",
     ):
         read_exported(tmp_path / "out")
     source.write_text(source.read_text() + "\nraise SystemExit\n")
-    refuse_line(lambda: read_exported(tmp_path / "out", trust=True), "own_arm.py: found another file than the results")
+    refuse_line(lambda: read_exported(tmp_path / "out"), "own_arm.py: found another file than the results")
 
 
 @pytest.fixture

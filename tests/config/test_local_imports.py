@@ -72,12 +72,10 @@ def test_files_of_other_folders_do_not_count(folder):
     assert set(find_local_imports(folder / "deep" / "own.py")) == {"helper"}
 
 
-def test_a_class_of_a_folder_beside_brings_what_it_imports(folder):
-    (folder / "study").mkdir()
-    assert set(list_sources("MACHINES", "../own.py:Own", folder / "study")) == {
-        f"../{one}" for one in LOCAL | {"own.py"}
-    }
-    assert load_class("MACHINES", "../own.py:Own", folder / "study")(None).read({}, 2.0, {}) == 17.0
+def test_a_class_of_a_folder_below_brings_what_it_imports(folder):
+    names = {f"{folder.name}/{one}" for one in LOCAL | {"own.py"}}
+    assert set(list_sources("MACHINES", f"{folder.name}/own.py:Own", folder.parent)) == names
+    assert load_class("MACHINES", f"{folder.name}/own.py:Own", folder.parent)(None).read({}, 2.0, {}) == 17.0
 
 
 def test_installed_modules_go_first(folder):

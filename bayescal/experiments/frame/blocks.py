@@ -8,15 +8,13 @@ from dataclasses import replace
 from pathlib import Path
 
 from bayescal.config.registry import find_class, is_file, list_sources
-from bayescal.config.trust import check_same, check_trust
+from bayescal.config.trust import check_same
 from bayescal.errors import InputError
 from bayescal.experiments.frame.results import Results
 from bayescal.report.blocks import Page, Section, make_section
 
 CODE = "code"
 """Folder of the results that keeps the code of a kind and of blocks in files of their own."""
-
-SAID = {"KINDS": "kind of experiment", "BLOCKS": "block of a page"}
 
 
 class PageBlock(ABC):
@@ -67,9 +65,8 @@ def keep_code(folder: Path, kind: str, blocks: Iterable[str]) -> dict[str, str]:
     return kept
 
 
-def find_kept(folder: Path, results: Results, what: str, name: str, trust: bool) -> str:
-    """Return where a class of one's own is in the code that results keep; InputError unless it may be run."""
-    check_trust(folder, f"{SAID[what]} {name!r}", trust)
+def find_kept(folder: Path, results: Results, what: str, name: str) -> str:
+    """Return where a class of one's own is in the code that results keep; InputError unless it is theirs."""
     if is_file(name):  # as the results keep it
         name = name[name.rfind("/", 0, name.index(":")) + 1 :]
         check_same(folder / CODE, list_sources(what, name, folder / CODE), results.hashes)

@@ -17,6 +17,7 @@ from typing import Any
 from bayescal.errors import InputError
 
 INTERRUPTED = 130
+SAFE_PATH = "PYTHONSAFEPATH"
 WARNINGS = "PYTHONWARNINGS"
 TRACKERS = ("joblib.externals.loky.backend.resource_tracker", "multiprocessing.resource_tracker")
 UNSAID = ",".join(f"ignore::UserWarning:{tracker}" for tracker in TRACKERS)
@@ -64,18 +65,20 @@ def end_on_interrupt(message: str) -> Iterator[None]:
 def shield_children() -> Iterator[None]:
     """Let processes that are started now never see an interrupt from the terminal: it is their parent's to handle.
 
-    The process that clears up shared memory after all others have ended does so without a word.
+    The process that clears up shared memory after all others have ended does so without a word, and none imports from
+    the current folder before it is told where to import from.
     """
-    before = os.environ.get(WARNINGS)
-    os.environ[WARNINGS] = ",".join(filter(None, (before, UNSAID)))
+    before = {name: os.environ.get(name) for name in (WARNINGS, SAFE_PATH)}
+    os.environ |= {WARNINGS: ",".join(filter(None, (before[WARNINGS], UNSAID))), SAFE_PATH: "1"}
     try:
         with _block_interrupts():
             yield
     finally:
-        if before is None:
-            del os.environ[WARNINGS]
-        else:
-            os.environ[WARNINGS] = before
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
 
 
 @contextmanager

@@ -12,13 +12,16 @@ from typing import TYPE_CHECKING, Any, Literal
 import pandas as pd
 
 from bayescal.errors import InputError
+from bayescal.files import manifest
 from bayescal.files.atomic import read_json
-from bayescal.files.plain_text import add_article
+from bayescal.files.plain_text import add_article, guard_cell, release_cell
 
 SUMMARY_FILE = "summary.json"
 PROVENANCE_FILE = "provenance.json"
 WRITTEN = "written"
-"""Key of the provenance that lists what a run has written: everything else in its directory is somebody's own."""
+"""Key of the provenance that lists what a run has written, in results of earlier versions, which have no manifest."""
+MANIFEST_KEY = "manifest"
+"""Key of the provenance that names the manifest, which such results must have."""
 LENGTHS = "table_rows"
 """Key of the provenance for the number of rows of every table."""
 TABLE_NAME = re.compile(r"([A-Za-z0-9_-]+/)?[A-Za-z0-9_-]+\.csv")
@@ -95,7 +98,8 @@ def write_results(results: Results, folder: Path, tables_in: str = "", digits: i
         if not table.empty:
             path = f"{tables_in}/{name}.csv" if tables_in else f"{name}.csv"
             text = f"%.{digits}g" if digits else None
-            table.to_csv(folder / path, index=False, float_format=text, lineterminator="\n")
+            guarded = table.map(lambda cell: guard_cell(cell) if isinstance(cell, str) else cell)
+            guarded.to_csv(folder / path, index=False, float_format=text, lineterminator="\n")
             lengths[path] = len(table)
             kinds[path] = {str(column): find_kind(table[column]) for column in table.columns}
         else:
@@ -107,15 +111,16 @@ def write_results(results: Results, folder: Path, tables_in: str = "", digits: i
             (folder / name).write_text(content, encoding="utf-8")
         else:
             content(folder / name)
-    write_json(
-        folder / PROVENANCE_FILE, {**results.provenance, "tables": kinds, "empty_tables": empty, LENGTHS: lengths}
-    )
+    known = {"tables": kinds, "empty_tables": empty, LENGTHS: lengths}
+    write_json(folder / PROVENANCE_FILE, {**results.provenance, **known})
 
 
-def list_written(folder: Path) -> None:
-    """Add to a new results directory's provenance which files it has."""
-    names = sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
-    write_json(folder / PROVENANCE_FILE, {**read_json(folder / PROVENANCE_FILE), WRITTEN: names})
+def list_written(folder: Path) -> list[str] | None:
+    """Return what a run has written into its directory: everything else is somebody's own. None where nothing tells."""
+    names = manifest.list_written(folder)
+    if names is None and (folder / PROVENANCE_FILE).is_file():
+        names = read_json(folder / PROVENANCE_FILE).get(WRITTEN)
+    return names if isinstance(names, list) else None
 
 
 def _check_lengths(folder: Path, tables: Mapping[str, pd.DataFrame], lengths: object) -> None:
@@ -147,14 +152,29 @@ def find_kind(column: pd.Series) -> ColumnKind:
     return "number" if numbers else "text"
 
 
-def read_results(folder: Path, only: Collection[str] | None = None) -> Results:
-    """Read a results directory, all its tables or only some.
+def check_results(folder: Path, but: Callable[[str], bool] = lambda name: False) -> None:
+    """Raise InputError for a results directory that is not as it was written; see `manifest.check_whole`."""
+    manifest.check_whole(folder, MANIFEST_KEY in read_json(folder / PROVENANCE_FILE), but)
+
+
+def read_results(folder: Path, only: Collection[str] | None = None, checked: bool = True) -> Results:
+    """Read a results directory, all its tables or only some: whoever uses results gets them here.
+
+    Parameters
+    ----------
+    folder : Path
+    only : collection of str, optional
+        Names of tables; all by default.
+    checked : bool
+        Whether its files must be those that its manifest has.
 
     Raises
     ------
     InputError
-        Where it is none, a table is missing, or a cell is not what its column holds.
+        Where it is none, a file was edited, is missing or was added, or a cell is not what its column holds.
     """
+    if checked:
+        check_results(folder)
     provenance = read_json(folder / PROVENANCE_FILE)
     kinds = provenance.get("tables")
     if not isinstance(kinds, dict) or not all(isinstance(columns, dict) for columns in kinds.values()):
@@ -192,7 +212,7 @@ def _read_column(path: Path, cells: pd.Series, kind: str) -> pd.Series:
     if not isinstance(kind, str) or kind not in KINDS:
         raise InputError(f"{path}: {cells.name}: found kind {kind!r} in {PROVENANCE_FILE}, expected {', '.join(KINDS)}")
     if kind == "text":
-        return cells
+        return cells.map(release_cell)
     read, values = KINDS[kind], []
     for row, cell in enumerate(cells, start=2):
         try:

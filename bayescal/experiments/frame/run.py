@@ -17,6 +17,7 @@ from threadpoolctl import threadpool_limits
 from bayescal.config.load import read_extended
 from bayescal.config.registry import hash_modules, list_sources
 from bayescal.config.sections import ExperimentConfig
+from bayescal.config.trust import trusting
 from bayescal.errors import BayescalError, InputError, NumericalError, SeveralFaultsError, name_faults
 from bayescal.experiments.frame.blocks import CODE, PageBlock, add_blocks, find_blocks, find_kept, keep_code
 from bayescal.experiments.frame.engine import Processes, call_side_by_side, import_all, open_engine, start_ahead
@@ -26,9 +27,11 @@ from bayescal.experiments.frame.load import AnyExperiment, find_kind, load, read
 from bayescal.experiments.frame.memory import check_memory
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import (
+    MANIFEST_KEY,
+    PROVENANCE_FILE,
     SUMMARY_FILE,
-    WRITTEN,
     Results,
+    check_results,
     list_written,
     read_results,
     write_json,
@@ -36,8 +39,10 @@ from bayescal.experiments.frame.results import (
 )
 from bayescal.experiments.frame.store import Store
 from bayescal.experiments.frame.terminal import Progress
+from bayescal.files.atomic import read_json
+from bayescal.files.manifest import MANIFEST, renew_manifest, write_manifest
 from bayescal.report.blocks import Page
-from bayescal.report.page import PAGE, show_provenance, write_page
+from bayescal.report.page import PAGE, is_of_page, show_provenance, write_page
 
 MANY_PICTURES = 10  # fewer are drawn before other processes have started
 
@@ -229,12 +234,13 @@ def _write(
 ) -> Page:
     """Write results and page into an empty directory; the page is made from what was written."""
     summary = {**results.summary, "config_sha256": results.provenance["config_sha256"]}
+    results = replace(results, provenance={**results.provenance, MANIFEST_KEY: MANIFEST})
     with start_ahead(workers, experiment.page_imports) as await_workers:
         write_results(replace(results, summary=summary), folder, experiment.tables_in, experiment.digits)
         page = _write_page(experiment, blocks, folder, workers, await_workers)
     verdict = [{"lead": one.lead, "text": one.text, "level": one.level} for one in page.verdict]
     write_json(folder / SUMMARY_FILE, {**summary, "headline": page.headline, "verdict": verdict})
-    list_written(folder)
+    write_manifest(folder)
     return page
 
 
@@ -245,10 +251,10 @@ def _write_page(
     workers: int,
     await_workers: Callable[[], None] = lambda: None,
 ) -> Page:
-    results = read_results(folder)
+    results = read_results(folder, checked=False)
     page = add_blocks(experiment.page(results), results, blocks)
-    earlier = results.provenance.get(WRITTEN)
-    if not isinstance(earlier, list):  # new ones, or of an earlier version: all figures are its own
+    earlier = list_written(folder)
+    if earlier is None:  # new ones, or of an earlier version: all figures are its own
         earlier = [path.relative_to(folder).as_posix() for path in folder.glob("figures/*.png")]
     many = sum(1 for _ in page.figures()) >= MANY_PICTURES
     if many:
@@ -265,7 +271,7 @@ def write_report(folder: Path, trust: bool = False, workers: int = 1) -> Path:
     ----------
     folder : Path
     trust : bool
-        Run the code of a kind that is not built in: results keep it, and a report of a stranger's runs none unasked.
+        Run the code of a kind that is not built in, which results keep, though nobody has trusted it.
     workers : int
         Processes that draw many pictures side by side; they are the same for any number.
 
@@ -275,14 +281,17 @@ def write_report(folder: Path, trust: bool = False, workers: int = 1) -> Path:
         Where a file is missing or not what an experiment of its kind writes, and for code that nobody has allowed to
         run; nothing is written then.
     """
-    experiment = find_results_kind(folder, trust)
     try:
-        results = read_results(folder)
-        names = [find_kept(folder, results, "BLOCKS", str(name), trust) for name in results.config.get("blocks", [])]
-        _write_page(experiment, find_blocks(names, folder, folder / CODE), folder, workers)
+        with trusting(trust):
+            results = _read_for_page(folder)
+            experiment = find_results_kind(folder, results)
+            names = [find_kept(folder, results, "BLOCKS", str(name)) for name in results.config.get("blocks", [])]
+            blocks = find_blocks(names, folder, folder / CODE)
+        _write_page(experiment, blocks, folder, workers)
+        renew_manifest(folder, is_of_page)
     except (KeyError, IndexError, TypeError, ValueError, AttributeError, ArithmeticError, AssertionError) as error:
         what = f"{type(error).__name__}: {' '.join(str(error).split())}"
-        versions, here = read_results(folder).provenance.get("versions"), version("bayescal")
+        versions, here = read_json(folder / PROVENANCE_FILE).get("versions"), version("bayescal")
         written = versions.get("bayescal") if isinstance(versions, dict) else None
         if written not in (None, here):
             raise InputError(
@@ -292,15 +301,20 @@ def write_report(folder: Path, trust: bool = False, workers: int = 1) -> Path:
     return folder / PAGE
 
 
-def find_results_kind(folder: Path, trust: bool = False) -> AnyExperiment:
+def _read_for_page(folder: Path) -> Results:
+    """Return results that are whole but for their page, which is about to be written."""
+    check_results(folder, is_of_page)
+    return read_results(folder, checked=False)
+
+
+def find_results_kind(folder: Path, results: Results) -> AnyExperiment:
     """Return the kind of a results directory; see `write_report`."""
-    results = read_results(folder)
     found = results.provenance.get("kind")
     if not isinstance(found, str):
         raise InputError(f"{folder}: found no kind of experiment in its provenance, expected one")
     if ":" not in found:
         return find_kind(found, folder, None)
-    return find_kind(find_kept(folder, results, "KINDS", found, trust), folder, folder / CODE)
+    return find_kind(find_kept(folder, results, "KINDS", found), folder, folder / CODE)
 
 
 def compare_results(folders: Sequence[Path], trust: bool = False) -> tuple[AnyExperiment, pd.DataFrame]:
@@ -319,5 +333,6 @@ def compare_results(folders: Sequence[Path], trust: bool = False) -> tuple[AnyEx
                 f"{folder}: found results of kind {kind!r}, expected {kinds[0]!r} as in {folders[0]}: evidences "
                 "compare only of the same data, which tables of two kinds do not show"
             )
-    experiment = find_results_kind(folders[0], trust)
+    with trusting(trust):
+        experiment = find_results_kind(folders[0], next(iter(results.values())))
     return experiment, experiment.compare(results)

@@ -23,8 +23,9 @@ import numpy as np
 
 from bayescal.errors import InputError
 from bayescal.experiments.frame.identity import hash_identity, list_versions
-from bayescal.experiments.frame.results import PROVENANCE_FILE, WRITTEN
+from bayescal.experiments.frame.results import PROVENANCE_FILE, list_written
 from bayescal.files.atomic import check_writable, read_json, resolve, write_atomically
+from bayescal.files.manifest import add_others
 from bayescal.numerics.geometry import Array
 
 IDENTITY_FILE = "identity.json"
@@ -199,7 +200,7 @@ class Store:
         """
         if self.out.exists():
             _exchange(self.staged, resolve(self.out))
-            _move_foreign(self.staged, resolve(self.out))
+            add_others(self.out, _move_foreign(self.staged, resolve(self.out)))
         else:
             self.staged.rename(resolve(self.out))
         self.discard()
@@ -211,18 +212,22 @@ def _is_ours(path: Path) -> bool:
     return (name == IDENTITY_FILE or name.endswith(".npz")) and path.is_file()
 
 
-def _move_foreign(old: Path, new: Path) -> None:
-    """Move what a run has not written from its results to those that replaced them; nothing of these is touched."""
-    provenance = old / PROVENANCE_FILE
-    written = read_json(provenance).get(WRITTEN) if provenance.is_file() else None
-    if not isinstance(written, list):  # of an earlier version: nothing tells
-        return
+def _move_foreign(old: Path, new: Path) -> list[str]:
+    """Move what a run has not written from its results to those that replaced them, of which nothing is touched.
+
+    The names of what was moved are returned.
+    """
+    written, moved = list_written(old), []
+    if written is None:  # of an earlier version: nothing tells
+        return []
     for path in sorted(old.rglob("*")):
         name = path.relative_to(old)
         if path.is_dir() or name.as_posix() in written or (new / name).exists():
             continue
         (new / name).parent.mkdir(parents=True, exist_ok=True)
         path.rename(new / name)
+        moved.append(name.as_posix())
+    return moved
 
 
 def _exchange(one: Path, other: Path) -> None:

@@ -14,13 +14,15 @@ from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Literal
+from typing import Any, Literal
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
 from rich.progress import Progress as Bar
 from rich.table import Table
+from rich.text import Text
 
+from bayescal.files.plain_text import make_plain
 from bayescal.inference.stages import Report, follow
 from bayescal.report.blocks import Page, choose_first, count_folded
 from bayescal.report.numbers import join_words
@@ -124,12 +126,23 @@ def describe_tasks(running: Mapping[str, Report]) -> list[str]:
     return said if len(said) <= SHOWN else [*said[:SHOWN], f"{len(said) - SHOWN} more"]
 
 
+class PlainConsole(Console):
+    """A console that prints texts as they are, whoever wrote them: no markup, and nothing that commands a terminal."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(highlight=False, markup=False, emoji=False, **options)
+
+    def render_str(self, text: str, **options: Any) -> Text:
+        """Return what is shown of a text that is printed, or stands in a table."""
+        return super().render_str(make_plain(text, but="\n\t"), **options)
+
+
 class Progress:
     """What a run says of its progress on standard error."""
 
     def __init__(self, quiet: bool = True) -> None:
         self.quiet = quiet
-        self.console = Console(stderr=True)
+        self.console = PlainConsole(stderr=True)
 
     def watch(self, names: tuple[str, ...]) -> Watch | None:
         """Return what follows tasks; None where nothing is to be said of them."""
@@ -151,22 +164,23 @@ class Progress:
 
     @contextmanager
     def _draw(self, stage: Stage) -> Iterator[None]:
-        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+        description = TextColumn("{task.description}", markup=False)
+        columns = (description, BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
         with Bar(*columns, TextColumn("{task.fields[left]}"), console=self.console, transient=True) as bar:
-            line = bar.add_task(stage.name, total=stage.total, completed=stage.done, left="")
+            line = bar.add_task(make_plain(stage.name), total=stage.total, completed=stage.done, left="")
 
             def draw() -> None:
                 running = stage.read()
                 done, left = stage.estimate(running)
                 text = "  ".join([stage.name, *describe_tasks(running)])
                 said = "" if left is None else f"about {left:.0f} s left"
-                bar.update(line, completed=done, description=text, left=said)
+                bar.update(line, completed=done, description=make_plain(text), left=said)
 
             with _repeat(draw, REDRAWN):
                 yield
 
     def _say(self, line: str) -> None:
-        print(line, file=self.console.file, flush=True)
+        print(make_plain(line), file=self.console.file, flush=True)
 
 
 @contextmanager

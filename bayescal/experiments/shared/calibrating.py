@@ -10,11 +10,13 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from bayescal.calibrated.exported import CALIBRATED, read_exported
 from bayescal.calibrated.machine import CalibratedMachine
 from bayescal.config.sections import ExperimentConfig
+from bayescal.config.trust import trusting
 from bayescal.errors import InputError
 from bayescal.experiments.frame.identity import identify
 from bayescal.experiments.frame.load import find_kind, load
 from bayescal.experiments.shared.trees import read_draws
 from bayescal.files.atomic import read_json
+from bayescal.files.manifest import overlooking
 from bayescal.numerics.geometry import Array
 
 if TYPE_CHECKING:
@@ -38,9 +40,7 @@ class Calibrating(ABC):
     tables_of_machine: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod
-    def calibrate(
-        self, results: Results, variant: str | None, experiment: Path | None, trust: bool
-    ) -> CalibratedMachine:
+    def calibrate(self, results: Results, variant: str | None, experiment: Path | None) -> CalibratedMachine:
         """Return the machine of a variant, of the best where none is named.
 
         Parameters
@@ -49,8 +49,6 @@ class Calibrating(ABC):
         variant : str or None
         experiment : Path or None
             The config of the results, for those that do not hold the nominal machine.
-        trust : bool
-            Whether the code of classes of its own that the results keep may be run.
 
         Raises
         ------
@@ -76,15 +74,15 @@ def load_calibrated(
     experiment : Path or str, optional
         The config of the results, for those that do not hold the nominal machine.
     force : bool
-        Take a posterior that did not converge, too.
+        Take a posterior that did not converge, too, and files that are not as they were written.
     trust : bool
-        Run the code of classes that are the machine's own: results keep it, and loading a stranger's runs none unasked.
+        Run the code of classes that are the machine's own, which results keep, though nobody has trusted it.
 
     Raises
     ------
     InputError
         For results without a machine or such a variant, for a posterior that did not converge, and for code that nobody
-        has allowed to run.
+        has trusted.
 
     Examples
     --------
@@ -93,10 +91,11 @@ def load_calibrated(
     ((14,), (9, 9))
     """
     path = Path(path)
-    if (path / CALIBRATED).is_file():
-        found = _check_exported(read_exported(path, trust), path, variant)
-    else:
-        found = _calibrate(path, variant, None if experiment is None else Path(experiment), trust)
+    with trusting(trust), overlooking(force):
+        if (path / CALIBRATED).is_file():
+            found = _check_exported(read_exported(path), path, variant)
+        else:
+            found = _calibrate(path, variant, None if experiment is None else Path(experiment))
     if found.source.problems and not force:
         problems = "; ".join(found.source.problems)
         raise InputError(
@@ -105,7 +104,7 @@ def load_calibrated(
     return found
 
 
-def _calibrate(path: Path, variant: str | None, experiment: Path | None, trust: bool) -> CalibratedMachine:
+def _calibrate(path: Path, variant: str | None, experiment: Path | None) -> CalibratedMachine:
     from bayescal.experiments.frame.results import PROVENANCE_FILE, read_results
 
     name = read_json(path / PROVENANCE_FILE).get("kind")
@@ -114,7 +113,7 @@ def _calibrate(path: Path, variant: str | None, experiment: Path | None, trust: 
         raise InputError(
             f"{path}: found results of kind {name!r}, which hold no calibrated machine, expected those of a study"
         )
-    return kind.calibrate(read_results(path, kind.tables_of_machine), variant, experiment, trust)
+    return kind.calibrate(read_results(path, kind.tables_of_machine), variant, experiment)
 
 
 def _check_exported(found: CalibratedMachine, path: Path, variant: str | None) -> CalibratedMachine:

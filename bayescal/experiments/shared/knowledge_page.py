@@ -68,12 +68,17 @@ def _say_gain(gain: float) -> str:
     return format_percent(1.0 - math.sqrt(max(0.0, 1.0 - gain)), 1)
 
 
+def _read_next(tables: Mapping[str, pd.DataFrame], variant: str) -> pd.DataFrame:
+    """Return a variant's candidate poses whose gain is known, and the columns of its coordinates; no rows without."""
+    rows = tables.get("next", pd.DataFrame(columns=["variant", "sensors", "gain"]))
+    return rows[(rows["variant"] == variant) & rows["gain"].notna()].dropna(axis=1, how="all")
+
+
 def state_next(tables: Mapping[str, pd.DataFrame], variant: str, asked: Asked = None) -> list[Statement]:
     """Return where to measure next with each set of sensors, where that promises something."""
-    if "next" not in tables:
+    mine, found = _read_next(tables, variant), []
+    if mine.empty:
         return []
-    mine = tables["next"][tables["next"]["variant"] == variant]
-    found = []
     for sensors, rows in mine.groupby("sensors", sort=False):
         first = list_rows(rows)[0]
         if first["gain"] < WORTHWHILE:
@@ -90,9 +95,9 @@ def state_next(tables: Mapping[str, pd.DataFrame], variant: str, asked: Asked = 
 
 def show_next(tables: Mapping[str, pd.DataFrame], variant: str, asked: Asked = None) -> list[Section]:
     """Return the candidate poses that reduce a variant's error most."""
-    if "next" not in tables:
+    mine = _read_next(tables, variant)
+    if mine.empty:
         return []
-    mine = tables["next"][tables["next"]["variant"] == variant].dropna(axis=1, how="all")
     names = [str(name) for name in mine.columns if name not in ("variant", "sensors", "gain")]
     columns = [Column("Sensors", kind="text")]
     columns += [Column(name.rpartition("_")[0], name_unit(name, asked)) for name in names]

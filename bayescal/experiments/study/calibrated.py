@@ -28,7 +28,7 @@ from bayescal.calibrated.machine import (
     build_calibrated,
 )
 from bayescal.config.registry import list_references, list_sources
-from bayescal.config.trust import check_same, check_trust
+from bayescal.config.trust import check_same
 from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.density.calibration.terms import CommonDraws
 from bayescal.density.errors import TAU
@@ -186,7 +186,7 @@ def _relate(variant: Variant, channel: str) -> dict[str, float]:
 
 
 def calibrate_machine(
-    results: Results, config: StudyConfig, variant: str | None, experiment: Path | None, trust: bool
+    results: Results, config: StudyConfig, variant: str | None, experiment: Path | None
 ) -> CalibratedMachine:
     """Return the machine of a variant of a study's results; see `Calibrating.calibrate`."""
     assert results.folder is not None
@@ -201,14 +201,13 @@ def calibrate_machine(
     path = Path(os.path.normpath(folder / (chosen.machine or config.machine)))
     covariance = None
     if chosen.model is None:
-        model = read_kept(path, trust or experiment is not None, results.hashes)
+        model = read_kept(path, results.hashes)
     elif experiment is not None and not config.by_tables:
         inputs = load_inputs(config, folder)
         model, covariance = Legs(inputs.machine(chosen)), inputs.matrix_covariance
     else:
         for what, name in zip(("MODELS", "DEFORMATIONS"), chosen.seen, strict=True):
             if name not in list_references(what):
-                check_trust(folder, f"own class {name!r}", trust or experiment is not None)
                 check_same(folder, list_sources(what, name, folder), results.hashes)
         if (kept / MATRIX).is_file():  # as it was measured
             measured = config.deformation.model_copy(update={"matrix": os.path.relpath(kept / MATRIX, folder)})

@@ -98,14 +98,12 @@ class Study(MachineExperiment[StudyConfig, Inputs], Measuring, Calibrating):
             inputs = ReadingStudy.load(wanted, path.parent) if config.by_tables else load_inputs(config, path.parent)
         return inputs.measure([one.name for one in chosen], path, with_model_error)
 
-    def calibrate(
-        self, results: Results, variant: str | None, experiment: Path | None, trust: bool
-    ) -> CalibratedMachine:
+    def calibrate(self, results: Results, variant: str | None, experiment: Path | None) -> CalibratedMachine:
         """Return the machine of a variant of the study."""
         config = self.config_of(results) if experiment is None else load_same(results, experiment, self.schema)
         from bayescal.experiments.study.calibrated import calibrate_machine
 
-        return calibrate_machine(results, config, variant, experiment, trust)
+        return calibrate_machine(results, config, variant, experiment)
 
     def show_comparison(self, table: pd.DataFrame, console: Console) -> None:
         """Print variants of several studies ranked together."""

@@ -28,6 +28,7 @@ import numpy as np
 from bayescal.config.load import EXTENDS, check_section, merge, read_extended, read_toml
 from bayescal.config.registry import hash_modules, list_sources
 from bayescal.config.sections import ExperimentConfig
+from bayescal.config.trust import permit, vouch
 from bayescal.errors import InputError, NumericalError
 from bayescal.experiments.frame.identity import hash_identity, identify
 from bayescal.experiments.frame.load import AnyExperiment, find_kind, read_inputs
@@ -65,6 +66,10 @@ class Base:
     text: str
     content: dict[str, Any]
     files: Files
+
+    def list_code(self) -> Files:
+        """Return the files among all that are code."""
+        return {name: content for name, content in self.files.items() if name.endswith(".py")}
 
     def vary(self, settings: tuple[Setting, ...], experiment: AnyExperiment, folder: Path) -> ExperimentConfig:
         """Return a member's checked config; InputError where its keys make none."""
@@ -120,6 +125,7 @@ class Outcome:
 
 def compute_member(base: Base, settings: tuple[Setting, ...]) -> Outcome:
     """Return a member's summary, or why there is none."""
+    vouch(base.list_code().values())  # read and trusted before members were handed to this process
     with _go_to(base, settings) as folder:
         try:
             experiment = _find_kind(base.kind, folder)
@@ -343,6 +349,8 @@ def read_sweep(config: SweepConfig, folder: Path) -> SweepInputs:
     extended = {name: _list_extended(name, folder) for name in sorted(files)}
     contents = {name: _read_file(folder / name) for names in extended.values() for name in names}
     whole = Base(base.name, base.kind, base.text, base.content, {**base.files, **contents})
+    for name, code in whole.list_code().items():  # whatever members make of it
+        permit({(folder / name).resolve(): code}, (folder / name).parent)
     for axis in config.axes:
         for file, _ in map(split_key, axis.keys):
             if file and file not in whole.files:

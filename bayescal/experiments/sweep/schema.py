@@ -133,7 +133,7 @@ class SweepConfig(ExperimentConfig):
     """Keys that vary."""
     figures: Annotated[list[FigureConfig], Field(min_length=1)]
     """Figures of the summary that are kept."""
-    cache: Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]*$")] = ".bayescal_members"
+    cache: Annotated[str, Field(pattern=r"^(\.?[A-Za-z0-9_-][A-Za-z0-9_.-]*)?$")] = ".bayescal_members"
     """Folder beside the results directory that members are kept in for other sweeps; none where it is empty."""
 
     @model_validator(mode="after")

@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 import calibrations
+import h5py
 import numpy as np
 import pandas as pd
 import pytest
@@ -69,14 +70,32 @@ def test_results_alone_are_enough_from_python(results):
 
 
 @pytest.mark.parametrize("what", ["study", "machine"])
-def test_the_kept_code_is_run_only_where_somebody_says_so(what, results, call):
+def test_the_kept_code_is_run_only_where_somebody_says_so(what, results, call, distrust):
     table = calibrations.OWN_MACHINE / "commands.csv"
     before = studies.snapshot(results)
     code, out, err = call("predict", results / what, table)
     assert (code, out, err.count("\n")) == (2, "", 1)
-    assert "found a machine of its own class 'linear_delta.py:LinearDelta', whose code would be run" in err
-    assert "expected --trust-code" in err
+    assert "machine.toml: kind: found 'linear_delta.py:LinearDelta': code (linear_delta.py in " in err
+    assert "that nobody has trusted, expected: read it, then bayescal trust" in err
     assert studies.snapshot(results) == before
+
+
+@pytest.mark.parametrize("use", ["predict", "command", "certificate", "recheck", "export"])
+def test_a_posterior_that_was_changed_is_refused(use, results, call, tmp_path, voice):
+    folder, table = tmp_path / "study", calibrations.OWN_MACHINE / "commands.csv"
+    shutil.copytree(results / "study", folder)
+    with h5py.File(folder / "posterior" / "all.nc", "r+") as file:
+        draws = file["posterior"]["l"]
+        draws[:, 0] = 1e6 * draws[:, 0]
+    given = {"command": [results / "poses.csv"], "predict": [table]}.get(use, [])
+    code, out, err = call(use, folder, *given, "--out", tmp_path / "out.html")
+    assert (code, out) == (2, "")
+    assert f"{folder}: found posterior/all.nc edited, expected the files as they were written; --force takes" in err
+    assert not (tmp_path / "out.html").exists()
+    if use == "predict":
+        code, out, err = call(use, folder, *given, "--force")
+        assert code == 0
+        assert f"{folder}: found posterior/all.nc edited: overlooked by force\n" in err
 
 
 def test_kept_code_that_was_changed_is_refused(results, call, tmp_path):

@@ -139,10 +139,14 @@ def test_results_say_what_was_found_and_where_it_comes_from(finished):
     assert not list(out.parent.glob("out.*"))
 
 
+PICTURED = rb'(?s)<div class="picture">.*?</div>|(?<="report.html": )"\w+"|"figures/[^"]*": "\w+"'
+"""What a page shows of pictures, and what a manifest says of these."""
+
+
 def leave_out_pictures(files: dict[str, bytes]) -> dict[str, bytes]:
     """Return the files' names and contents, nothing of what is in pictures."""
     found = {name: b"" if name.endswith(".png") else content for name, content in files.items()}
-    return {name: re.sub(rb'(?s)<div class="picture">.*?</div>', b"", content) for name, content in found.items()}
+    return {name: re.sub(PICTURED, b"", content) for name, content in found.items()}
 
 
 def test_an_interrupted_run_is_taken_up_by_another_number_of_workers(finished, monkeypatch, no_pictures):

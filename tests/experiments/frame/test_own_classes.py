@@ -120,7 +120,7 @@ def test_a_twin_of_an_own_model(call, tmp_path):
         ("own.py:Longer", "own.py:Shorter", "model: found 'own.py:Shorter', which is no KinematicModel"),
         ("own.py:Longer", "own.py:Tracker", "model: found 'own.py:Tracker', which is no KinematicModel"),
         ("own.py:Longer", "nowhere.py:Longer", "nowhere.py: no such file, expected a Python module"),
-        ("own.py:Longer", "no.such:Longer", "whose module fails to import (ModuleNotFoundError"),
+        ("own.py:Longer", "no.such:Longer", "found 'no.such:Longer', which no installed package offers"),
         ('{ class = "own.py:Longer", longer_mm = 0.5 }', '"six_puss"', "found 'six_puss', did you mean 'six_pus'?"),
         ('{ class = "own.py:Longer", longer_mm = 0.5 }', "3", "model: found 3, expected a name, or a table"),
         ('{ class = "own.py:Longer", longer_mm = 0.5 }', '"own.py:Nameless"', "whose name is 'six_pus' as a built-in"),

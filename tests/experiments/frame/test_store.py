@@ -17,9 +17,9 @@ from studies import snapshot
 from bayescal.errors import InputError
 from bayescal.experiments.frame import store as store_module
 from bayescal.experiments.frame.identity import hash_identity
-from bayescal.experiments.frame.results import list_written
 from bayescal.experiments.frame.store import IDENTITY_FILE, PROVENANCE_FILE, Store, list_differences
 from bayescal.files.atomic import read_json, write_atomically
+from bayescal.files.manifest import check_whole, write_manifest
 
 IDENTITY = {"config": {"seed": 1, "sampler": {"steps": 10}, "free": ["a", "b"]}, "files": {"data.csv": "abc"}}
 ARRAYS = {"draws": np.arange(600.0).reshape(20, 30), "wall_seconds": np.array(0.5)}
@@ -371,19 +371,25 @@ def test_a_task_of_another_run_is_not_finished(store):
 # --- files of others -------------------------------------------------------------------------------------------------
 
 
-def test_files_of_others_stay_in_the_results(store):
+def test_files_of_others_stay_in_the_results(store, voice):
     fill(store.stage(), "old")
-    list_written(store.staged)
+    write_manifest(store.staged)
     store.publish()
     (store.out / "notes").mkdir()
     for name in ("letter.txt", "notes/one.txt", "tables/mine.csv"):
         (store.out / name).write_text("mine")
     store.begin(IDENTITY, resume=False)
-    publish(store, "new")
+    fill(store.stage(), "new")
+    write_manifest(store.staged)
+    store.publish()
     assert contents(store.out) == {"new"}
     for name in ("letter.txt", "notes/one.txt", "tables/mine.csv"):
         assert (store.out / name).read_text() == "mine"
     assert list_names(store.out.parent) == ["study"]
+    check_whole(store.out, expected=True)  # whose own files they are is known
+    (store.out / "notes" / "two.txt").write_text("mine")
+    with pytest.raises(InputError, match=r"found notes/two.txt added, expected"):
+        check_whole(store.out, expected=True)
 
 
 def test_a_file_of_others_among_the_work_is_named_and_stays(store):

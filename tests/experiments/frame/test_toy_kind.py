@@ -88,11 +88,11 @@ def test_run_report_workers_and_compare(call, tmp_path, monkeypatch):
     assert "total" in said
 
 
-def test_code_of_results_is_run_where_somebody_trusts_it(call, tmp_path):
+def test_code_of_results_is_run_where_somebody_trusts_it(call, tmp_path, distrust):
     path, out = toys.write_toy(tmp_path), tmp_path / "out"
-    assert call("run", path, "--out", out, "--workers", 1, "--quiet")[0] == 0
+    assert call("run", path, "--out", out, "--workers", 1, "--quiet", "--trust")[0] == 0
     for options, spoil, message in (
-        ((), "", "found a kind of experiment 'toy_kind.py:Toy', whose code would be run, expected --trust-code"),
+        ((), "", f"kind: found 'toy_kind.py:Toy': code (toy_kind.py in {out}/code) that nobody has trusted, expected"),
         (("--trust-code",), "# another", "toy_kind.py: found another file than the results were computed with"),
     ):
         (out / "code" / "toy_kind.py").write_text(toys.KIND + spoil)
@@ -122,7 +122,7 @@ class Broken(PageBlock):
 """
 
 
-def test_blocks_of_a_file_are_on_the_page(call, tmp_path):
+def test_blocks_of_a_file_are_on_the_page(call, tmp_path, request):
     """What fails says so there; all is regenerated from results, whose code runs where somebody trusts it."""
     names = [f"blocks.py:{name}" for name in ("Total", "Nothing", "Broken")]
     path, out = toys.write_toy(tmp_path, f"blocks = {json.dumps(names)}\n"), tmp_path / "out"
@@ -137,6 +137,7 @@ def test_blocks_of_a_file_are_on_the_page(call, tmp_path):
     assert whole["code/blocks.py"] == BLOCKS.encode()
     assert "blocks.py" in json.loads(whole["provenance.json"])["files"]
     (tmp_path / "blocks.py").unlink()
+    request.getfixturevalue("distrust")
     code, _, complaint = call("report", out)
     assert (code, complaint.count("\n")) == (2, 1)
     assert call("report", out, "--trust-code")[0] == 0
@@ -148,7 +149,7 @@ def test_blocks_of_a_file_are_on_the_page(call, tmp_path):
     [
         ({"kind": "toy_kind.py:Nothing"}, "which is no Experiment"),
         ({"kind": "nowhere.py:Toy"}, "no such file, expected a Python module"),
-        ({"kind": "no.such.module:Toy"}, "whose module fails to import (ModuleNotFoundError"),
+        ({"kind": "no.such.module:Toy"}, "found 'no.such.module:Toy', which no installed package offers"),
         ({"kind": "stduy"}, "did you mean 'study'?"),
         ({"numbers": "missing.txt"}, "missing.txt"),
         ({"count": 0}, "count: found 0"),

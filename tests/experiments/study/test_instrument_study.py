@@ -121,7 +121,7 @@ def test_poses_of_the_telescope_fed_back_give_its_evidence(tmp_path):
 
     shutil.copytree(studies.TELESCOPE, tmp_path, dirs_exist_ok=True)
     config = tmp_path / "study.toml"
-    studies.edit(config, 'claims = "../rr8096/claims.py:Rr8096"\n', "")
+    studies.edit(config, 'claims = "claims.py:Rr8096"\n', "")
     (tmp_path / "data" / "poses.csv").write_text(format_poses(studies.load_study(config)))
     text = config.read_text().replace('matrix = "targets"', 'matrix = "unused.csv"')
     for start in ("targets =", "reference =", "target_noise_um =", "pose_method ="):

@@ -236,6 +236,8 @@ def test_members_that_fail_are_listed_and_stop_nothing(call, tmp_path):
         ('key = "poses"', 'key = "other.toml:poses"', "other.toml"),
         ("at_most = 20.0", "at_most = 20.0\nat_least = 3.0", "found at_most and at_least, expected one"),
         ('key = "sensors.tracker.a.sd"', 'key = "poses"', "found 'poses' twice"),
+        ('experiment = "tiny.toml"', 'experiment = "tiny.toml"\ncache = ".."', "cache: found '..'"),
+        ('experiment = "tiny.toml"', 'experiment = "tiny.toml"\ncache = "."', "cache: found '.'"),
     ],
 )
 def test_faults_are_one_line_and_leave_nothing(refuse, tmp_path, old, new, message):

@@ -524,5 +524,5 @@ def test_study_gives_its_evidence(tmp_path):
     assert evidence.best_machine().deformation.name == "matrix"
     table = tabulate_claims(evidence)
     assert table["claim"].is_unique
-    named = find_class("CLAIMS", studies.CLAIMS, Claims, "claims", tmp_path / "study.toml", tmp_path)
+    named = find_class("CLAIMS", studies.CLAIMS, Claims, "claims", tmp_path / "study.toml", studies.TELESCOPE)
     pd.testing.assert_frame_equal(named().tabulate(inputs, {"variants": {}}, fits), table)

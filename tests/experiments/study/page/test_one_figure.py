@@ -39,6 +39,15 @@ def test_the_best_pose_promises_the_same_in_the_verdict_and_in_the_table():
     assert said > 0
 
 
+def test_nothing_is_promised_of_poses_whose_gain_is_not_known():
+    """Of a tool that no pose tells more of, for instance: neither a fault nor a promise."""
+    tables = dict(read_results(RESULTS / "hangprinter").tables)
+    variant = tables["next"]["variant"].iloc[0]
+    tables["next"] = tables["next"].assign(gain=float("nan"))
+    assert show_next(tables, variant) == []
+    assert state_next(tables, variant) == []
+
+
 def test_the_distance_from_nominal_is_one_figure():
     results = read_results(RESULTS / "telescope")
     study, fit = StudyResults.of(results), results.summary["variants"]

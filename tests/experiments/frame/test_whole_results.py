@@ -1,0 +1,117 @@
+"""Results are whole or refused: what was edited, lost or added is named, and what is overlooked by force, too."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from experiments.frame import toys
+
+import bayescal as bc
+from bayescal.files.manifest import MANIFEST, check_whole, write_manifest
+
+pytestmark = pytest.mark.usefixtures("voice")
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory) -> Path:
+    """Return results of a kind in a file."""
+    folder = tmp_path_factory.mktemp("toy")
+    bc.run_experiment(toys.write_toy(folder), folder / "out", quiet=True)
+    return folder / "out"
+
+
+@pytest.fixture
+def results(made, tmp_path) -> Path:
+    """Return a copy of them."""
+    return Path(shutil.copytree(made, tmp_path / "out"))
+
+
+DAMAGES = {
+    "summary.json edited": lambda folder: edit(folder / "summary.json", "total", "Total"),
+    "provenance.json edited": lambda folder: edit(folder / "provenance.json", "seed", "Seed"),
+    "squares.csv edited": lambda folder: edit(folder / "squares.csv", "1", "-1"),
+    "squares.csv missing": lambda folder: (folder / "squares.csv").unlink(),
+    "code/toy_kind.py edited": lambda folder: edit(folder / "code" / "toy_kind.py", "class", "class "),
+    "posterior/all.nc added": lambda folder: add(folder / "posterior" / "all.nc"),
+    "calibrated.toml added": lambda folder: add(folder / "notes" / ".." / "calibrated.toml"),
+    f"no {MANIFEST}": lambda folder: (folder / MANIFEST).unlink(),
+}
+
+
+def edit(path: Path, old: str, new: str) -> None:
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+
+
+def add(path: Path) -> None:
+    path.parent.mkdir(exist_ok=True)
+    path.write_text("")
+
+
+@pytest.mark.parametrize("named", DAMAGES)
+@pytest.mark.parametrize("command", ["report", "compare"])
+def test_what_is_not_as_it_was_written_is_named(command, named, results, call, made):
+    DAMAGES[named](results)
+    arguments = [command, results] if command == "report" else [command, made, results]
+    page = (results / "report.html").read_bytes()
+    code, out, err = call(*arguments)
+    assert (code, out) == (2, "")
+    assert f"bayescal: {results}: found {named}, expected the files as they were written; --force takes them" in err
+    assert (results / "report.html").read_bytes() == page
+    with pytest.raises(bc.InputError, match=named):
+        bc.load_results(results)
+
+
+def test_force_says_what_it_overlooks(results, call):
+    add(results / "mine.txt")
+    edit(results / "notes" / "plain.txt", "a", "b")
+    code, _, err = call("report", results, "--force")
+    assert code == 0
+    assert f"{results}: found notes/plain.txt edited, mine.txt added: overlooked by force\n" in err
+    assert call("report", results)[0] == 2  # a page that was regenerated makes nothing else good
+    with pytest.warns(UserWarning, match="mine.txt added: overlooked by force"):
+        bc.load_results(results, force=True)
+
+
+def test_a_page_is_regenerated_whatever_became_of_it(results, call):
+    before = (results / "report.html").read_bytes(), (results / MANIFEST).read_bytes()
+    (results / "report.html").write_text("another")
+    assert call("compare", results, results)[0] == 2
+    assert call("report", results)[0] == 0
+    assert ((results / "report.html").read_bytes(), (results / MANIFEST).read_bytes()) == before
+    assert call("compare", results, results)[0] == 0
+
+
+def test_results_of_earlier_versions_are_taken_and_said_to_be_so(results, call):
+    (results / MANIFEST).unlink()
+    provenance = json.loads((results / "provenance.json").read_text())
+    del provenance["manifest"]
+    (results / "provenance.json").write_text(json.dumps(provenance))
+    code, _, err = call("compare", results, results)
+    assert code == 0
+    assert f"{results}: written by an earlier version, without {MANIFEST}" in err
+    assert call("seal", results)[1] == f"wrote {results / MANIFEST}\n"
+    assert "earlier version" not in call("compare", results, results)[2]
+    edit(results / "squares.csv", "1", "2")
+    assert call("compare", results, results)[0] == 2
+
+
+def test_only_results_are_sealed(tmp_path, results, call):
+    assert call("seal", results, tmp_path)[0] == 2
+    assert not (tmp_path / MANIFEST).exists()
+
+
+def test_looking_costs_little(tmp_path):
+    """Reading 40 MB again costs tens of milliseconds once, and nothing the next time."""
+    for k in range(10):
+        (tmp_path / f"{k}.nc").write_bytes(np.random.default_rng(k).bytes(4_000_000))
+    write_manifest(tmp_path)
+    began = time.process_time()
+    check_whole(tmp_path, expected=True)
+    assert time.process_time() - began < 0.02
