@@ -46,7 +46,7 @@ def simulate_twin(shipped: TableInputs, rng: np.random.Generator) -> tuple[Table
     # the poses that the instrument read are where those of the density are looked for
     data = replace(variant.data, values=values, given=given)
     twin = replace(variant, data=data, start=values[:, -len(variant.model.coordinates) :])
-    return replace(shipped, calibration=replace(shipped.calibration, variants={variant.name: twin})), theta
+    return replace(shipped, study=replace(shipped.study, variants={variant.name: twin})), theta
 
 
 def judge_twin(shipped: TableInputs, seed: int) -> dict[str, float]:
