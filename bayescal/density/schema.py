@@ -121,7 +121,7 @@ class KernelConfig(Section):
         return LogNormalPrior(self.length_for(choice), spread)
 
 
-class ModelErrorConfig(KernelConfig):
+class TermsConfig(Section):
     """What the models leave out, beside the stated noise: of every leg, or of every channel of the machine itself.
 
     The terms add up. Nobody has to know how large they are: τ has a half-normal prior, the others half-Cauchy ones.
@@ -143,12 +143,6 @@ class ModelErrorConfig(KernelConfig):
     per_leg: bool = False
     """Whether every leg has a τ of its own, or all share one."""
 
-    def terms_for(self, choice: KernelChoiceConfig) -> list[TermName]:
-        """Return the terms of a variant: its own, or those of all."""
-        if isinstance(choice.model_error, str):
-            return ALONE
-        return self.terms if choice.model_error is None else choice.model_error
-
     def floors(self) -> dict[TermName, float]:
         """Return the least root mean square of each term that has one, µm."""
         if isinstance(self.at_least_um, dict):
@@ -161,13 +155,30 @@ class ModelErrorConfig(KernelConfig):
         return {name: MICROMETRE * floor for name, floor in self.floors().items()}
 
     @model_validator(mode="after")
-    def _check_terms(self) -> Self:
+    def _check_floors(self) -> Self:
+        if isinstance(self.at_least_um, dict) and (strange := set(self.at_least_um) - set(self.terms)):
+            raise ValueError(f"at_least_um: found {sorted(strange)}, expected some of the terms {self.terms}")
+        return self
+
+
+class ModelErrorConfig(TermsConfig, KernelConfig):
+    """What the models leave out, beside the stated noise: of every leg, or of every channel of the machine itself.
+
+    The terms add up. Nobody has to know how large they are: τ has a half-normal prior, the others half-Cauchy ones.
+    """
+
+    def terms_for(self, choice: KernelChoiceConfig) -> list[TermName]:
+        """Return the terms of a variant: its own, or those of all."""
+        if isinstance(choice.model_error, str):
+            return ALONE
+        return self.terms if choice.model_error is None else choice.model_error
+
+    @model_validator(mode="after")
+    def _check_kernel(self) -> Self:
         if self.kernel != INDEPENDENT and self.terms != ALONE:
             raise ValueError(
                 f"found kernel {self.kernel!r} beside terms {self.terms}, expected terms = {ALONE} with it"
             )
-        if isinstance(self.at_least_um, dict) and (strange := set(self.at_least_um) - set(self.terms)):
-            raise ValueError(f"at_least_um: found {sorted(strange)}, expected some of the terms {self.terms}")
         return self
 
 

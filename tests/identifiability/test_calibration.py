@@ -330,7 +330,7 @@ def test_a_reduced_set_of_what_is_told_apart_is_right():
 def count_kept_of(name, n, shares):
     """Return what machines of a design keep, of limits that are shares of the predicted sd, beside what is claimed."""
     path = problems.DESIGNS / f"{name}.toml"
-    inputs = read_inputs(load_audit(path), path.parent)
+    inputs = read_inputs(load_audit(path), path.parent).bare()
     information, actuators = analyse(inputs).information, inputs.workspace_actuators[:60]
     forecast = problems.foretell(inputs.knowledge, actuators, inputs.plan)
     arguments = (information, np.random.default_rng(4), ())

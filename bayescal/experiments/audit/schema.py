@@ -25,7 +25,7 @@ from bayescal.config.sections import (
     check_once,
 )
 from bayescal.density.priors import INDEPENDENT
-from bayescal.density.schema import ALONE, FixedConfig, ModelErrorConfig, PriorConfig, TermName
+from bayescal.density.schema import ALONE, FixedConfig, PriorConfig, TermName, TermsConfig
 from bayescal.experiments.shared.readings.schema import ChannelConfig, FreeConfig, InstrumentConfig, NextConfig
 from bayescal.experiments.shared.schema import (
     ActuatorNoiseConfig,
@@ -199,7 +199,7 @@ class StructuredErrorConfig(Section):
     """Over how far quadratic and smooth errors change [ranges of the actuators]."""
 
 
-class ExpectedErrorConfig(ModelErrorConfig):
+class ExpectedErrorConfig(TermsConfig):
     """What the models leave out, as a study of the plan takes it, and how large it is expected to be.
 
     Nothing is measured yet, so that sizes cannot be found in data: those expected are stated, and the audit takes those
@@ -229,8 +229,6 @@ class ExpectedErrorConfig(ModelErrorConfig):
 
     @model_validator(mode="after")
     def _check_expected(self) -> Self:
-        if self.kernel != INDEPENDENT:
-            raise ValueError(f"kernel: found {self.kernel!r}, expected [structured_error] for it in an audit")
         if isinstance(self.expected_um, dict) and (strange := set(self.expected_um) - set(self.terms)):
             raise ValueError(f"expected_um: found {sorted(strange)}, expected some of the terms {self.terms}")
         return self

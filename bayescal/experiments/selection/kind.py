@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from bayescal.experiments.frame.experiment import Experiment
-from bayescal.experiments.frame.memory import Need, estimate_arrays
+from bayescal.experiments.frame.memory import Need, check_memory, estimate_arrays
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.selection.compute import check_problems, compute_selections
@@ -29,9 +29,7 @@ class Selection(Experiment[SelectionConfig, SelectionInputs]):
 
     def read(self, config: SelectionConfig, folder: Path) -> SelectionInputs:
         """Return what the experiment computes with."""
-        inputs = read_selection(config, folder)
-        check_problems(inputs)
-        return inputs
+        return read_selection(config, folder)
 
     def estimate_memory(self, inputs: SelectionInputs) -> Need:
         """Return what the rows of all candidates take."""
@@ -43,6 +41,12 @@ class Selection(Experiment[SelectionConfig, SelectionInputs]):
             (PLACING, n, n_rows, n_rows),
         ]
         return estimate_arrays({"candidates": n, "parameters": n_parameters}, held, "fewer candidates")
+
+    def doubt(self, inputs: SelectionInputs) -> list[str]:
+        """Return no doubt; raise InputError where poses are too few or too many, as computing them would."""
+        check_memory(self.estimate_memory(inputs), 1)
+        check_problems(inputs)
+        return []
 
     def compute(self, inputs: SelectionInputs, run: Run) -> Results:
         """Return the selections and what calibrations with them achieve."""

@@ -13,7 +13,7 @@ from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.run import run_experiment
 from bayescal.experiments.shared.readings.inputs import read_inputs
-from bayescal.experiments.shared.readings.knowledge import _inform, see
+from bayescal.experiments.shared.readings.knowledge import inform, see
 from bayescal.report.pictures import Picture
 
 OWN = '''
@@ -183,7 +183,7 @@ def test_verdicts_hold_beside_errors_that_the_geometry_imitates(tmp_path):
     for name, variant in inputs.variants.items():
         posterior = variant.posterior().anchored()
         y = posterior.approach()
-        left[name] = 1.0 - _inform(posterior, y, see(posterior, y)).contraction
+        left[name] = 1.0 - inform(posterior, y, see(posterior, y)).contraction
     assert (left["all"] > (1.0 - 1e-9) * left["one_rod"]).all()
     assert (left["all"] > 1.2 * left["one_rod"]).any()
 

@@ -10,6 +10,7 @@ from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.run import run_experiment
 from bayescal.report.symbols import format_amount, format_place, shown_in
 
+NO_ERROR = "[model_error]\nterms = []\n"  # whose sizes are in µm whatever the units
 UNITS = '[units]\nlength = "um"\nangle = "arcsec"\n'
 
 
@@ -27,7 +28,7 @@ def run(tmp_path, no_pictures):
         if units:
             for old, new in (("sd = 0.5", "sd = 500.0"), ("sd = 0.3", "sd = 300.0"), ("sd = 0.1", "sd = 360.0")):
                 text = text.replace(old, new)
-        path.write_text(text.replace("[sensors]", f"{units}[sensors]"))
+        path.write_text(text.replace("[sensors]", f"{NO_ERROR}{units}[sensors]"))
         done = run_experiment(load(path)[1], folder, folder / "out", quiet=True)
         return done.results, html.unescape((folder / "out" / "report.html").read_text()).replace("\xa0", " ")
 

@@ -72,9 +72,8 @@ def know(leg, aligned):
     variants = [one.model_copy(update={"fixed": fixed}) for one in config.variants[1:]]
     changes = {"aligned": aligned, "variants": variants, "sensor_choice": None}
     inputs, found = read_design(config.model_copy(update=changes), STAR), []
-    for variant in (one.variant for one in inputs.channels.values()):
-        posterior = variant.posterior()
-        expected = np.zeros(posterior.n_parameters)
+    for plan in inputs.channels.values():
+        variant, posterior, expected = plan.variant, plan.posterior, plan.expected
         covariance = information_of_rows(see(posterior, expected), np.ones(posterior.n_geometry)).covariance
         at = look_around(variant, posterior, expected, np.random.default_rng(3))
         found.append(rms(at.tool, covariance))
