@@ -146,6 +146,7 @@ def test_results_loaded_later_are_the_same(delta):
         again.to_toml()
 
 
+@pytest.mark.runs
 def test_a_calibrated_machine_predicts_what_it_was_commanded(delta, monkeypatch, tmp_path):
     monkeypatch.setattr(type(delta.best), "machine", property(lambda one: force(one)))
     commands = pd.DataFrame({"s_1_mm": [250.0, 240.0], "s_2_mm": [250.0, 250.0], "s_3_mm": [250.0, 260.0]})
@@ -162,6 +163,7 @@ def force(variant):
     return bc.load_calibrated(variant.study.folder, variant.name, force=True, trust=True)
 
 
+@pytest.mark.runs
 def test_the_next_pose_is_asked_of_what_was_calibrated():
     study = calibrate("own file")
     found = bc.next_pose(study, {"x": 0.05, "z": 0.05}, 20, quiet=True)

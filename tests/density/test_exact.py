@@ -165,6 +165,7 @@ def spread_out(blocks):
     return np.einsum("pq,pij->piqj", np.eye(n_poses), blocks).reshape(6 * n_poses, 6 * n_poses)
 
 
+@pytest.mark.runs
 @pytest.mark.parametrize("deformation", ["none", "linear", "matrix"])
 @pytest.mark.parametrize("model", MODELS)
 def test_density_is_that_of_differences_of_forward_kinematics(model, deformation):
@@ -185,6 +186,7 @@ def change_matrix(machine, change):
     return Machine(machine.mechanism, machine.model, MatrixDeformation(machine.deformation.matrix + change))
 
 
+@pytest.mark.runs
 @pytest.mark.parametrize("dependent", [False, True])
 @pytest.mark.parametrize("model", MODELS)
 def test_common_errors_are_those_of_another_matrix(model, dependent):

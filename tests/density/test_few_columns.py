@@ -175,6 +175,7 @@ def test_predictions_are_those_of_the_same_kernels_as_a_whole(thin):
     assert calibration.pointwise == pytest.approx(likelihood.pointwise(*twice), abs=1e-7)
 
 
+@pytest.mark.runs
 def test_functions_are_drawn_given_the_data(thin):
     likelihood, held, theta = thin
     rows, covariance, k = plain_normal(likelihood, held, theta, AMPLITUDES)
@@ -199,6 +200,7 @@ def test_functions_are_drawn_given_the_data(thin):
     assert several.mean == pytest.approx(mean[0].sum(axis=0), rel=1e-9, abs=1e-12)
 
 
+@pytest.mark.runs
 @pytest.mark.parametrize("shared", [True, False])
 def test_slopes_are_those_of_the_density(thin, shared):
     likelihood, _, truth = thin

@@ -113,6 +113,7 @@ def fit_one(fitter, measured, start):
     return least_squares(residual, start, method="lm", x_scale="jac", xtol=1e-12, ftol=1e-12)
 
 
+@pytest.mark.runs
 @pytest.mark.parametrize(
     ("model", "symbols", "frames", "axes"),
     [

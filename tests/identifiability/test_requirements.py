@@ -244,6 +244,7 @@ def test_tables_and_summary_agree(audited):
             assert direction["effect_on_pose"] == "harmless"
 
 
+@pytest.mark.runs
 def test_stricter_limits_make_the_unknown_harmful(telescope):
     """With stricter limits what is not known is no longer harmless."""
     for share, word in ((1.0, "harmless"), (0.01, "noticeable"), (1e-3, "harmful")):
@@ -259,6 +260,7 @@ def test_stricter_limits_make_the_unknown_harmful(telescope):
 SCALES = {"um": 1e3, "mm": 1.0, "m": 1e-3, "arcsec": 3600.0, "mrad": np.pi / 0.18, "deg": 1.0, "rad": np.pi / 180}
 
 
+@pytest.mark.runs
 @pytest.mark.parametrize(("length", "angle"), [("m", "rad"), ("um", "arcsec"), ("m", "mrad")])
 def test_a_design_in_other_units_says_the_same(length, angle, tmp_path):
     config = load_audit(problems.DESIGNS / "camera_hexapod_frames.toml")

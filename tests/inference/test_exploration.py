@@ -42,6 +42,7 @@ def test_proposal_is_efficient(explored):
     assert found.proposal.means.shape[1] == posterior.n_parameters
 
 
+@pytest.mark.runs
 def test_evidences_agree(explored):
     posterior, found = explored
     density = found.straight.log_density

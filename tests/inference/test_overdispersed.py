@@ -155,6 +155,7 @@ def test_nothing_is_said_of_draws_that_lack_nothing(name):
     assert not compare(*CLEAN[name]).list_problems()
 
 
+@pytest.mark.runs
 def test_more_steps_get_there():
     """Beyond where the proposal's density is 20 times too low lies the share of an exponential tail in closed form."""
     short, long = (compare(long_tail, gaussian(), n) for n in (20, 2000))

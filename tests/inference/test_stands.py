@@ -107,6 +107,7 @@ def test_many_walkers_that_stand_still_at_a_low_density_are_an_alarm():
         assert len(stood) == expected, n
 
 
+@pytest.mark.runs
 def test_the_cure_cures():
     """The minor mode has a tenth of the mass, at 15: variance 9 + 0.09 * 15² with more steps, and no alarm."""
     density, proposal = MISSED["minor mode"]

@@ -54,6 +54,7 @@ def estimate(toy, seed=1, n_runs=4):
     return estimate_by_tempering(toy, np.random.SeedSequence(seed), 256, n_runs)
 
 
+@pytest.mark.runs
 def test_normal_likelihood():
     """LegPosterior a thousandth as wide as the prior: evidence and moments in closed form."""
     found = estimate(Toy(normal(0.4, 1e-3), 4))
@@ -70,6 +71,7 @@ def ring(y, radius=1.2, sd=0.01):
     return stats.norm.logpdf(np.hypot(y[:, 0], y[:, 1]), radius, sd)
 
 
+@pytest.mark.runs
 def test_ring_of_even_mass():
     """Mass of a ring: ∫ r exp(-r²/2) N(r; 1.2, 0.01) dr, and all azimuths alike."""
     r = np.linspace(1.1, 1.3, 2001)
@@ -80,6 +82,7 @@ def test_ring_of_even_mass():
     np.testing.assert_allclose(np.histogram(azimuth, 4, (-np.pi, np.pi), weights=found.weights)[0], 0.25, atol=0.05)
 
 
+@pytest.mark.runs
 def test_modes_keep_their_masses():
     """Two narrow modes, one with 6 % of the mass, that no chain would leave by small steps."""
     means, shares = np.array([[0.8, 0.5], [-1.0, 0.3]]), np.array([0.94, 0.06])
@@ -142,6 +145,7 @@ def test_same_seed_same_numbers():
     assert one.log_evidence != other.log_evidence
 
 
+@pytest.mark.runs
 def test_mixture_follows_a_ring(rng):
     """Draws of a ring are told by many components, of a normal by one; and the density is normalised all the same."""
     angle = rng.uniform(-np.pi, np.pi, 3000)

@@ -198,6 +198,7 @@ def test_input_errors_of_the_models():
         fit_matrix_deformation(ring, actuator[:8])
 
 
+@pytest.mark.runs
 def test_deflections_depend_on_the_error_of_the_pose():
     """Given the pose's error, what is left of a deflection's is the mean noise of four targets, legs independent."""
     deflection = np.random.default_rng(13).uniform(-0.06, 0.06, (1500, N_LEGS))

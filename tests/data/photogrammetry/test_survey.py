@@ -269,6 +269,7 @@ def find_refusal(folder: Path) -> BayescalError | None:
     return None
 
 
+@pytest.mark.runs
 def test_no_mutation_of_a_file_ends_in_a_traceback(folder):
     rng = random.Random(8096)
     names = ("study.toml", "mechanism.toml", *FILES)

@@ -139,6 +139,7 @@ def test_other_poses_are_predicted_as_a_dense_normal_does(of, rng):
     )
 
 
+@pytest.mark.runs
 def test_the_expected_curvature_of_scales_and_noise_is_that_of_drawn_rows(rng):
     """Scores of errors that are drawn as the density says have the stated information as their covariance."""
     plain = structured("quadratic", 2.0, 0.5)

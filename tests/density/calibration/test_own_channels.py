@@ -351,6 +351,7 @@ def test_others_given_rows_of_few_columns_are_those_of_all_together(thin, arm, u
         assert found[:, k] == pytest.approx(together - alone, abs=1e-6)
 
 
+@pytest.mark.runs
 def test_coefficients_of_few_columns_are_drawn_given_the_rows(thin):
     few, whole, likelihood, errors, zeta = thin
     theta, n_draws = likelihood.model.layout.nominal[None], 2000

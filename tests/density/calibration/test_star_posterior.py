@@ -64,6 +64,7 @@ JOINT = [
 ]
 
 
+@pytest.mark.runs
 @pytest.mark.parametrize(("n_legs", "names", "n_poses"), JOINT)
 def test_parameters_and_poses_sampled_together_give_the_same(n_legs, names, n_poses):
     posterior = small_posterior(names, n_poses, 3, sliding_star() if n_legs == 4 else star_of(n_legs))
@@ -108,6 +109,7 @@ def test_the_joint_density_of_the_tests_has_its_gradient():
 # --- closed forms ----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.runs
 @pytest.mark.parametrize("names", SETS.values(), ids=[f"{n} sensors" for n in SETS])
 def test_evidence_has_the_closed_form_where_tolerances_are_tiny(names):
     n_poses = 20 if names == SETS[4] else 10  # just enough equations

@@ -112,6 +112,7 @@ def read(path):
     return read_inputs(config, path.parent)
 
 
+@pytest.mark.runs
 @pytest.mark.parametrize("outliers", ["robust = 4.0", "outlier_share = 0.05"])
 def test_all_terms_hold_together_and_have_their_gradient(outliers, tmp_path, rng):
     """Own terms, functions of three inputs, unknown noise and outliers: slopes are those of differences."""

@@ -159,6 +159,7 @@ def test_a_coupling_is_found_in_size_place_and_course(tmp_path):
     assert there.mean() > 0.8
 
 
+@pytest.mark.runs
 def test_tables_of_random_errors_alone_have_their_size(tmp_path):
     path = write(tmp_path, 'terms = ["independent"]\nat_least_um = { independent = 4.0 }\nper_leg = true')
     fit = read(path).fit(Task("all"))

@@ -48,6 +48,7 @@ SETS = {"both": "s[1], s[2], s[3], cam_x, cam_y, height", "probe": "s[1], s[2], 
 ALONE = '[model_error]\nterms = ["independent"]\n'
 
 
+@pytest.mark.runs
 @pytest.mark.parametrize(
     ("aligned", "error", "alike"),
     [(False, ALONE, SETS), (True, ALONE, SETS), (False, "", ["both"])],  # fewer sensors find errors of other sizes

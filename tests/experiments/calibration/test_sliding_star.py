@@ -89,6 +89,7 @@ def test_aligned_accuracy_is_that_of_any_frames():
     assert (one > 3.0 * first).all()
 
 
+@pytest.mark.runs
 def test_truth_stands_beside_what_is_free(tiny, tmp_path, no_pictures):
     config = load(tiny / "study.toml")[1]
     config = config.model_copy(update={"variants": config.variants[1:2]})

@@ -137,6 +137,7 @@ def explain(rng, spoilt=0.0):
     return Residuals(nothing, nothing, nothing, at.square[0], np.ones(25), likelihood.n_spare)
 
 
+@pytest.mark.runs
 def test_no_pose_of_a_clean_study_contradicts_the_others(rng):
     """One study in a hundred at most has such a pose, of however many; a reading twelve deviations off shows."""
     clean = [explain(rng) for _ in range(200)]

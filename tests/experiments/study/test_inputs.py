@@ -246,6 +246,7 @@ def test_a_failure_of_scipy_is_numerical(folder, monkeypatch, error):
         run_experiment(load_experiment(folder / "study.toml"), folder, folder / "out")
 
 
+@pytest.mark.runs
 def test_left_handed_targets_are_a_numerical_failure_or_a_misfit(folder):
     change_targets(folder, lambda row: [*row[:5], str(-float(row[5]))])
     try:
@@ -263,6 +264,7 @@ def kill_worker(parent, *_):
     os.kill(os.getpid(), signal.SIGKILL)
 
 
+@pytest.mark.runs
 def test_a_killed_worker_is_a_numerical_failure(folder, monkeypatch):
     monkeypatch.setattr(engine, "_call_in_worker", kill_worker)
     with pytest.raises(NumericalError, match="a worker was killed"):

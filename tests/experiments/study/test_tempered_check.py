@@ -24,6 +24,7 @@ def checked(tmp_path, monkeypatch):
     return path
 
 
+@pytest.mark.runs
 @pytest.mark.usefixtures("no_pictures")
 def test_both_numbers_are_said(checked, tmp_path, call):
     code, out, err = call("run", checked, "--out", tmp_path / "out", "--workers", "1")

@@ -106,6 +106,7 @@ def write_legs(path, n_legs):
     (path.parents[1] / "sliding_star" / "machine.toml").write_text("\n".join(lines) + "\n")
 
 
+@pytest.mark.runs
 @pytest.mark.parametrize(
     ("n_legs", "sets"),
     [

@@ -76,6 +76,7 @@ def test_poses_are_selected_by_the_jacobian_of_the_calibration():
     assert not error.any()
 
 
+@pytest.mark.runs
 @pytest.mark.parametrize("name", WEIGHTINGS)
 def test_batch_agrees_with_scipy_on_single_machines(name):
     poses, weighting = commanded(), WEIGHTINGS[name]

@@ -45,6 +45,7 @@ def test_first_selection_is_the_committed_one():
     assert min(values) > 0.0357  # table 1, O1 of 20 poses by the improved DETMAX
 
 
+@pytest.mark.runs
 def test_random_poses_give_the_committed_figures_again(monkeypatch):
     """Half of table 8 without the selections, which take long; the random sets and the noise do not depend on them."""
 
