@@ -153,9 +153,25 @@ def _explore_from(
     *,
     trace: bool = False,
 ) -> Exploration | None:
+    """Return a proposal around known modes; None where the density leaves out what matters to its draws."""
+    best, finer = _fit_proposal(modes, posterior, seed, n_walkers, max_pilots, enough, trace=trace), posterior.finer()
+    rng = np.random.default_rng(seed.generate_state(5))
+    return best if finer is None or _is_fine(best, finer, rng) else None
+
+
+def _fit_proposal(
+    modes: list[Mode],
+    posterior: Target,
+    seed: np.random.SeedSequence,
+    n_walkers: int,
+    max_pilots: int,
+    enough: float,
+    *,
+    trace: bool,
+) -> Exploration:
     """Straighten the coordinates around known modes and fit a proposal; it is sharpened until it is good enough.
 
-    With ``trace`` ridges are traced however good it is. None where the density leaves out what matters there.
+    With ``trace`` ridges are traced however good it is.
     """
     trial_seed, *pilot_seeds = seed.spawn(1 + MAX_PILOTS)
     trial_rng = np.random.default_rng(trial_seed)
@@ -164,9 +180,6 @@ def _explore_from(
     if straight.conditional is not None:  # nothing sharper is known than geometry given the errors in closed form
         peaks[0], enough = _peak_of_errors(straight), min(enough, ACCEPTABLE)
     best = _try_peaks(straight, peaks, modes, trial_rng)
-    finer = posterior.finer()
-    if finer is not None and not _is_fine(best, finer, np.random.default_rng(seed.generate_state(5))):
-        return None
     if posterior.curved_ridges() and (trace or best.efficiency < enough):
         straight, peaks, best = _follow_ridges(best, enough, trial_rng)
     for round_ in range(MAX_ROUNDS):
@@ -191,15 +204,16 @@ def _explore_from(
 
 
 def _is_fine(found: Exploration, finer: Target, rng: np.random.Generator) -> bool:
-    """Return whether a finer density would count nearly all draws of the proposal alike."""
-    y = found.straight.y_from_x(found.proposal.draw(FINE_DRAWS, rng))
-    coarse = found.straight.posterior.log_density(y)
-    known = np.isfinite(coarse)
-    log_weights = finer.log_density(y[known]) - coarse[known]
-    if not np.isfinite(log_weights).any():
+    """Return whether a finer density would count nearly all draws of the posterior as this one does."""
+    x = found.proposal.draw(FINE_DRAWS, rng)
+    y = found.straight.y_from_x(x)
+    log_weights = found.straight.log_density(x) - found.proposal.log_density(x)
+    known = np.isfinite(log_weights)
+    change = finer.log_density(y[known]) - found.straight.posterior.log_density(y[known])
+    if not np.isfinite(change).any():
         return not known.any()
-    weights = np.exp(log_weights - log_weights.max())
-    return bool(weights.sum() ** 2 >= FINE_ENOUGH * known.sum() * (weights**2).sum())
+    weights, ratio = np.exp(log_weights[known] - log_weights[known].max()), np.exp(change - change.max())
+    return bool((weights @ ratio) ** 2 >= FINE_ENOUGH * weights.sum() * (weights @ ratio**2))
 
 
 def add_clusters(found: Exploration, seed: np.random.SeedSequence, n_walkers: int = 128) -> Exploration:

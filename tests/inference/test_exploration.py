@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,9 +13,10 @@ from bayescal.density.errors import ModelError
 from bayescal.density.priors import NormalPrior
 from bayescal.inference.bridge import estimate_by_bridge
 from bayescal.inference.ensemble import run_ensemble
-from bayescal.inference.exploration import add_clusters, count_walkers, explore
+from bayescal.inference.exploration import Exploration, _is_fine, add_clusters, count_walkers, explore
 from bayescal.inference.importance import estimate_by_importance
 from bayescal.inference.mode import find_mode
+from bayescal.inference.proposal import MixtureProposal
 
 SEED, NAMES = 1, ("none", "linear", "matrix")
 
@@ -118,3 +120,21 @@ def test_what_the_density_leaves_out_is_noticed(twin):
     assert np.diff(loose.log_density(astray)) > 100.0  # the length that nobody has seen would be the likelier one
     assert np.diff(finer.log_density(astray)) < -100.0
     assert find_mode(finer, astray[1]).log_density == pytest.approx(found.modes[0].log_density, abs=1e-2)
+
+
+@pytest.mark.parametrize(("finer", "fine"), [("in the tails", True), ("at draws of the posterior", False)])
+def test_a_density_is_fine_where_its_posterior_has_draws(finer, fine):
+    """A wide proposal has draws far off, where a coarse density may be wrong by hundreds of nats."""
+
+    def coarse(x):
+        return -0.5 * np.sum(x**2, axis=1)
+
+    def other(x):
+        far = np.abs(x).max(axis=1) > 4.0
+        return coarse(x) + (np.where(far, -200.0, 0.0) if fine else 2.0 * x[:, 0])
+
+    proposal = MixtureProposal(np.ones(1), np.zeros((1, 2)), 3.0 * np.eye(2)[None], 8.0)
+    posterior = SimpleNamespace(log_density=coarse)
+    straight = SimpleNamespace(y_from_x=lambda x: x, log_density=coarse, posterior=posterior)
+    found = Exploration(straight, proposal, [], 0.2)
+    assert _is_fine(found, SimpleNamespace(log_density=other), np.random.default_rng(1)) is fine
