@@ -334,7 +334,7 @@ def test_audit_lists_i_optimal_poses_among_its_changes(camera, monkeypatch):
     assert (change.name, change.n_poses, change.beyond_range) == ("40 poses chosen I-optimally", 40, False)
     said, before = summarise(proposed), summarise(plain)
     for one in (*said["directions"], *before["directions"]):  # the proposal may be what helps a direction most
-        one.pop("helped_most_by")
+        one.pop("helped_most_by", None)
     assert {**said, "what_if": said["what_if"][:-1]} == before
     planned = max(outlook.predicted_sd / outlook.requirement.limit for outlook in plain.outlooks)
     after = max(change.required_sd[r.name] / r.limit for r in camera.requirements)
