@@ -81,9 +81,9 @@ def explore(
 
     Laplace's approximation first. Curved ridges are traced to their ends: how long they are no trial of a Gaussian
     shows. Where a trial shows that it is not good enough, peaks refined over a posterior sd in coordinates bent and
-    curved to fit, twice; then pilot runs. Where what the density leaves out matters at draws of Laplace's
-    approximation, all of it is done again with the posterior's finer density. With ``anew`` the search for modes begins
-    from draws of the prior, too.
+    curved to fit, twice; then pilot runs. Where what the density leaves out matters to draws of the posterior, all of
+    it is done again with the posterior's finer density. With ``anew`` the search for modes begins from draws of the
+    prior, too.
 
     Raises
     ------
@@ -93,8 +93,9 @@ def explore(
     with stage("mode search"):
         modes = find_modes(posterior, np.random.default_rng(seed.generate_state(4)) if anew else None)
     with stage("proposal"):
-        found = _explore_from(modes, posterior, seed, n_walkers, max_pilots, GOOD_ENOUGH, trace=True)
-    if found is None:
+        found = _fit_proposal(modes, posterior, seed, n_walkers, max_pilots, GOOD_ENOUGH, trace=True)
+        suffices = _suffices(found, seed)
+    if not suffices:
         return explore(_refine(posterior), seed, n_walkers, max_pilots, anew=anew)
     return found
 
@@ -130,8 +131,9 @@ def explore_near(
     with stage("mode search"):
         modes = revisit_modes(posterior, starts, find_modes(posterior) if search else ())
     with stage("proposal"):
-        found = _explore_from(modes, posterior, seed, n_walkers, MAX_PILOTS, enough)
-    if found is None:  # the modes move a little, and there are no others
+        found = _fit_proposal(modes, posterior, seed, n_walkers, MAX_PILOTS, enough)
+        suffices = _suffices(found, seed)
+    if not suffices:  # the modes move a little, and there are no others
         return explore_near(_refine(posterior), np.stack([mode.y for mode in modes]), seed, n_walkers, enough=enough)
     return found
 
@@ -143,22 +145,6 @@ def _refine(posterior: Target) -> Target:
     return finer
 
 
-def _explore_from(
-    modes: list[Mode],
-    posterior: Target,
-    seed: np.random.SeedSequence,
-    n_walkers: int,
-    max_pilots: int,
-    enough: float,
-    *,
-    trace: bool = False,
-) -> Exploration | None:
-    """Return a proposal around known modes; None where the density leaves out what matters to its draws."""
-    best, finer = _fit_proposal(modes, posterior, seed, n_walkers, max_pilots, enough, trace=trace), posterior.finer()
-    rng = np.random.default_rng(seed.generate_state(5))
-    return best if finer is None or _is_fine(best, finer, rng) else None
-
-
 def _fit_proposal(
     modes: list[Mode],
     posterior: Target,
@@ -167,7 +153,7 @@ def _fit_proposal(
     max_pilots: int,
     enough: float,
     *,
-    trace: bool,
+    trace: bool = False,
 ) -> Exploration:
     """Straighten the coordinates around known modes and fit a proposal; it is sharpened until it is good enough.
 
@@ -201,6 +187,12 @@ def _fit_proposal(
         if efficiency > best.efficiency or best.efficiency < TELLING:
             best = Exploration(straight, proposal, modes, efficiency)
     return best
+
+
+def _suffices(found: Exploration, seed: np.random.SeedSequence) -> bool:
+    """Return whether what the density leaves out does not matter to draws of the posterior."""
+    finer = found.straight.posterior.finer()
+    return finer is None or _is_fine(found, finer, np.random.default_rng(seed.generate_state(5)))
 
 
 def _is_fine(found: Exploration, finer: Target, rng: np.random.Generator) -> bool:

@@ -119,6 +119,8 @@ class FrozenRows:
         m = n - len(likelihood.model.coordinates)
         if not errors.has_columns or errors.outliers.expected or m < 1:
             return None
+        if not is_few and data.present.sum() - n_poses * (n - m) > MOST_ROWS:  # before their columns are made
+            return None
         acts = [] if is_few else errors.list_acts(data, likelihood.error_gain)
         if not acts and not is_few:
             return None
