@@ -104,11 +104,11 @@ def permit(files: Mapping[Path, bytes], folder: Path) -> None:
         unknown = [path for path, found in hashes.items() if found not in kept and found not in _trusted_here]
         if unknown:
             changed = set(map(str, unknown)) & set(kept.values())
-            told = f"code ({code}) that {'was changed since it was trusted' if changed else 'nobody has trusted'}"
-            asked = f"Found {told}; it can do whatever you can. Have you read it, and shall it be run?"
+            state = f"code ({code}) that {'was changed since it was trusted' if changed else 'nobody has trusted'}"
+            asked = f"Found {state}; it can do whatever you can. Have you read it, and shall it be run?"
             if policy.ask is None or asked in policy.said or not _ask(policy, asked):
                 place = folder.parent if (folder.parent / "provenance.json").is_file() else folder
-                raise InputError(f"{told}, expected: read it, then bayescal trust {place}")
+                raise InputError(f"{state}, expected: read it, then bayescal trust {place}")
             with suppress(OSError):  # where nothing can be kept, it is asked for again
                 remember(unknown)
             _trusted_here.update(hashes.values())

@@ -356,8 +356,8 @@ def _log_density(errors: Array, covariance: Array, common: Array) -> float:
     flat, log_det = white.reshape(errors.size, -1), 2.0 * float(np.log(np.diagonal(root, axis1=1, axis2=2)).sum())
     columns, left = gather_columns(white[..., :-1]).reshape(errors.size, -1), flat[:, -1]
     inner = np.eye(columns.shape[1]) + columns.T @ columns
-    told = columns.T @ left
-    square = float(left @ left - told @ np.linalg.solve(inner, told))
+    along = columns.T @ left
+    square = float(left @ left - along @ np.linalg.solve(inner, along))
     return -0.5 * (square + log_det + float(np.linalg.slogdet(inner)[1]))
 
 

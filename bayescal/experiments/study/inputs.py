@@ -295,7 +295,7 @@ class StudyInputs(Inputs):
 
     @property
     def has_few_poses(self) -> bool:
-        """Whether errors that are functions of the pose cannot be told from the geometry by so few poses."""
+        """Whether errors that are functions of the pose cannot be distinguished from the geometry by so few poses."""
         return bool(np.count_nonzero(~self.verification) < FEWEST_POSES)
 
     def _want_sorts(self, variant: VariantConfig) -> tuple[str, ...]:
