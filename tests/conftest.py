@@ -15,6 +15,7 @@ from matplotlib import rc_context, rcdefaults, rcParams
 from studies import snapshot
 
 from bayescal import cli
+from bayescal.config import trust
 from bayescal.errors import InputError
 from bayescal.files import manifest
 from bayescal.report.pictures import Picture, render_picture
@@ -51,6 +52,7 @@ def voice(monkeypatch):
 @pytest.fixture
 def distrust(monkeypatch, tmp_path_factory):
     """Run code only where somebody has trusted it, as a user's shell does."""
+    monkeypatch.setattr(trust, "_trusted_here", set())  # what tests before have made in this process
     monkeypatch.setenv("BAYESCAL_TRUST", "")
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path_factory.mktemp("settings")))
 
