@@ -133,8 +133,8 @@ def write_study(folder: Path, n_legs: int, n_poses: int, symbols: tuple[str, ...
     write_poses(folder, n_legs, n_poses)
     path = folder / "study.toml"
     path.write_text(
-        f'kind = "study"\nname = "growth"\ntitle = "Growth"\nseed = 1\nmechanism = "machine.toml"\n'
-        '[data]\nmeasurement = "poses"\norigin = "Simulated; never measured"\nposes = "poses.csv"\n'
+        f'kind = "study"\nname = "growth"\ntitle = "Growth"\nseed = 1\nmachine = "machine.toml"\n'
+        '[origin]\nstatus = "simulated"\ntext = "never measured"\n[data]\nmeasurement = "poses"\nposes = "poses.csv"\n'
         'actuators = "actuators.csv"\nactuator_noise_um = 1.0\nposition_um = 10.0\norientation_arcsec = 2.0\n'
         f"{describe_parameters(symbols)}[model_error]\nscale_um = 10.0\nper_leg = false\n"
         f'[[variants]]\nmodel = "six_ups"\ndeformation = "none"\nfree = {json.dumps(symbols)}\n{EFFORT}'

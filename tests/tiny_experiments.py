@@ -21,6 +21,9 @@ SMALL = {
         **{"repeats": "2", "iterations": "5", "n_sets": "20", "max_iterations": "5", "list_length": "10"},
         **{"count": "150", "poses": "14", "machines": "4"},
     },
+    "published_poses.py:PublishedPoses": {
+        **{"repeats": "1", "iterations": "2", "n_sets": "10", "max_iterations": "3", "list_length": "5", "count": "60"},
+    },
     "self_calibrations.py:SelfCalibrations": {
         **{"calibrations": "6", "verification_poses": "5", "n_poses": "20", "count": "3"},
         "angle_noise_arcsec": "[0.5, 2.0]",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import json
 import math
+import re
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
@@ -46,6 +47,8 @@ TEXTS += [
     "%s",
 ]
 OTHERS: list[Any] = [True, False, [], {}, [0], [1.0, 2.0], {"x": 1}, [[]], [{}], [1.0] * 400, ["x", "x"]]
+NUMBER = re.compile(r"(?<![\w.\"-])-?\d+(?:\.\d+)?(?:e[+-]?\d+)?(?![\w.])")
+GENTLE = (1.001, 0.99, 0.5, 2.0, 1.0 / 3.0, 5.0, -1.0, 0.0)
 FACTORS = (1e3, 1e-3, -1.0, 0.0, 1e6, 57.29577951308232, 25.4)
 
 
@@ -277,9 +280,23 @@ def change_bytes(content: bytes, rng: Draw) -> tuple[bytes, str]:
     return content[:where] + content[where + int(rng.integers(1, 40)) :], f"a piece lost at {where}"
 
 
-def change_file(path: Path, rng: Draw) -> tuple[bytes, str]:
-    """Return a file's content with one to three things changed, and what."""
+def change_number(content: bytes, rng: Draw) -> tuple[bytes, str]:
+    """Return a text with one of its numbers somewhat larger or smaller, or with another sign."""
+    numbers = list(NUMBER.finditer(content.decode(errors="replace")))
+    if not numbers:
+        return change_bytes(content, rng)
+    one, factor = numbers[rng.integers(len(numbers))], GENTLE[rng.integers(len(GENTLE))]
+    value = float(one[0]) * factor
+    new = str(round(value)) if one[0].lstrip("-").isdigit() else repr(value)
+    text = content.decode(errors="replace")
+    return (text[: one.start()] + new + text[one.end() :]).encode(), f"{one[0]} at {one.start()} = {new}"
+
+
+def change_file(path: Path, rng: Draw, gentle: float = 0.0) -> tuple[bytes, str]:
+    """Return a file's content with one to three things changed, and what; by a share of the time some number a bit."""
     content, said = path.read_bytes(), []
+    if gentle and rng.random() < gentle and path.suffix in (".toml", ".csv", ".json"):
+        return change_number(content, rng)
     for _ in range(1 if rng.random() < 0.7 else int(rng.integers(2, 4))):
         try:
             content, what = _change(path.suffix, content, rng)

@@ -51,7 +51,12 @@ def _in_time() -> Iterator[None]:
 
 
 def judge_call(arguments: list[object], *watched: Path) -> Outcome:
-    """Call the command line and look for faults; after exit code 2 nothing may have changed in the watched folders."""
+    """Call the command line and look for faults.
+
+    In the watched folders nothing may have changed after exit code 2, and nothing else than what the call is about
+    after any other: what ``--out`` and ``--draws`` name, with what stands beside it under its name, and directories of
+    results that ``report`` and ``seal`` take. Results that stand there are whole.
+    """
     before = [_list(folder) for folder in watched]
     out, err, code, raised = io.StringIO(), io.StringIO(), 1, ""
     argv = sys.argv
@@ -73,7 +78,9 @@ def judge_call(arguments: list[object], *watched: Path) -> Outcome:
         finally:
             sys.argv = argv
     shown = [f"{one.category.__name__}: {one.message}" for one in said if not issubclass(one.category, UNSHOWN)]
-    changed = code == 2 and before != [_list(folder) for folder in watched]
+    after = [_list(folder) for folder in watched]
+    touched = {name for one, other in zip(before, after, strict=True) for name, *_ in set(one) ^ set(other)}
+    changed = sorted(touched if code == 2 else {one for one in touched if not _is_meant(one, arguments)})
     several = "validate" in arguments  # a look at everything tells all faults, a line each
     found = _find_faults(code, out.getvalue(), err.getvalue(), raised, shown, changed, several)
     return Outcome(code, out.getvalue(), err.getvalue(), tuple(found))
@@ -87,7 +94,7 @@ def judge_refusal(arguments: list[object], *watched: Path) -> str:
 
 
 def _find_faults(
-    code: int, out: str, err: str, raised: str, shown: list[str], changed: bool, several: bool
+    code: int, out: str, err: str, raised: str, shown: list[str], changed: list[str], several: bool
 ) -> Iterator[str]:
     if raised:
         yield raised
@@ -109,7 +116,17 @@ def _find_faults(
     if not is_plain(err, but="\n"):
         yield f"control characters: {err!r}"
     if changed:
-        yield f"exit code 2, but something was written ({err!r})"
+        yield f"exit code {code}, but {', '.join(changed[:3])} changed ({err!r})"
+
+
+def _is_meant(name: str, arguments: list[object]) -> bool:
+    """Whether a call may change a file or directory."""
+    given = [str(one) for one in arguments]
+    meant = [given[k + 1] for k, one in enumerate(given[:-1]) if one in ("--out", "--draws")]
+    meant += given[1:2] if given[0] in ("report", "seal") else []
+    beside = [f"{Path(one).with_suffix(str())}." for one in meant]  # a certificate's numbers, work in progress
+    parents = {str(Path(one).parent) for one in meant}
+    return name in parents or name.startswith((*meant, *beside))
 
 
 def _list(folder: Path) -> list[tuple[str, int, int]]:

@@ -11,7 +11,7 @@ from typing import Any
 from bayescal.config.load import check_section, read_extended
 from bayescal.config.registry import REGISTRIES, find_class, is_own, list_references, load_class
 from bayescal.config.sections import ExperimentConfig
-from bayescal.errors import InputError
+from bayescal.errors import InputError, NumericalError
 from bayescal.experiments import GONE, KINDS, USES
 from bayescal.experiments.frame.experiment import Experiment
 from bayescal.experiments.frame.memory import check_tables
@@ -77,7 +77,10 @@ def read_inputs(experiment: AnyExperiment, config: ExperimentConfig, folder: Pat
     with contextlib.suppress(InputError):  # reading says it better
         names = experiment.files(config, folder)
     check_tables(folder / name for name in names)
-    return experiment.read(config, folder)
+    try:
+        return experiment.read(config, folder)
+    except NumericalError as error:  # nothing was accepted yet
+        raise InputError(str(error)) from error
 
 
 def load_experiment(path: Path | str) -> Any:

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from joblib import cpu_count
 from rich.console import Console
 from threadpoolctl import threadpool_limits
 
@@ -87,6 +88,55 @@ class Finished:
         console.print(f"report: {self.out / PAGE}", soft_wrap=True)
 
 
+@dataclass(frozen=True, eq=False)
+class Admitted:
+    """An experiment that has passed the gate: nothing in its config and files forbids to compute it.
+
+    Attributes
+    ----------
+    experiment : Experiment
+    inputs : object
+        What it computes with.
+    blocks : list of PageBlock
+    code : dict of str to str
+        Files of kind and blocks that results keep.
+    identity : dict
+        What determines its results, ``files`` among it.
+    """
+
+    experiment: AnyExperiment
+    inputs: Any
+    blocks: list[PageBlock]
+    code: dict[str, str]
+    identity: dict[str, Any]
+
+
+def admit(config: ExperimentConfig, folder: Path, workers: int) -> Admitted:
+    """Return an experiment read and checked: the one gate of all that computes, and of all that only looks.
+
+    Parameters
+    ----------
+    config : ExperimentConfig
+    folder : Path
+        Where the config's file names start.
+    workers : int
+        Processes of this machine that will compute; zero where others do.
+
+    Raises
+    ------
+    InputError
+        For everything at fault in the config and its files, and for what there is no memory for.
+    """
+    experiment = find_kind(config.kind, folder, folder)
+    with threadpool_limits(1):
+        inputs = read_inputs(experiment, config, folder)
+        check_memory(experiment.estimate_memory(inputs), workers)
+        blocks = find_blocks(config.blocks, folder, folder)
+        modules = hash_modules([type(one) for one in (experiment, *blocks)]) | experiment.modules(config, folder)
+        identity = identify(config, folder, _list_files(experiment, config, folder), modules)
+    return Admitted(experiment, inputs, blocks, keep_code(folder, config.kind, config.blocks), identity)
+
+
 def run_experiment(
     config: ExperimentConfig,
     folder: Path,
@@ -123,13 +173,10 @@ def run_experiment(
     NumericalError
         Where a computation fails; the finished tasks are kept for ``resume``.
     """
-    experiment, store = find_kind(config.kind, folder, folder), Store(out)
+    store = Store(out)
     with threadpool_limits(1):
-        inputs = read_inputs(experiment, config, folder)
-        check_memory(experiment.estimate_memory(inputs), workers if scheduler is None else 0)
-        blocks = find_blocks(config.blocks, folder, folder)
-        modules = hash_modules([type(one) for one in (experiment, *blocks)]) | experiment.modules(config, folder)
-        identity = identify(config, folder, _list_files(experiment, config, folder), modules)
+        admitted = admit(config, folder, workers if scheduler is None else 0)
+        experiment, inputs, identity = admitted.experiment, admitted.inputs, admitted.identity
         store.check(identity, resume)
         with open_engine(workers, scheduler, quiet) as engine, hold_lock(store.lock, out):
             store = store.begin(identity, resume)
@@ -141,9 +188,8 @@ def run_experiment(
                 store.discard()
                 raise
             provenance = describe_provenance(config, identity)
-            files = {**results.files, **keep_code(folder, config.kind, config.blocks)}
-            results = replace(results, files=files, provenance=provenance)
-            page = _write(experiment, blocks, results, store.stage(), workers)
+            results = replace(results, files={**results.files, **admitted.code}, provenance=provenance)
+            page = _write(experiment, admitted.blocks, results, store.stage(), workers)
             store.publish()
     return Finished(out, experiment, read_results(out), page)
 
@@ -153,7 +199,7 @@ def _compute(experiment: AnyExperiment, inputs: Any, run: Run) -> Results:
     try:
         return experiment.compute(inputs, run)
     except NumericalError as error:
-        doubts = _find_doubts(experiment, inputs)
+        doubts = _ask(experiment.doubt, inputs)
         if not doubts:
             raise
         raise NumericalError(f"{error}; perhaps since {'; '.join(doubts)}") from error
@@ -187,21 +233,23 @@ def _list_file_faults(path: Path) -> list[str]:
 
 
 def check_experiment(config: ExperimentConfig, folder: Path) -> tuple[list[str], list[str], list[str]]:
-    """Read all that an experiment computes with; return its files, what it can determine, and what may be wrong.
+    """Put an experiment through the gate of a run with a process per core; return what is known without computing.
+
+    Returns
+    -------
+    files, outlook, doubts : list of str
+        What belongs to it, what its inputs can determine, and what may be wrong with them.
 
     Raises
     ------
     InputError
-        For anything at fault in them.
+        As `admit`.
     """
-    experiment = find_kind(config.kind, folder, folder)
+    admitted = admit(config, folder, cpu_count())
+    experiment, inputs = admitted.experiment, admitted.inputs
     with threadpool_limits(1):
-        inputs = read_inputs(experiment, config, folder)
-        outlook, doubts = experiment.outlook(inputs), experiment.doubt(inputs)
-    find_blocks(config.blocks, folder, folder)
-    files = sorted(set(_list_files(experiment, config, folder)))
-    identify(config, folder, files)
-    return files, outlook, doubts
+        outlook, doubts = _ask(experiment.outlook, inputs), _ask(experiment.doubt, inputs)
+    return sorted(admitted.identity["files"]), outlook, doubts
 
 
 def _list_files(experiment: AnyExperiment, config: ExperimentConfig, folder: Path) -> Iterable[str]:
@@ -214,17 +262,15 @@ def _list_files(experiment: AnyExperiment, config: ExperimentConfig, folder: Pat
 
 def compute_experiment(config: ExperimentConfig, folder: Path, workers: int = 1) -> Results:
     """Return what an experiment finds, without writing anything."""
-    experiment = find_kind(config.kind, folder, folder)
+    admitted = admit(config, folder, workers)
     with threadpool_limits(1), np.errstate(all="ignore"):
-        inputs = read_inputs(experiment, config, folder)
-        check_memory(experiment.estimate_memory(inputs), workers)
-        return experiment.compute(inputs, Run(Processes(workers)))
+        return admitted.experiment.compute(admitted.inputs, Run(Processes(workers)))
 
 
-def _find_doubts(experiment: AnyExperiment, inputs: Any) -> list[str]:
-    """Return what is probably wrong with inputs that failed; what fails itself on them says nothing."""
+def _ask(question: Callable[[Any], list[str]], inputs: Any) -> list[str]:
+    """Return what is said of inputs that passed the gate; a question that fails on them says nothing."""
     try:
-        return experiment.doubt(inputs)
+        return question(inputs)
     except BayescalError:
         return []
 
