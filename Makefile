@@ -5,7 +5,7 @@ STAMP := $(VENV)/.installed
 export BAYESCAL_TRUST := 1  # the repository's own configs run its own code
 THREADS := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 
-.PHONY: study real audits reproduce seal test test-runs test-browser test-dask test-slow check docs dist data picture benchmark soak clean help
+.PHONY: study real audits reproduce seal test test-runs test-browser test-dask test-slow check docs dist data picture benchmark hostile clean help
 
 help:
 	@echo "make study      the telescope study: environment, run, ranking, report (one to two minutes on two cores)"
@@ -23,7 +23,7 @@ help:
 	@echo "make docs       the documentation, its tutorials run, into docs/_build/html (installs Sphinx)"
 	@echo "make dist       the wheel, into dist"
 	@echo "make picture    README's picture of a report, from committed results (needs Chromium)"
-	@echo "make soak       random kills, full disks and runs that meet, for MINUTES=60: nothing lost, nothing different"
+	@echo "make hostile    mutated configs, tables and results, kills, full disks and runs that meet; on and on for MINUTES"
 	@echo "make benchmark  speed against a compiled loop and against NUTS (installs numba and numpyro)"
 
 study: $(STAMP)
@@ -99,8 +99,8 @@ benchmark: $(STAMP)
 	$(BIN)/python benchmarks/likelihood.py
 	$(BIN)/python benchmarks/sampling.py --dense-mass --name sampling_dense_mass
 
-soak: $(STAMP)
-	$(THREADS) $(BIN)/python benchmarks/soak.py --minutes $(or $(MINUTES),60)
+hostile: $(STAMP)
+	$(THREADS) $(BIN)/python tests/fuzz/suite.py --minutes $(or $(MINUTES),0) --write docs/hostile.md
 
 clean:
 	rm -rf $(VENV) build *.egg-info

@@ -33,7 +33,6 @@ TINY = {
     "sampling.py --warm-up 50 --draws 50": ("jax", "numpyro"),
     "sessions.py --twins 1": (),
     "slips.py --twins 1": (),
-    "soak.py --minutes 0.1": (),
 }
 """By command: what it needs that the tests do not."""
 PARTS = {"jax_density", "numba_loops", "peers_evidence", "peers_posteriors", "peers_sampling", "telescope_problem"}

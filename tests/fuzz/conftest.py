@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 from fuzz.subjects import write_subjects
+from fuzz.suite import Ground
 
 
 @pytest.fixture(scope="module")
@@ -11,3 +12,8 @@ def root(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("subjects")
     write_subjects(folder)
     return folder / "experiments"
+
+
+@pytest.fixture(scope="module")
+def ground(tmp_path_factory) -> Ground:
+    return Ground(tmp_path_factory.mktemp("ground"))

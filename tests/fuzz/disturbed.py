@@ -49,11 +49,19 @@ class Child:
         Its arguments.
     prepare : callable
         Called in the process before anything else.
+
+    Attributes
+    ----------
+    code : int or None
+        Its exit code; None as long as it runs.
+    text : str
+        What it said on standard error, once it has ended.
     """
 
     def __init__(self, line: list[str], prepare: Callable[[], None] = lambda: None) -> None:
-        self.said = tempfile.TemporaryFile("w+")  # noqa: SIM115  # open as long as the child may speak
         self.code: int | None = None
+        self.text = ""
+        self.said = tempfile.TemporaryFile("w+")  # noqa: SIM115  # open as long as the child may speak
         self.pid = os.fork()
         if self.pid == 0:
             self._run(line, prepare)
@@ -78,23 +86,23 @@ class Child:
             sys.stderr.flush()
             os._exit(code)
 
-    def wait(self, seconds: float) -> bool:
-        """Wait until it has ended, or as long; return whether it has."""
+    def wait(self, seconds: float, stopped: bool = False) -> bool:
+        """Wait until it has ended, or as long, or until it has stopped itself; return whether it has ended."""
         end = time.monotonic() + seconds
         while self.code is None:
-            pid, status = os.waitpid(self.pid, os.WNOHANG)
+            pid, status = os.waitpid(self.pid, os.WNOHANG | (os.WUNTRACED if stopped else 0))
+            if pid and os.WIFSTOPPED(status):
+                return False
             if pid:
                 self.code = os.waitstatus_to_exitcode(status)
+                self.said.seek(0)
+                self.text = self.said.read()
+                self.said.close()
             elif time.monotonic() > end:
                 return False
             else:
                 time.sleep(0.005)
         return True
-
-    def read(self) -> str:
-        """Return what it said on standard error."""
-        self.said.seek(0)
-        return self.said.read()
 
 
 def watch_writes(folder: Path, act: Callable[[int], None]) -> None:
@@ -158,7 +166,7 @@ class Stage:
             os.kill(child.pid, signal.SIGKILL)
             child.wait(PATIENCE)
             return [f"no end within {PATIENCE} s"]
-        said, code = child.read(), child.code
+        said, code = child.text, child.code
         assert code is not None
         faults = []
         if "Traceback" in said or cli.OWN_FAULT in said or said.count("\n") > 1 or code not in (expected or CODES):
@@ -262,8 +270,8 @@ def limit_files(stage: Stage, quiet: Undisturbed, rng: np.random.Generator) -> l
 
 def _end_without_room(stage: Stage, child: Child) -> list[str]:
     faults = stage.find_faults(child)
-    if child.code == 3 and not stage.out.exists() and "expected room to write" not in child.read():
-        faults.append(f"{child.read()!r}")
+    if child.code == 3 and not stage.out.exists() and "expected room to write" not in child.text:
+        faults.append(f"{child.text!r}")
     if stage.out.exists() and child.code not in (0, 3):
         faults.append(f"results are there with code {child.code}")
     return faults or ([] if stage.out.exists() else stage.finish())
@@ -301,8 +309,8 @@ def fill_disk(stage: Stage, quiet: Undisturbed, rng: np.random.Generator) -> lis
 def _end_without_room_mounted(stage: Stage) -> list[str]:
     child = stage.start()
     faults = stage.find_faults(child)
-    if child.code == 3 and not stage.out.exists() and "expected room to write" not in child.read():
-        faults.append(f"{child.read()!r}")
+    if child.code == 3 and not stage.out.exists() and "expected room to write" not in child.text:
+        faults.append(f"{child.text!r}")
     mount_small(stage.out.parent, 2**30, again=True)
     return faults or ([] if stage.out.exists() else stage.finish())
 
@@ -311,7 +319,7 @@ NOT_POSSIBLE = "no file system can be mounted here"
 
 
 def mount_small(folder: Path, size: int, again: bool = False) -> None:
-    """Mount an empty file system of so many bytes, for this process and those that it starts; OSError where nobody may."""
+    """Mount a file system of so many bytes for this process and those that it starts; OSError where nobody may."""
     libc, remount, private = ctypes.CDLL(None, use_errno=True), 32, 0x44000  # MS_REMOUNT; MS_REC | MS_PRIVATE
     folder.mkdir(parents=True, exist_ok=True)
     if not again:
@@ -328,13 +336,22 @@ def mount_small(folder: Path, size: int, again: bool = False) -> None:
 
 
 def meet(stage: Stage, quiet: Undisturbed, rng: np.random.Generator) -> list[str]:
-    """Start a second run of another seed on the same directory: one of the two is refused, or comes later."""
-    first = stage.start()
-    first.wait(float(rng.uniform(0.0, 0.8 * quiet.seconds)))
+    """Let a second run of another seed begin and end while the first stops before one of its writes; one is refused."""
+    which = quiet.choose(PHASES[rng.integers(len(PHASES))], rng)
+
+    def prepare() -> None:
+        stop = signal.SIGSTOP
+        watch_writes(stage.folder / "results", lambda n: os.kill(os.getpid(), stop) if n == which else None)
+
+    first = stage.start(prepare=prepare)
+    first.wait(PATIENCE, stopped=True)
     second = stage.start(seed=stage.seed + 1)
-    faults = [*stage.find_faults(first), *stage.find_faults(second)]
-    if 2 not in (first.code, second.code):
-        faults.append(f"codes {first.code} and {second.code}, expected one refused")
+    faults = stage.find_faults(second)
+    os.kill(first.pid, signal.SIGCONT)
+    faults += stage.find_faults(first)
+    refused = [one.text for one in (first, second) if one.code == 2]
+    if len(refused) != 1 or not any(why in refused[0] for why in ("another run", "of another config")):
+        faults.append(f"codes {first.code} and {second.code}, expected one refused: {refused}")
     if stage.out.is_dir() and json.loads((stage.out / PROVENANCE_FILE).read_text())["seed"] != stage.seed:
         shutil.rmtree(stage.out)  # the second was first, and the first was refused
         faults += stage.find_faults(stage.start(), 0, 3)

@@ -124,7 +124,7 @@ def _is_meant(name: str, arguments: list[object]) -> bool:
     given = [str(one) for one in arguments]
     meant = [given[k + 1] for k, one in enumerate(given[:-1]) if one in ("--out", "--draws")]
     meant += given[1:2] if given[0] in ("report", "seal") else []
-    beside = [f"{Path(one).with_suffix(str())}." for one in meant]  # a certificate's numbers, work in progress
+    beside = [f"{Path(one).with_suffix('')}." for one in meant]  # a certificate's numbers, work in progress
     parents = {str(Path(one).parent) for one in meant}
     return name in parents or name.startswith((*meant, *beside))
 

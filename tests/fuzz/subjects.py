@@ -100,6 +100,11 @@ class Subject:
     kind: str
     files: tuple[Path, ...]
 
+    @property
+    def machine(self) -> Path:
+        """The machine's file, the first of those that are configs."""
+        return next(path for path in self.files[1:] if path.suffix == ".toml")
+
 
 def write_subjects(folder: Path) -> list[Path]:
     """Write all experiments to a folder, each with little to do and few data; return their configs."""

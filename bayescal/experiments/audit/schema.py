@@ -30,11 +30,11 @@ from bayescal.experiments.shared.readings.schema import ChannelConfig, FreeConfi
 from bayescal.experiments.shared.schema import (
     ActuatorNoiseConfig,
     AnyWorkspaceConfig,
-    Bounds,
     DeformationConfig,
     FramesConfig,
     OwnSensorConfig,
     PoseSensorConfig,
+    Range,
     TargetSensorConfig,
     UnitsConfig,
     WorkspaceConfig,
@@ -326,7 +326,7 @@ class AuditConfig(ExperimentConfig):
     """Where accuracy counts: by coordinate its smallest and largest value, the machine's own where nothing is said; or
     half widths about a platform's home pose [unit of the coordinate].
     """
-    given: dict[str, Bounds] = Field(default={}, exclude_if=lambda value: not value)
+    given: dict[str, Range] = Field(default={}, exclude_if=lambda value: not value)
     """By column: smallest and largest value of what the machine has to know of a row [unit of the column]."""
     poses: PosesConfig = PosesConfig(count=40)
     """Where it is planned to measure."""

@@ -45,6 +45,8 @@ from bayescal.files.manifest import MANIFEST, renew_manifest, write_manifest
 from bayescal.report.blocks import Page
 from bayescal.report.page import PAGE, is_of_page, show_provenance, write_page
 
+LATE = "which showed only when it was computed"
+"""Said of what is at fault with inputs that passed the gate."""
 MANY_PICTURES = 10  # fewer are drawn before other processes have started
 
 
@@ -176,17 +178,13 @@ def run_experiment(
     store = Store(out)
     with threadpool_limits(1):
         admitted = admit(config, folder, workers if scheduler is None else 0)
-        experiment, inputs, identity = admitted.experiment, admitted.inputs, admitted.identity
+        experiment, identity = admitted.experiment, admitted.identity
         store.check(identity, resume)
         with open_engine(workers, scheduler, quiet) as engine, hold_lock(store.lock, out):
             store = store.begin(identity, resume)
             with start_ahead(workers if scheduler is None else 1, experiment.imports):
                 import_all(experiment.imports[:1])
-            try:
-                results = _compute(experiment, inputs, Run(engine, store, Progress(quiet)))
-            except InputError:
-                store.discard()
-                raise
+            results = _compute(admitted, Run(engine, store, Progress(quiet)), store.discard)
             provenance = describe_provenance(config, identity)
             results = replace(results, files={**results.files, **admitted.code}, provenance=provenance)
             page = _write(experiment, admitted.blocks, results, store.stage(), workers)
@@ -194,10 +192,21 @@ def run_experiment(
     return Finished(out, experiment, read_results(out), page)
 
 
-def _compute(experiment: AnyExperiment, inputs: Any, run: Run) -> Results:
-    """Return an experiment's results; NumericalError says besides what is probably wrong with the inputs."""
+def _compute(admitted: Admitted, run: Run, discard: Callable[[], None] = lambda: None) -> Results:
+    """Return an experiment's results.
+
+    Raises
+    ------
+    NumericalError
+        Says besides what is probably wrong with the inputs. What a kind refuses only now is one, too, since it was
+        accepted before; nothing is kept of such a run.
+    """
+    experiment, inputs = admitted.experiment, admitted.inputs
     try:
         return experiment.compute(inputs, run)
+    except InputError as error:
+        discard()
+        raise NumericalError(f"{error} ({LATE})") from error
     except NumericalError as error:
         doubts = _ask(experiment.doubt, inputs)
         if not doubts:
@@ -264,7 +273,7 @@ def compute_experiment(config: ExperimentConfig, folder: Path, workers: int = 1)
     """Return what an experiment finds, without writing anything."""
     admitted = admit(config, folder, workers)
     with threadpool_limits(1), np.errstate(all="ignore"):
-        return admitted.experiment.compute(admitted.inputs, Run(Processes(workers)))
+        return _compute(admitted, Run(Processes(workers)))
 
 
 def _ask(question: Callable[[Any], list[str]], inputs: Any) -> list[str]:

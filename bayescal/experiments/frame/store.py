@@ -199,8 +199,8 @@ class Store:
         Files that the old run did not write stay in the results directory.
         """
         if self.out.exists():
+            add_others(self.staged, _share_foreign(resolve(self.out), self.staged))
             _exchange(self.staged, resolve(self.out))
-            add_others(self.out, _move_foreign(self.staged, resolve(self.out)))
         else:
             self.staged.rename(resolve(self.out))
         self.discard()
@@ -212,22 +212,25 @@ def _is_ours(path: Path) -> bool:
     return (name == IDENTITY_FILE or name.endswith(".npz")) and path.is_file()
 
 
-def _move_foreign(old: Path, new: Path) -> list[str]:
-    """Move what a run has not written from its results to those that replaced them, of which nothing is touched.
+def _share_foreign(old: Path, new: Path) -> list[str]:
+    """Let what a run has not written stand in its results and in those that are to replace them; return its names.
 
-    The names of what was moved are returned.
+    Whoever is killed meanwhile loses none of it.
     """
-    written, moved = list_written(old), []
+    written, shared = list_written(old), []
     if written is None:  # of an earlier version: nothing tells
         return []
     for path in sorted(old.rglob("*")):
         name = path.relative_to(old)
-        if path.is_dir() or name.as_posix() in written or (new / name).exists():
+        if (path.is_dir() and not path.is_symlink()) or name.as_posix() in written or (new / name).exists():
             continue
         (new / name).parent.mkdir(parents=True, exist_ok=True)
-        path.rename(new / name)
-        moved.append(name.as_posix())
-    return moved
+        try:
+            os.link(path, new / name, follow_symlinks=False)
+        except OSError:  # a file system without such links
+            shutil.copy2(path, new / name, follow_symlinks=False)
+        shared.append(name.as_posix())
+    return shared
 
 
 def _exchange(one: Path, other: Path) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Discriminator, Field, Tag, model_validator
+from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
 from bayescal.config.classes import ClassMark, OwnSection
 from bayescal.config.load import MEASURED, OWN
@@ -13,9 +13,23 @@ from bayescal.limits import LARGEST_KAPPA
 from bayescal.machines.schema import PointsConfig, TargetRingConfig
 from bayescal.numerics.units import choose_arcseconds
 
+
+def _check_order(values: list[float]) -> list[float]:
+    if values[0] > values[1]:
+        raise ValueError(f"found {values[0]:g} to {values[1]:g}, expected the smaller number first")
+    return values
+
+
+def _check_width(values: list[float]) -> list[float]:
+    if values[0] == values[1]:
+        raise ValueError(f"found {values[0]:g} to {values[1]:g}, expected different numbers")
+    return values
+
+
 type Axes = Literal["x", "y", "z", "xy", "xz", "yz", "xyz"]
 type Turns = Annotated[list[Annotated[NotNegative, Field(le=180.0)]], Field(min_length=3, max_length=3)]
-type Bounds = Annotated[list[Number], Field(min_length=2, max_length=2)]
+type Range = Annotated[list[Number], Field(min_length=2, max_length=2), AfterValidator(_check_order)]
+type Bounds = Annotated[Range, AfterValidator(_check_width)]
 type Extent = Annotated[list[NotNegative], Field(min_length=3, max_length=3)]
 
 

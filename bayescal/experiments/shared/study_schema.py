@@ -45,7 +45,6 @@ from bayescal.experiments.shared.readings.schema import (
     NextConfig,
     OriginConfig,
     ValidationConfig,
-    check_bounds,
 )
 from bayescal.experiments.shared.schema import Bounds, DeformationConfig, FramesConfig, RotationNoiseConfig, UnitsConfig
 from bayescal.inference.schema import EvidenceConfig, SamplerConfig
@@ -397,7 +396,6 @@ class StudyConfig(ExperimentConfig):
         if isinstance(self.data, TargetDataConfig) and self.frames != FramesConfig():
             raise ValueError("found [frames] beside targets on the base, which stand for it, expected no [frames]")
         _check_names([variant.name for variant in self.variants])
-        check_bounds(self.workspace)
         self._check_route()
         for variant in self.variants:
             for symbol in variant.free or ():

@@ -21,7 +21,7 @@ from bayescal.config.sections import (
 )
 from bayescal.density.schema import PriorConfig
 from bayescal.experiments.shared.readings.schema import ChannelConfig, FreeConfig, InstrumentConfig, OriginConfig
-from bayescal.experiments.shared.schema import Bounds, RotationNoiseConfig, UnitsConfig
+from bayescal.experiments.shared.schema import Bounds, Range, RotationNoiseConfig, UnitsConfig
 from bayescal.machines.schema import TargetRingConfig
 
 
@@ -186,7 +186,7 @@ class SimulationConfig(FreeConfig, ExperimentConfig):
     """Tolerance of each symbol, within which the true machine is drawn."""
     workspace: dict[str, Bounds] = Field(default={})
     """By coordinate: smallest and largest value of the poses [unit of the coordinate]."""
-    given: dict[str, Bounds] = Field(default={})
+    given: dict[str, Range] = Field(default={})
     """By column: smallest and largest value of what the machine has to know of a row [unit of the column]."""
     n_poses: Annotated[int, Field(ge=1, le=100_000)] | None = None
     """Number of random poses to calibrate with."""

@@ -155,10 +155,3 @@ class NextConfig(Section):
     """How many random poses are tried; 0 for none."""
     shown: Annotated[int, Field(ge=1, le=50)] = 5
     """How many of them are shown."""
-
-
-def check_bounds(workspace: dict[str, list[float]]) -> None:
-    """Raise ValueError for a range whose larger number comes first."""
-    for name, (low, high) in workspace.items():
-        if not low < high:
-            raise ValueError(f"workspace.{name}: found {low:g} to {high:g}, expected the smaller number first")

@@ -1,0 +1,137 @@
+"""The hostile suite finds faults that are planted: of each sort of what it holds calls to."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from contextlib import nullcontext
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fuzz import disturbed, suite
+from fuzz.disturbed import Stage
+from fuzz.judged import judge_call
+
+from bayescal.errors import InputError
+from bayescal.experiments.frame import run as frame
+from bayescal.experiments.frame.store import Store
+from bayescal.experiments.simulation.kind import Simulation
+from bayescal.experiments.study.kind import Study
+
+STUDY, SIMULATION = "own_machine/study.toml", "own_machine/simulate.toml"
+
+
+@pytest.fixture
+def simulation(ground) -> Path:
+    return ground.root / SIMULATION
+
+
+def raise_value_error(*_: object) -> None:
+    raise ValueError("planted")
+
+
+def test_a_traceback_is_found(simulation, monkeypatch):
+    monkeypatch.setattr(Simulation, "read", raise_value_error)
+    assert any("ValueError: planted" in fault for fault in judge_call(["validate", simulation]).faults)
+
+
+def test_a_file_written_by_a_refused_call_is_found(simulation, tmp_path, monkeypatch):
+    def write(*_: object) -> None:
+        (tmp_path / "here.txt").write_text("written")
+        raise InputError("refused")
+
+    monkeypatch.setattr(Simulation, "read", write)
+    (fault,) = judge_call(["validate", simulation], tmp_path).faults
+    assert "here.txt changed" in fault
+
+
+def test_a_file_written_beside_the_results_is_found(simulation, tmp_path, monkeypatch):
+    monkeypatch.setattr(Simulation, "doubt", lambda *_: [str((tmp_path / "here.txt").write_text("written"))])
+    (fault,) = judge_call(["validate", simulation], tmp_path).faults
+    assert "exit code 0, but" in fault
+
+
+def test_two_lines_for_one_fault_are_found(simulation, tmp_path, monkeypatch):
+    program = sys.modules["bayescal.cli.app"]
+    monkeypatch.setattr(program, "make_plain", lambda text, but="": text.replace(" ", "\n", 1))
+    call = ["simulate", simulation.with_name("none.toml"), "--out", tmp_path / "out"]
+    assert any("more or less than a line" in fault for fault in judge_call(call).faults)
+
+
+@pytest.mark.parametrize("where", ["looking", "running"])
+def test_a_gate_that_is_not_the_same_for_both_is_found(where, ground, tmp_path, monkeypatch):
+    admit = frame.admit
+
+    def refuse(config, folder, workers):
+        if (where == "looking") == (workers > 1):
+            raise InputError("planted")
+        return admit(config, folder, workers)
+
+    monkeypatch.setattr(frame, "admit", refuse)
+    monkeypatch.setattr(frame, "cpu_count", lambda: 2)
+    with suite.cutting():
+        looked, ran = suite.look_and_run(ground.subjects[STUDY], tmp_path)
+    assert suite.hold_gate(looked, ran)
+
+
+def test_input_that_is_refused_late_is_found(ground, tmp_path, monkeypatch):
+    def refuse(*_: object) -> None:
+        raise InputError("planted")
+
+    monkeypatch.setattr(Study, "compute", refuse)
+    looked, ran = suite.look_and_run(ground.subjects[STUDY], tmp_path)
+    assert (looked.code, ran.code, ran.faults) == (0, 3, ())
+    assert suite.hold_gate(looked, ran)
+
+
+# --- disturbed runs --------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def stage(simulation, tmp_path) -> Stage:
+    return Stage(simulation, 1, tmp_path / "stage")
+
+
+def disturb(stage: Stage, how: str, seed: int = 3) -> list[str]:
+    shutil.rmtree(stage.folder, ignore_errors=True)
+    before = Stage(stage.config, stage.seed, stage.folder / "quiet")
+    for one in (before, stage):
+        one.out.parent.mkdir(parents=True)
+    quiet, faults = disturbed.run_undisturbed(before)
+    return faults or disturbed.disturb(stage, quiet, how, np.random.default_rng(seed))
+
+
+@pytest.mark.parametrize("how", disturbed.DISTURBANCES)
+def test_a_simulation_survives(how, stage):
+    assert [fault for fault in disturb(stage, how) if disturbed.NOT_POSSIBLE not in fault] == []
+
+
+def test_results_put_in_place_file_by_file_are_found(stage, monkeypatch):
+    def publish(store: Store) -> None:
+        store.out.mkdir(exist_ok=True)
+        for path in sorted(store.staged.rglob("*")):
+            path.rename(store.out / path.name)
+        store.discard()
+
+    monkeypatch.setattr(Store, "publish", publish)
+    assert any("not whole" in fault or "half" in fault for fault in disturb(stage, "killed while ending"))
+
+
+def test_numbers_that_hang_on_what_went_before_are_found(stage, monkeypatch):
+    compute = Simulation.compute
+
+    def forget(self, inputs, run):
+        found = compute(self, inputs, run)
+        found.summary["seen"] = len(list(stage.out.parent.glob("*.partial/.seen")))
+        (stage.out.parent / "out.partial" / ".seen").touch()
+        return found
+
+    monkeypatch.setattr(Simulation, "compute", forget)
+    assert disturb(stage, "killed while writing")
+
+
+def test_a_lock_that_is_none_is_found(stage, monkeypatch):
+    monkeypatch.setattr(frame, "hold_lock", lambda *_: nullcontext())
+    faults = [fault for seed in range(4) for fault in disturb(stage, "two runs on one --out", seed)]
+    assert any("expected one refused" in fault for fault in faults)
