@@ -17,7 +17,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import betabinom
 
 from bayescal.errors import InputError
 from bayescal.identifiability.design import Knowledge, Plan
@@ -364,6 +363,8 @@ def compare_kept(kept: int, n: int, probability: float, draws: int) -> Kept:
 
     The probability was itself counted, in so many draws; its uncertainty widens the band.
     """
+    from scipy.stats import betabinom  # half a second to import
+
     good = probability * draws
     low, high = betabinom.interval(BAND, n, good + 0.5, draws - good + 0.5)
     return Kept(kept, n, int(low), int(high))

@@ -8,7 +8,6 @@ from functools import cached_property
 
 import numpy as np
 from scipy.special import ndtri
-from scipy.stats import qmc
 
 from bayescal.density.priors import Kernel
 from bayescal.errors import InputError
@@ -220,6 +219,8 @@ class PoseVolume:
 
     def _fill(self, n: int, k: int, seed: int) -> Array:
         """Return points that fill the unit box, ball or cross of k axes evenly, shape (n, k)."""
+        from scipy.stats import qmc  # half a second to import
+
         unit = qmc.Halton(k + 1, rng=np.random.default_rng(seed)).random(n)
         cube = 2.0 * unit - 1.0
         if self.shape == "box":

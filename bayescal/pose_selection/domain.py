@@ -18,7 +18,6 @@ from functools import cached_property
 from itertools import product
 
 import numpy as np
-from scipy.stats import qmc
 
 from bayescal.errors import InputError
 from bayescal.identifiability.design import SLACK, Knowledge, describe_move
@@ -335,6 +334,8 @@ def even_candidates(
     levels : int, optional
         Nodes per axis, the outer ones on the boundary; None leaves the points where they are.
     """
+    from scipy.stats import qmc  # half a second to import
+
     if levels is not None and levels < 2:
         raise InputError(f"candidates: found {levels} levels per axis, expected at least 2")
     halton = qmc.Halton(domain.n_coordinates, scramble=rng is not None, rng=rng)

@@ -11,7 +11,6 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from bayescal.calibrated.recheck.plan import place_poses
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.density.calibration.likelihood import CalibrationLikelihood, CalibrationPosterior
 from bayescal.density.calibration.measurements import Comparison
@@ -302,6 +301,8 @@ def _see_errors(measured: MeasuredVariant, model: Legs) -> tuple[ErrorTerm, ...]
 
 def see_legs(measured: MeasuredVariant) -> MeasuredReadings:
     """Return poses measured of a machine on legs as readings of its actuators and of its pose."""
+    from bayescal.calibrated.recheck.plan import place_poses  # half a second to import, of statistics
+
     model, poses, own = Legs(measured.machine), measured.poses, measured.posterior
     pose = np.concatenate([poses.position, rotation_vector_from_matrix(poses.rotation)], axis=1)
     data, n = place_poses(poses.names, poses.actuators, pose, poses.covariance), model.n_legs

@@ -8,6 +8,7 @@ of it: its members, its values at home, its derivatives against differences.
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -180,6 +181,8 @@ def _differ(model: FunctionModel, where: str, here: Array, entry: int, size: Arr
 
 
 STEP = 1e-30
+AT_ONCE = 8192
+"""Places at which a function is evaluated together: what it holds meanwhile stays in a processor's cache."""
 LARGEST_STEP = 1e-10  # what no derivative makes of a step, but a function that leaves the reals does
 
 
@@ -405,10 +408,16 @@ class FunctionModel(ReadingModel):
 
     def differentiate(self, theta: Array, pose: Array, given: Given, directions: Array) -> tuple[Array, Array]:
         """Return readings (..., K) and what they change along directions (C, D + q) of (d, v), (C, ..., K)."""
-        found = self._step(lambda d, v: self.evaluate(d, v, given), theta, pose, directions)
+        at_once = max(1, AT_ONCE // max(1, math.prod(np.broadcast_shapes(theta.shape[:-1], pose.shape[:-1]))))
+        values, moved = None, []
+        for k in range(0, len(directions), at_once):
+            part = self._step(lambda d, v: self.evaluate(d, v, given), theta, pose, directions[k : k + at_once])
+            values = part[0].real.copy() if values is None else values
+            moved.append(part.imag.copy())
+        turned = np.concatenate(moved)
         # where a real argument has no value, a complex one has: the root of a negative number is imaginary
-        nowhere = (np.abs(found.imag) > LARGEST_STEP).any(axis=0)
-        return np.where(nowhere, np.nan, found[0].real), np.where(nowhere, np.nan, found.imag / STEP)
+        nowhere = (np.abs(turned) > LARGEST_STEP).any(axis=0)
+        return np.where(nowhere, np.nan, values), np.where(nowhere, np.nan, turned / STEP)
 
     def _step(self, function: Callable[[Any, Any], Any], theta: Array, pose: Array, directions: Array) -> Any:
         """Return a function's values (C, ..., m) at complex steps along directions (C, D + q) of (d, v)."""

@@ -21,6 +21,10 @@ from bayescal.numerics.units import Units
 STARTS = 0.6  # of the half widths, from where poses are looked for
 MOST_TRIES = 100
 LARGEST_GRID = 81  # starts; beyond, they are drawn
+TRIED = 150
+"""Rows of many that are looked for from all starts: where the middle leads as far with each, it is the start of all."""
+ALIKE, FAR = 1.01, 4.0
+"""By which r² may differ from the least to be as good, and by which from the largest of the tried rows to be usual."""
 SINGULAR = 1e-10  # of the largest singular value of H in units of the workspace, below which a pose is not told
 
 
@@ -121,14 +125,32 @@ def find_starts(posterior: CalibrationPosterior, workspace: Workspace, seed: int
     white = likelihood.whiten(
         *posterior.likelihood.noise(posterior.errors, posterior.zeta(np.zeros((1, posterior.n_parameters))))
     )
-    pose = np.repeat(starts[:, None], n, axis=1)
-    if pose.shape[-1]:
+
+    def search(rows: np.ndarray, some: Array) -> tuple[Array, Array]:
+        """Return the best poses of some rows from some starts, and what they leave, r²."""
+        from_all = np.repeat(some[:, None], len(rows), axis=1)
         with np.errstate(all="ignore"):
-            found, square = search_poses(likelihood, posterior.sampling.start, white, pose)
-        best = np.where(np.isnan(square), np.inf, square).argmin(axis=0)
-        pose = found[best, np.arange(n)]
+            found, square = search_poses(
+                likelihood.pick(rows), posterior.sampling.start, white.at_poses(rows), from_all
+            )
+        square = np.where(np.isnan(square), np.inf, square)
+        best = square.argmin(axis=0)
+        return found[best, np.arange(len(rows))], square[best, np.arange(len(rows))]
+
+    every = np.arange(n)
+    pose = np.repeat(starts[:1], n, axis=0)
+    if not pose.shape[-1]:
+        left = every[:0]
+    elif n <= 2 * TRIED:
+        left = every
     else:
-        pose = pose[0]
+        tried = np.sort(np.random.default_rng([seed, 5]).choice(n, TRIED, replace=False))
+        _, least = search(tried, starts)
+        pose, square = search(every, starts[:1])
+        usual = bool((square[tried] <= ALIKE * least + ALIKE - 1.0).all())
+        left = every[square > FAR * least.max()] if usual else every
+    if len(left):
+        pose[left], _ = search(left, starts)
     check_told(posterior, pose, workspace)
     return np.asarray(pose)
 
