@@ -46,6 +46,10 @@ LARGEST_FACTOR = 1000.0
 """By which something is varied; the inverse is the smallest."""
 LARGEST_KAPPA = 1.0
 """A joint that is deflected by as much as its actuator moves."""
+LONGEST_NAME = 100
+"""Letters of a name that directories and files are called by."""
+LONGEST_TEXT = 2000
+"""Letters of a title, a name or what is said of where data come from."""
 LARGEST_SEED = 2**63 - 1
 """Of integers in TOML."""
 BOUNDS: dict[str, tuple[float, float]] = {

@@ -12,7 +12,7 @@ from typing import Annotated, Any, ClassVar
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat, ValidationInfo, field_validator
 
 from bayescal.files.plain_text import is_plain
-from bayescal.limits import BOUNDS, LARGEST, LARGEST_FACTOR, LARGEST_SEED, NOISE_BOUNDS
+from bayescal.limits import BOUNDS, LARGEST, LARGEST_FACTOR, LARGEST_SEED, LONGEST_NAME, LONGEST_TEXT, NOISE_BOUNDS
 
 
 def check_once[T: list[Any]](values: T) -> T:
@@ -31,7 +31,7 @@ type PerLeg = Number | list[Number]
 type PositivePerLeg = Positive | list[Positive]
 type Vector = Annotated[list[Number], Field(min_length=3, max_length=3)]
 type Names = Annotated[list[str], AfterValidator(check_once)]
-type Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$")]
+type Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$", max_length=LONGEST_NAME)]
 
 
 @dataclass(frozen=True)
@@ -74,9 +74,15 @@ class Section(BaseModel):
     @field_validator("*")
     @classmethod
     def _check_text(cls, value: Any) -> Any:
-        """Refuse what would command a terminal, or turn what is read around: lines and tabs are all a text may have."""
+        """Refuse texts of any length, and what would command a terminal or turn what is read around.
+
+        Lines and tabs are all that a text may have besides letters.
+        """
         if isinstance(value, str) and not is_plain(value, but="\n\t"):
             raise ValueError(f"found control characters in {value!r}, expected plain text")
+        for text in _list_texts(value):
+            if len(text) > LONGEST_TEXT:
+                raise ValueError(f"found {len(text)} letters, expected at most {LONGEST_TEXT}")
         return value
 
     @field_validator("*")
@@ -91,6 +97,15 @@ class Section(BaseModel):
                 size = f"between {smallest:g} and {largest:g}" if smallest else f"at most {largest:g}"
                 raise ValueError(f"found {number:g}, expected {size} in size")
         return value
+
+
+def _list_texts(value: Any) -> Iterator[str]:
+    """Yield the texts of a field, those of its lists and the keys of its tables too."""
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, list | Mapping):
+        for one in value:
+            yield from _list_texts(one)
 
 
 def _list_numbers(value: Any) -> Iterator[float]:

@@ -346,9 +346,9 @@ class Sort:
 
 N_DISTURBED = len(DISTURBED) * len(disturbed.DISTURBANCES)
 SORTS = {
-    "inputs": Sort("configs, machines and tables: `validate`, then `run` up to where it computes", 3400, try_inputs),
+    "inputs": Sort("configs, machines and tables: `validate`, then `run` up to where it computes", 3650, try_inputs),
     "computed": Sort("the same, computed to the end", 250, try_computed),
-    "results": Sort("results of every kind: report, compare, export, predict and other uses", 1000, try_results),
+    "results": Sort("results of every kind: report, compare, export, predict and other uses", 700, try_results),
     "tables": Sort("tables and files of a calibrated machine: predict, command, certificate, recheck", 400, try_tables),
     "disturbed": Sort("runs killed, without room, or met by another", N_DISTURBED, try_disturbed),
 }

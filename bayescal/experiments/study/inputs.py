@@ -493,6 +493,7 @@ def load_inputs(config: StudyConfig, folder: Path) -> StudyInputs:
             posterior = inputs.posterior(variant, with_model_error=True)
             check_machine(posterior)
             _check_terms(inputs, variant, posterior)
+            del posterior  # of many poses one is enough at a time
             for factor in config.sensitivity.factor:
                 with name_faults(f"sensitivity.factor {factor:g}"):
                     check_machine(inputs.posterior(variant, True, factor))
