@@ -329,16 +329,17 @@ def _invert_negative(posterior: Target, y: Array, curvature: Array) -> Array:
     NumericalError
         Where neither is.
     """
+    factor: Array | None
     try:
         factor = np.linalg.inv(np.linalg.cholesky(-curvature)).T
     except np.linalg.LinAlgError:  # Gauss and Newton's may be none of a maximum where tails are heavy
         values, axes = np.linalg.eigh(-curvature)
         factor = _differentiate(posterior, y, axes / np.sqrt(np.maximum(np.abs(values), LEAST_CURVATURE)))
-        if factor is None:
-            raise NumericalError("mode search: the Hessian at the mode is not negative definite") from None
+    if factor is None:
+        raise NumericalError("mode search: the Hessian at the mode is not negative definite")
     exact = _differentiate(posterior, y, factor)
-    factor = factor if exact is None else exact
-    return factor @ factor.T
+    found = factor if exact is None else exact
+    return found @ found.T
 
 
 def _differentiate(posterior: Target, y: Array, factor: Array) -> Array | None:

@@ -217,6 +217,11 @@ class LegPlan(Planned):
         return {} if self.plan.systematic is None else self.plan.systematic.sizes
 
     @property
+    def function_scale(self) -> float:
+        """Scale of the prior of each of these sizes, mm."""
+        return self.config.model_error.scales(self.plan.actuator_noise)[1]
+
+    @property
     def floors(self) -> Mapping[str, float]:
         """What each term has at least, mm: as stated here, or in the study."""
         return super().floors if self.measured is None else find_floors(self.measured.posterior)
