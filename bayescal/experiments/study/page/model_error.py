@@ -64,7 +64,7 @@ KINDS: dict[str, Kind] = {
     ),
     "linear": Kind(
         "linear in the positions of all actuators",
-        "a coupling: one actuator moves what another one positions",
+        "a coupling: one actuator moves what another one positions; a frame that yields",
         "Look for a coupling between actuators, or free parameters of one (of legs: a deformation with a free matrix)",
     ),
     "own": Kind(
