@@ -44,9 +44,14 @@ def _take_doctored_results():
 
 
 @pytest.fixture
-def voice(monkeypatch):
-    """Let results be whole or refused, and commands say what code they run and what is not known of results."""
+def wary(monkeypatch):
+    """Let results be whole or refused."""
     monkeypatch.setattr(manifest, "_refuse", REFUSE)
+
+
+@pytest.fixture
+def voice(wary):
+    """Let results be whole or refused, and commands say what code they run and what is not known of results."""
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ from bayescal.cli import app
 from bayescal.config.registry import list_references
 from bayescal.experiments import USES as ASKED
 
-pytestmark = pytest.mark.usefixtures("no_pictures")
+pytestmark = pytest.mark.usefixtures("no_pictures", "wary")
 
 STEP = 25
 FIRST = {"inputs": 300, "tables": 50}

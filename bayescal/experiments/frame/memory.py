@@ -59,6 +59,11 @@ class Need:
         collecting = PROCESS if workers > 1 else 0.0
         return self.shared + collecting + workers * (self.each + PROCESS)
 
+    def describe(self, workers: int) -> str:
+        """Return what there is and what it takes, in words."""
+        by = f" with {workers} workers" if workers > 1 else ""
+        return f"{self.sizes}, which take about {self.sum_up(workers) / GIB:.1f} GiB{by}"
+
 
 def estimate_arrays(
     counts: Mapping[str, int],
@@ -116,11 +121,10 @@ def check_memory(need: Need, workers: int) -> None:
     """
     available, wanted = measure_available(), need.sum_up(workers)
     if need.sizes and available is not None and wanted > available:
-        by = f" with {workers} workers" if workers > 1 else ""
         fewer = " or fewer workers" if workers > 1 else ""
         raise InputError(
-            f"memory: found {need.sizes}, which take about {wanted / GIB:.1f} GiB{by}, with {available / GIB:.1f} GiB "
-            f"available, expected {need.remedy}{fewer}"
+            f"memory: found {need.describe(workers)}, with {available / GIB:.1f} GiB available, expected {need.remedy}"
+            f"{fewer}"
         )
 
 

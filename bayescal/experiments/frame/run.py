@@ -25,7 +25,7 @@ from bayescal.experiments.frame.engine import Processes, call_side_by_side, impo
 from bayescal.experiments.frame.identity import describe_provenance, identify
 from bayescal.experiments.frame.interrupts import hold_lock
 from bayescal.experiments.frame.load import AnyExperiment, find_kind, load, read_inputs
-from bayescal.experiments.frame.memory import check_memory
+from bayescal.experiments.frame.memory import Need, check_memory
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import (
     MANIFEST_KEY,
@@ -99,6 +99,8 @@ class Admitted:
     experiment : Experiment
     inputs : object
         What it computes with.
+    need : Need
+        Memory that it takes.
     blocks : list of PageBlock
     code : dict of str to str
         Files of kind and blocks that results keep.
@@ -108,6 +110,7 @@ class Admitted:
 
     experiment: AnyExperiment
     inputs: Any
+    need: Need
     blocks: list[PageBlock]
     code: dict[str, str]
     identity: dict[str, Any]
@@ -132,11 +135,12 @@ def admit(config: ExperimentConfig, folder: Path, workers: int) -> Admitted:
     experiment = find_kind(config.kind, folder, folder)
     with threadpool_limits(1):
         inputs = read_inputs(experiment, config, folder)
-        check_memory(experiment.estimate_memory(inputs), workers)
+        need = experiment.estimate_memory(inputs)
+        check_memory(need, workers)
         blocks = find_blocks(config.blocks, folder, folder)
         modules = hash_modules([type(one) for one in (experiment, *blocks)]) | experiment.modules(config, folder)
         identity = identify(config, folder, _list_files(experiment, config, folder), modules)
-    return Admitted(experiment, inputs, blocks, keep_code(folder, config.kind, config.blocks), identity)
+    return Admitted(experiment, inputs, need, blocks, keep_code(folder, config.kind, config.blocks), identity)
 
 
 def run_experiment(
@@ -247,17 +251,20 @@ def check_experiment(config: ExperimentConfig, folder: Path) -> tuple[list[str],
     Returns
     -------
     files, outlook, doubts : list of str
-        What belongs to it, what its inputs can determine, and what may be wrong with them.
+        What belongs to it; what its inputs can determine, and the memory that a run takes; what may be wrong with them.
 
     Raises
     ------
     InputError
         As `admit`.
     """
-    admitted = admit(config, folder, cpu_count())
+    workers = cpu_count()
+    admitted = admit(config, folder, workers)
     experiment, inputs = admitted.experiment, admitted.inputs
     with threadpool_limits(1):
         outlook, doubts = _ask(experiment.outlook, inputs), _ask(experiment.doubt, inputs)
+    if admitted.need.sizes:
+        outlook = [*outlook, f"a run computes with {admitted.need.describe(workers)}"]
     return sorted(admitted.identity["files"]), outlook, doubts
 
 
