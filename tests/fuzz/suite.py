@@ -18,11 +18,13 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
+import joblib
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # as pytest does
@@ -366,7 +368,7 @@ _ground: Ground
 
 
 def _begin(folder: str) -> None:
-    """Make a worker ready: subjects of its own, pictures not drawn, nothing said of code that is run."""
+    """Make a process ready: subjects of its own, pictures not drawn, nothing said of code that is run."""
     global _ground
     _ground = Ground(Path(tempfile.mkdtemp(dir=folder)))
     from bayescal.report import page, pictures
@@ -374,6 +376,7 @@ def _begin(folder: str) -> None:
     for module in (page, pictures):
         module.render_picture = lambda draw, stacked=True: pictures.Picture(b"not drawn")  # type: ignore[assignment]
     sys.modules["bayescal.cli.app"]._say = lambda line: None  # type: ignore[attr-defined]
+    joblib.cpu_count = frame.cpu_count = lambda: 1  # no processes within these
 
 
 def list_shares(share: float) -> Iterator[tuple[str, range]]:
@@ -399,20 +402,19 @@ def run(share: float, workers: int, minutes: float) -> tuple[dict[str, Counter[i
             print(f"FAULT {fault}", flush=True)
 
     context, n_ways, first = multiprocessing.get_context("fork"), len(disturbed.DISTURBANCES), N_DISTURBED
-    with tempfile.TemporaryDirectory() as folder, context.Pool(workers, _begin, (folder,)) as pool:
-        for found in pool.imap_unordered(_try_share, list_shares(share)):
-            keep(found)
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        ProcessPoolExecutor(workers, context, _begin, (folder,)) as pool,
+    ):
+        for done in as_completed([pool.submit(try_share, *case) for case in list_shares(share)]):
+            keep(done.result())
         while time.monotonic() - begun < 60.0 * minutes:
             last = first + n_ways * workers
             cases = [("disturbed", range(k, k + n_ways)) for k in range(first, last, n_ways)]
-            for found in pool.imap_unordered(_try_share, cases):
-                keep(found)
+            for done in as_completed([pool.submit(try_share, *case) for case in cases]):
+                keep(done.result())
             first = last
     return codes, faults, time.monotonic() - begun
-
-
-def _try_share(case: tuple[str, range]) -> tuple[str, Counter[int], list[str], float]:
-    return try_share(*case)
 
 
 PAGE = """# Hostile files and disturbed runs

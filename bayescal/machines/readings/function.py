@@ -409,10 +409,10 @@ class FunctionModel(ReadingModel):
     def differentiate(self, theta: Array, pose: Array, given: Given, directions: Array) -> tuple[Array, Array]:
         """Return readings (..., K) and what they change along directions (C, D + q) of (d, v), (C, ..., K)."""
         at_once = max(1, AT_ONCE // max(1, math.prod(np.broadcast_shapes(theta.shape[:-1], pose.shape[:-1]))))
-        values, moved = None, []
+        values, moved = np.empty(0), list[Array]()
         for k in range(0, len(directions), at_once):
             part = self._step(lambda d, v: self.evaluate(d, v, given), theta, pose, directions[k : k + at_once])
-            values = part[0].real.copy() if values is None else values
+            values = values if moved else part[0].real.copy()
             moved.append(part.imag.copy())
         turned = np.concatenate(moved)
         # where a real argument has no value, a complex one has: the root of a negative number is imaginary
