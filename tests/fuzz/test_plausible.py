@@ -78,16 +78,6 @@ def test_mounted_file_system_is_not_replaced(root, tmp_path):
     judge_refusal(["run", root / "telescope/short.toml", "--out", "/proc"], tmp_path)
 
 
-@pytest.mark.runs
-def test_directories_above_refused_results_are_not_left(root, tmp_path, monkeypatch):
-    def refuse(*_: object, **__: object) -> None:
-        raise InputError("found something late")
-
-    monkeypatch.setattr(frame, "Run", refuse)
-    judge_refusal(["run", root / "telescope/short.toml", "--out", tmp_path / "a" / "b" / "c"], tmp_path)
-    assert list(tmp_path.iterdir()) == []
-
-
 # --- what nobody uses ------------------------------------------------------------------------------------------------
 
 

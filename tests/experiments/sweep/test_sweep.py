@@ -254,7 +254,7 @@ def test_another_kind_is_no_sweep(refuse, tmp_path):
 def test_a_sweep_none_of_whose_figures_is_there_ends_with_its_first_member(call, tmp_path):
     path = sweeps.write(tmp_path, sweep=sweeps.SWEEP.replace("tracker.a.sd", "tracker.sd"), counted=True)
     code, _, complaint = call("run", path, "--out", tmp_path / "out", "--workers", 1, "--quiet")
-    assert (code, complaint.count("\n")) == (2, 1)
+    assert (code, complaint.count("\n")) == (3, 1)
     assert "found none of sensors.tracker.sd in the summary of the first member" in complaint
     assert "such as 'sensors.tracker.a.sd'" in complaint
     assert not (tmp_path / "out").exists()

@@ -12,7 +12,7 @@ import studies
 from hexapod_settings import SHIPPED, copy_tiny
 from rich.console import Console
 
-from bayescal.errors import InputError
+from bayescal.errors import BayescalError
 from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.frame.run import run_experiment, write_report
 from bayescal.report.pictures import Picture
@@ -106,7 +106,7 @@ def refuse(path, old, new, match):
     text = path.read_text()
     assert old in text
     path.write_text(text.replace(old, new))
-    with pytest.raises(InputError, match=match) as caught:
+    with pytest.raises(BayescalError, match=match) as caught:  # some show only when they are computed
         run_experiment(load_experiment(path), path.parent, path.parent / "out", workers=1)
     assert "\n" not in str(caught.value)
     assert not (path.parent / "out").exists()
