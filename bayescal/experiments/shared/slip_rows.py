@@ -12,7 +12,7 @@ out, and what was read otherwise is another table: all are weighed by the same l
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
@@ -25,6 +25,7 @@ from bayescal.density.calibration.poses import search_poses
 from bayescal.density.low_rank import gather_columns
 from bayescal.density.sessions import LinearRows, ReadingRows
 from bayescal.errors import BayescalError
+from bayescal.machines.readings import Channel, ReadingModel
 from bayescal.numerics.geometry import Array
 
 SIZES = np.geomspace(1.0, 1e5, 11)
@@ -32,9 +33,12 @@ SIZES = np.geomspace(1.0, 1e5, 11)
 WIDER = np.array([2.0, 3.0, 5.0, 8.0, 12.0, 20.0, 40.0, 100.0])
 """Factors on a tolerance."""
 LOST = float(np.log(1e3))  # nats per reading of a row that is left out
+OUTLYING = 10.0
+"""Rms of a row in units of the median, beyond which the others are fitted without it."""
 STARTS, SPREAD = 9, 0.6  # poses of the workspace from which others are looked for, in its half widths
 TURN = 2.0 * float(np.pi)
-TURNS = (-2.0, -1.0, 1.0, 2.0), (-1.0, -0.5, 0.5, 1.0)  # steps of single coordinates of errors, turn by turn
+LEVELS = (-3.0, -2.0, -1.0, 1.0, 2.0, 3.0, 4.0, 5.0)  # of all coordinates of errors at once
+TURNS = (-2.0, -1.0, 1.0, 2.0), (-1.0, -0.5, 0.5, 1.0)  # steps of single ones, turn by turn
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,7 +149,7 @@ class Sight:
         usual = float(np.median(constant[self.stands])) if self.stands.any() else 0.0
         constant = np.where(self.stands, constant, usual - LOST * every.shape[1])
         known = self.slope.shape[-1] + extra.shape[-1]
-        return White(white, constant, known, self.log_volume)
+        return White(white, constant, known, self.log_volume, int(np.count_nonzero(~self.stands)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,34 +160,36 @@ class White:
     constant: Array  # (Q,)
     known: int  # m + N
     log_volume: float
+    lost: int  # how many rows have no pose: they are zero
 
     @cached_property
     def _some(self) -> Array:
         return np.concatenate([self.rows[..., : self.known], self.rows[..., -1:]], axis=-1)
 
-    @cached_property
-    def _gram(self) -> Array:
-        flat = self._some.reshape(-1, self.known + 1)
+    def gram(self, rows: np.ndarray | slice = slice(None)) -> Array:
+        """Return products of what is known and the errors, summed over some of the rows, (m + N + 1, m + N + 1)."""
+        flat = self._some[rows].reshape(-1, self.known + 1)
         return np.asarray(flat.T @ flat)
-
-    @cached_property
-    def by_row(self) -> Array:
-        """Products of what is known and the errors, (Q, m + N + 1, m + N + 1)."""
-        return np.asarray(np.swapaxes(self._some, 1, 2) @ self._some)
 
     def weigh(self, gram: Array | None = None, constant: float | None = None) -> float:
         """Return the log-density without any cause, of other products of rows where these are given."""
-        gram = self._gram if gram is None else gram
+        gram = self.gram() if gram is None else gram
         root = cholesky(np.eye(self.known) + gram[:-1, :-1], lower=True, check_finite=False)
         side = solve_triangular(root, gram[:-1, -1], lower=True, check_finite=False)
         constant = float(self.constant.sum()) if constant is None else constant
         return constant + self.log_volume - 0.5 * float(gram[-1, -1] - side @ side) - float(np.log(np.diag(root)).sum())
 
-    def misfit(self, y: Array, which: np.ndarray, unknown: Array) -> float:
-        """Return the rms of what a machine (m,) and unknowns (k,) of columns leave, in the noise."""
-        own = which[which >= self.known]
-        left = self.rows[..., -1] - self.rows[..., : len(y)] @ y - self.rows[..., own] @ unknown
-        return float(np.sqrt(np.mean(left**2)))
+    def solve(self, columns: np.ndarray, scale: Array) -> tuple[Array, Array, float]:
+        """Return what is known (m + N,), the unknowns (k,) of columns with standard deviations (k,), and the misfit.
+
+        That is the root of χ² of the rows over their number, what is unknown integrated: one of right data. Lost rows
+        count by what they cost.
+        """
+        flat = self.rows.reshape(-1, self.rows.shape[-1])
+        both = np.concatenate([flat[:, : self.known], flat[:, columns] * scale], axis=1)
+        found = np.linalg.solve(np.eye(both.shape[1]) + both.T @ both, both.T @ flat[:, -1])
+        square = float(flat[:, -1] @ (flat[:, -1] - both @ found)) + self.lost * self.rows.shape[1] * np.exp(2.0 * LOST)
+        return found[: self.known], found[self.known :] * scale, float(np.sqrt(square / max(len(flat), 1)))
 
     @cached_property
     def reduced(self) -> tuple[Array, Array, Array]:
@@ -218,18 +224,52 @@ class Readings:
     Attributes
     ----------
     posterior : CalibrationPosterior
+        With the poses at which the nominal machine explains the readings best.
     low, high : ndarray, shape (q,)
         The workspace, mm and rad.
+    internal : ndarray of bool, shape (K,)
+        Which channels the machine keeps after its calibration.
     """
 
     posterior: CalibrationPosterior
     low: Array
     high: Array
+    internal: np.ndarray
+
+    @property
+    def model(self) -> ReadingModel:
+        """The machine."""
+        return self.posterior.likelihood.model
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """Its channels, K of them."""
+        return self.model.channels
 
     @property
     def values(self) -> Array:
         """As they are, (P, K)."""
         return self.posterior.likelihood.data.values
+
+    @property
+    def home(self) -> Array:
+        """What the machine as expected reads at home, (K,)."""
+        given = {name: value[:1] for name, value in self.posterior.likelihood.data.given.items()}
+        return self.model.read(self.posterior.sampling.start[None], self.model.home_pose[None], given)[0]
+
+    @property
+    def time(self) -> Array:
+        """When rows were measured, from 0 to 1 by their order, (P,)."""
+        order = self.posterior.likelihood.data.order
+        return np.asarray((order - order.min()) / max(float(np.ptp(order)), 1.0))
+
+    def with_table(self, table: Table) -> Readings:
+        """Return them as if a table had been read."""
+        return replace(self, posterior=replace(self.posterior, likelihood=self._with(table)))
+
+    def pick(self, rows: np.ndarray) -> Readings:
+        """Return some of the rows."""
+        return replace(self, posterior=replace(self.posterior, likelihood=self.posterior.likelihood.pick(rows)))
 
     @cached_property
     def table(self) -> Table:
@@ -258,6 +298,26 @@ class Readings:
         stands &= np.isfinite(linear.constant) & (likelihood.n_spare > 0)
         errors = linear.errors - slope @ y
         return Sight(table.rows, linear, slope, errors, stands, pose, table.log_volume)
+
+    def measure_rows(self, n_starts: int = 0) -> Array:
+        """Return how far rows lie from any machine within the tolerances, in noise and errors as stated, (P,).
+
+        The rms of what no pose explains of each beside the machine that fits all best to first order, without outlying
+        rows; infinite for rows that the machine as expected has no pose of.
+        """
+        n, n_spare = len(self.values), self.posterior.likelihood.n_spare
+        seen = self.see(self.table, np.zeros(self.posterior.n_geometry), None, n_starts)
+        if seen is None:
+            return np.full(n, np.inf)
+        white = seen.whiten(np.zeros(self.posterior.errors.n_parameters))
+        rest, moves, spare = white.rows[..., -1], white.rows[..., : white.known], np.maximum(n_spare, 1)
+        left, there = rest, np.flatnonzero(seen.stands)
+        for _ in range(2 if len(there) else 0):
+            off = np.sqrt(np.sum(left[there] ** 2, axis=1) / spare[there])
+            used = there[off <= OUTLYING * np.median(off)]
+            flat, along = moves[used].reshape(-1, white.known), rest[used].ravel()
+            left = rest - moves @ np.linalg.solve(np.eye(white.known) + flat.T @ flat, flat.T @ along)
+        return np.where(seen.stands, np.sqrt(np.sum(left**2, axis=1) / spare), np.where(n_spare > 0, np.inf, 0.0))
 
     def _with(self, table: Table) -> CalibrationLikelihood:
         """Return the density of a table's readings."""
@@ -299,22 +359,25 @@ class Readings:
 type Weigh = Callable[[Array], float]
 
 
-def profile(weigh: Weigh, n_errors: int) -> tuple[Array, float]:
-    """Return the errors' coordinates ζ (n,) with the largest log-density and prior, and these, on a grid by turns."""
-    best, value = np.zeros(n_errors), weigh(np.zeros(n_errors))
+def profile(weigh: Weigh, starts: Sequence[Array], levels: bool = True, turns: bool = True) -> Array:
+    """Return the errors' coordinates ζ (n,) with the largest log-density and prior.
 
-    def attempt(zeta: Array) -> None:
-        nonlocal best, value
-        found = weigh(zeta) - 0.5 * float(zeta @ zeta)
-        if found > value:
-            best, value = zeta, found
+    The best of some starts, and of all coordinates at once; from there by turns, one coordinate after the other.
+    """
+    zeta, best = starts[0], -np.inf
 
-    if n_errors:
-        for size in (-3.0, -2.0, -1.0, 1.0, 2.0, 3.0, 4.0, 5.0):
-            attempt(np.full(n_errors, size))
-        for steps in TURNS if n_errors > 1 else ():
-            for k, step in product(range(n_errors), steps):
-                zeta = best.copy()
-                zeta[k] += step
-                attempt(zeta)
-    return best, value
+    def attempt(one: Array) -> None:
+        nonlocal zeta, best
+        found = weigh(one) - 0.5 * float(one @ one)
+        if found > best:
+            zeta, best = one, found
+
+    n = len(zeta)
+    for start in (*starts, *(np.full(n, size) for size in LEVELS if n and levels)):
+        attempt(start)
+    for steps in TURNS if n and turns else ():
+        for k, step in product(range(n), steps):
+            moved = zeta.copy()
+            moved[k] += step
+            attempt(moved)
+    return zeta

@@ -45,7 +45,7 @@ def plant(subject, slip, seed):
 @pytest.mark.parametrize("machine", ["linear delta", pytest.param("serial arm", marks=pytest.mark.runs)])
 def test_a_planted_slip_is_named_first(subjects, machine, slip):
     measured, fault, words = plant(subjects[machine], slip, 1)
-    found = search_cause(measured).first
+    found = search_cause(measured.readings).first
     assert found is not None
     assert fault in found.faults
     assert any(word in found.text for word in words)
@@ -59,7 +59,7 @@ def test_most_planted_slips_are_named(subjects, machine, slip):
     named = 0
     for seed in range(3):
         measured, fault, words = plant(subjects[machine], slip, seed)
-        found = search_cause(measured).first
+        found = search_cause(measured.readings).first
         named += found is not None and fault in found.faults and any(word in found.text for word in words)
     assert named >= 2
 
@@ -68,7 +68,7 @@ def test_most_planted_slips_are_named(subjects, machine, slip):
 @pytest.mark.parametrize("machine", KINDS)
 @pytest.mark.parametrize("seed", range(2))
 def test_clean_studies_are_not_accused(subjects, machine, seed):
-    assert search_cause(plant(subjects[machine], "clean", seed)[0]).first is None
+    assert search_cause(plant(subjects[machine], "clean", seed)[0].readings).first is None
 
 
 def test_missing_readings_and_a_row_out_of_reach_are_survived(subjects):
@@ -76,14 +76,14 @@ def test_missing_readings_and_a_row_out_of_reach_are_survived(subjects):
     values = measured.posterior.likelihood.data.values.copy()
     values[3, 4] = np.nan
     values[6, 0] += 400.0
-    found = search_cause(measured.retake(values)).first
+    found = search_cause(measured.retake(values).readings).first
     assert found is not None
     assert (found.fault, "row 7 " in found.text) == ("rows", True)
 
 
 def test_what_to_do_comes_first_then_how_sure_it_is(subjects):
     measured, _, _ = plant(subjects["linear delta"], "frame", 1)
-    finding = state_cause(search_cause(measured))
+    finding = state_cause(search_cause(measured.readings))
     assert (finding.fault, finding.level) == ("frame", "bad")
     assert finding.text.startswith("the poses look given in a base frame that is ")
     assert finding.text.index("free [frames] base") < finding.text.index("Odds against the next explanation")
@@ -91,6 +91,6 @@ def test_what_to_do_comes_first_then_how_sure_it_is(subjects):
 
 def test_a_hopeless_search_stops_and_says_what_it_tried(subjects, monkeypatch):
     monkeypatch.setattr(slip_search, "PATIENCE", 0.0)
-    search = replace(search_cause(plant(subjects["linear delta"], "unit", 1)[0]), first=None)
+    search = replace(search_cause(plant(subjects["linear delta"], "unit", 1)[0].readings), first=None)
     assert search.stopped
     assert "were tried: units, signs, order, frames" in state_cause(search).text

@@ -1,0 +1,117 @@
+"""Poses measured of a machine on legs as readings: its own channels are its actuators, external ones the pose."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bayescal.calibrated.machine import CalibratedMachine
+from bayescal.calibrated.recheck.plan import place_poses
+from bayescal.data.measured_poses import MeasuredPoses
+from bayescal.density.calibration.likelihood import CalibrationLikelihood, CalibrationPosterior
+from bayescal.density.calibration.measurements import Measurements
+from bayescal.density.calibration.model_error import IndependentErrors
+from bayescal.density.calibration.terms import Errors, ErrorTerm
+from bayescal.density.errors import TAU
+from bayescal.density.posterior import Posterior
+from bayescal.density.priors import NormalPrior, Prior
+from bayescal.experiments.shared.slip_rows import Readings
+from bayescal.experiments.shared.slip_search import find_slip
+from bayescal.experiments.shared.slips import CHANNEL, FRAME, FoundSlip
+from bayescal.machines.kinematics import Machine
+from bayescal.machines.readings import Legs
+from bayescal.numerics.geometry import Array, rotation_vector_from_matrix
+
+
+@dataclass(frozen=True)
+class SharedErrors(ErrorTerm):
+    """Errors that all poses share: what M unknowns, standard normal, add to the readings, (P, K, M)."""
+
+    each: Array
+    names = units = ()
+    priors = ()
+
+    def columns(self, zeta: Array, data: Measurements) -> Array:
+        """Return them."""
+        del zeta, data
+        return self.each[None]
+
+
+def place_legs(
+    model: Legs,
+    poses: MeasuredPoses,
+    noise: Array | float,
+    priors: Mapping[str, Prior],
+    errors: Errors,
+    fixed: Mapping[str, float],
+) -> Readings:
+    """Return poses measured of a machine on legs as readings; where these are NaN, a coordinate was not measured.
+
+    Parameters
+    ----------
+    noise : ndarray, shape (P, N), or float
+        Of the actuators, mm.
+    """
+    pose = np.concatenate([poses.position, rotation_vector_from_matrix(poses.rotation)], axis=1)
+    data, n = place_poses(poses.names, poses.actuators, pose, poses.covariance), model.n_legs
+    legs = np.arange(len(model.channels)) < n
+    data.sd[:, :n] = noise
+    data = replace(data, commanded=np.tile(legs, (poses.n_poses, 1)))
+    missing = ~np.isfinite(pose).all(axis=1)
+    if missing.any():  # where the nominal machine stands at the same actuator positions
+        nominal, found = model.locate(model.layout.nominal, poses.actuators[missing])
+        pose[missing] = np.where(found[:, None], nominal, model.home_pose)
+    posterior: CalibrationPosterior = Posterior(CalibrationLikelihood(model, data, 1.0, pose), priors, errors, fixed)
+    return Readings(posterior, pose.min(axis=0), pose.max(axis=0), legs)
+
+
+def read_legs(
+    machine: Machine,
+    poses: MeasuredPoses,
+    noise: Array | float,
+    priors: Mapping[str, Prior],
+    fixed: Mapping[str, float],
+    scale: float = 0.0,
+    frames: Array | None = None,
+) -> Readings:
+    """Return poses measured of a machine on legs, in which slips are looked for; arguments as those of `place_legs`.
+
+    Parameters
+    ----------
+    scale : float, optional
+        By what each leg errs from pose to pose, mm: what a study's model error allows for is no slip.
+    frames : ndarray, shape (P, 6, M), optional
+        What M unknowns, standard normal, of frames that are not known do to the poses.
+    """
+    model, terms = Legs(machine), list[ErrorTerm]()
+    legs = np.arange(len(model.channels)) < model.n_legs
+    if scale > 0.0:
+        terms.append(IndependentErrors(TAU, legs, scale, "mm", np.ones(len(legs)), 0.0))
+    if frames is not None:
+        each = np.zeros((poses.n_poses, len(legs), frames.shape[-1]))
+        each[:, ~legs] = frames
+        terms.append(SharedErrors(each))
+    return place_legs(model, poses, noise, priors, Errors(tuple(terms)), fixed)
+
+
+def find_recheck_slip(calibrated: CalibratedMachine, poses: MeasuredPoses) -> FoundSlip | None:
+    """Return what explains poses measured after a calibration many times better than they are; None without any.
+
+    Single channels and frames are left to the recheck itself: what they read otherwise is a shift of a parameter.
+
+    Parameters
+    ----------
+    calibrated : CalibratedMachine
+        With its posterior's covariance.
+    poses : MeasuredPoses
+        Whole, in the base frame.
+    """
+    names, theta, sd = calibrated.legs.layout.names, calibrated.theta, calibrated.sd
+    known = list(zip(names, theta.tolist(), sd.tolist(), strict=True))
+    priors: dict[str, Prior] = {name: NormalPrior(value, size) for name, value, size in known if size > 0.0}
+    fixed = {name: value for name, value, size in known if not size > 0.0}
+    errors = calibrated.errors
+    noise = np.sqrt(np.diagonal(errors.noise) + errors.model_variance)
+    return find_slip([read_legs(calibrated.legs, poses, noise, priors, fixed)], (CHANNEL, FRAME))
