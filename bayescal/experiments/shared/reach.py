@@ -38,10 +38,11 @@ def check_reach(readings: Readings) -> None:
         said = f"{row} cannot be reached by any machine within the tolerances: {what}"
     n_lost = int(lost.sum() if lost.any() else np.sum(off > OUTLYING * max(float(np.median(off)), 1.0)))
     said += f"; {n_lost} of {data.n_poses} rows are like it" if n_lost > 1 else ""
-    slip = find_slip([readings])
+    alone = _blame(readings, k) if n_lost == 1 else ""
+    slip = None if alone else find_slip([readings])
     if slip is not None:
         raise InputError(f"{said}; {slip.say()}")
-    alone = _blame(readings, k) if n_lost <= data.n_poses / 2 else ""
+    alone = alone or (_blame(readings, k) if 1 < n_lost <= data.n_poses / 2 else "")
     raise InputError(f"{said}; without {alone} the row fits: look at that reading" if alone else f"{said}; {LOOK}")
 
 

@@ -53,7 +53,7 @@ GEARS = {"twice too large": 0.5, "half as large as they should be": 2.0}
 """What happens to a single sensor: another gear ratio, edges counted once or twice."""
 FACTORS = (0.05, 0.1, 0.15, 0.2, 0.3, 0.5, 2.0, 3.0, 4.0, 5.0, 7.0, 10.0, 20.0, 50.0, 100.0, 1e3, 1e4)
 """On a noise."""
-ASTRAY = 50.0  # factor on one channel's noise from which on its readings are not said to be noisy, but wrong
+SHIFTED = 10.0  # a shift of readings in units of its scatter, from which on it is one for all
 MOST_PAIRS = 400  # of channels that are tried exchanged: of many, those of one kind alone
 STEADY = 2.0  # noises within which all readings of a channel that does not move lie
 
@@ -65,7 +65,8 @@ class Cause:
     Attributes
     ----------
     say : callable
-        From the sizes of its columns' unknowns (k,), or from its factor (1,), to words.
+        From the sizes of its columns' unknowns (k,), or from its factor (1,), to words; of a table without a channel
+        from what the others say that it reads, (P,).
     """
 
     fault: str
@@ -74,7 +75,7 @@ class Cause:
     columns: Array | None = None  # (P, K, k)
     wider: tuple[int, ...] = ()  # parameters whose tolerance is too tight, by their places
     noise: tuple[int, ...] = ()  # channels whose noise is another one, by one of the factors
-    factors: tuple[float, ...] = FACTORS
+    blind: int | None = None  # channel that the table is without
     without: tuple[int, ...] = ()  # rows
     say: Callable[[Array], str] | None = None
 
@@ -82,7 +83,7 @@ class Cause:
 def list_tables(readings: Readings) -> Iterator[Cause]:
     """Yield what may have happened to columns of numbers."""
     yield from _list_columns(readings)
-    yield from _list_frozen(readings)
+    yield from _list_blind(readings)
     yield from _list_displacements(readings)
     yield from _list_rereads(readings)
 
@@ -185,19 +186,48 @@ def _shift(name: str, columns: np.ndarray, values: Array, together: bool = False
         yield Cause(ROWS, text, Table(moved[there], there))
 
 
-def _list_frozen(readings: Readings) -> Iterator[Cause]:
-    """Yield readings without a channel that does not move: it lies about one number by its noise."""
+def _list_blind(readings: Readings) -> Iterator[Cause]:
+    """Yield readings without one channel: it may read anything, or lies about one number by its noise."""
     values, sd = readings.values, readings.posterior.likelihood.data.sd
     for k, one in enumerate(readings.channels):
         there = np.isfinite(values[:, k])
-        if there.sum() < 3 or np.ptp(values[there, k]) > STEADY * float(np.median(sd[there, k])):
+        if there.sum() < 3:
             continue
         blind = values.copy()
         blind[:, k] = np.nan
-        volume = -float(np.sum(np.log(sd[there, k]) + 0.5 * np.log(2.0 * np.pi) + 0.5))
-        reads = _in_unit(float(values[there, k][0]), one.unit)
-        text = f"{one.name} does not move: it reads {reads} in all rows; look at its sensor, or leave it out"
-        yield Cause(CHANNEL, text, Table(blind, np.arange(len(values)), log_volume=volume))
+        spread, steady = 1e3, np.ptp(values[there, k]) <= STEADY * float(np.median(sd[there, k]))
+        if steady:
+            spread = float(np.exp(0.5))
+        volume = -float(np.sum(np.log(spread * sd[there, k]) + 0.5 * np.log(2.0 * np.pi)))
+        table = Table(blind, np.arange(len(values)), log_volume=volume)
+        yield Cause(CHANNEL, "", table, blind=k, say=partial(_say_blind, one, values[:, k], steady))
+
+
+def _say_blind(channel: Channel, measured: Array, steady: bool, expected: Array) -> str:
+    """Return what a channel reads that the others contradict: always the same, all shifted alike, or anything."""
+    good = np.isfinite(measured) & np.isfinite(expected)
+    said, unit = (
+        f"readings of {channel.name} do not fit those of the other channels, which fit each other",
+        channel.unit,
+    )
+    if not good.any():
+        return said
+    measured, expected = measured[good], expected[good]
+    if steady:
+        return (
+            f"{channel.name} does not move: it reads {_in_unit(measured[0], unit)} in all rows, where the other "
+            f"channels say {_in_unit(expected.min(), unit)} to {_in_unit(expected.max(), unit)}"
+        )
+    off = measured - expected
+    middle = float(np.median(off))
+    if abs(middle) > SHIFTED * float(np.median(np.abs(off - middle))):
+        return _say_zero(channel, np.array([middle]))
+    apart, moved = measured - measured.mean(), expected - expected.mean()
+    slope = float(moved @ apart) / max(float(moved @ moved), 1e-300)
+    left = float(np.median(np.abs(apart - slope * moved)))
+    if np.ptp(off) > SHIFTED * left and abs(slope) > 0.01:
+        return _say_scale(channel, np.array([1.0 - 1.0 / slope]))
+    return said
 
 
 def _list_displacements(readings: Readings) -> Iterator[Cause]:
@@ -282,11 +312,7 @@ def _group(channels: Sequence[Channel]) -> dict[str, tuple[int, ...]]:
 def _list_noises(channels: Sequence[Channel]) -> Iterator[Cause]:
     single = {one.name: (k,) for k, one in enumerate(channels)}
     for name, places in (_group(channels) | single).items():
-        usual = tuple(x for x in FACTORS if x < ASTRAY or len(places) > 1)
-        yield Cause(NOISE, "", noise=places, factors=usual, say=partial(_say_noise, name))
-    for name, places in single.items():
-        text = f"readings of {name} do not fit those of the other channels, which fit each other: look at its sensor"
-        yield Cause(CHANNEL, text, noise=places, factors=tuple(x for x in FACTORS if x >= ASTRAY))
+        yield Cause(NOISE, "", noise=places, say=partial(_say_noise, name))
 
 
 def _say_noise(name: str, size: Array) -> str:

@@ -129,9 +129,9 @@ def _find_slip(variants: list[Readings], denied: Collection[str]) -> FoundSlip |
         if nearest is None or search.misfit < best:
             nearest, best = search, search.misfit
     first = None if nearest is None else nearest.run().first
-    if first is None or not set(first.faults) <= set(SLIPS) or first.gain <= CLEARLY:
+    if nearest is None or first is None or not set(first.faults) <= set(SLIPS) or first.gain <= CLEARLY:
         return None
-    lost = nearest is None or nearest.here is None or not nearest.here.stands.any()
+    lost = nearest.here is None or not nearest.here.stands.any()
     factor = np.inf if lost else best / max(first.misfit, 1.0)
     if factor <= BETTER.get(first.fault, USUALLY_BETTER):
         return None
@@ -179,7 +179,9 @@ class _Search:
 
     @cached_property
     def here(self) -> Sight | None:
-        """The readings about the machine as expected."""
+        """The readings about the machine as expected; None where they leave nothing over for a comparison."""
+        if not (self.posterior.likelihood.n_spare > 0).any():
+            return None
         return self.readings.see(self.readings.table, np.zeros(self.m), None, STARTS)
 
     @cached_property
@@ -276,7 +278,7 @@ class _Search:
                 elif cause.without:
                     values[i, j] = self._leave_out(white, np.array(cause.without))
             if cause.noise:
-                values[i, 0] = self._try_noise(here, cause, zeta, cause.factors)[0]
+                values[i, 0] = self._try_noise(here, cause, zeta, FACTORS)[0]
         gains = values.max(axis=1) - bases.max()
         return list(zip(causes, gains.tolist(), strict=True))
 
@@ -405,7 +407,11 @@ class _Search:
             return None
         value = last - 0.5 * float(zeta @ zeta) - (len(self.readings.values) - len(table.rows)) * self._row_cost(here)
         sizes = unknown if columns is not None else np.array([weigher.size])
-        text = cause.text if cause.say is None or cause.text else cause.say(sizes)
+        if cause.blind is not None:
+            theta = self.posterior.around(np.append(y, np.zeros_like(self.zeta)))[0]
+            given = self.posterior.likelihood.data.given
+            sizes = self.readings.model.read(theta, weigher.seen.pose, given)[:, cause.blind]
+        text = cause.text if cause.say is None else cause.say(sizes)
         return _Fit(value, misfit, text, zeta, weigher.seen, lambda z: weigher.weigh(z) - 0.5 * float(z @ z))
 
     def _take_away(self, table: Table, effect: Array) -> Array:
@@ -424,15 +430,15 @@ class _Weigher:
     size: float = 0.0
 
     def __post_init__(self) -> None:
-        self.factors = self.cause.factors
+        self.factors = FACTORS
 
     def weigh(self, zeta: Array) -> float:
         """Return the log-density."""
         cause = self.cause
         if cause.noise:
             value, self.size = self.search._try_noise(self.seen, cause, zeta, self.factors)
-            place = int(np.searchsorted(cause.factors, self.size))
-            self.factors = cause.factors[max(place - BESIDE, 0) : place + BESIDE + 1]
+            place = int(np.searchsorted(FACTORS, self.size))
+            self.factors = FACTORS[max(place - BESIDE, 0) : place + BESIDE + 1]
             return value
         white = self.seen.whiten(zeta, 1.0, cause.columns)
         if cause.without:
