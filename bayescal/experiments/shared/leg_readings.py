@@ -22,7 +22,9 @@ from bayescal.experiments.shared.slip_search import find_slip
 from bayescal.experiments.shared.slips import CHANNEL, FRAME, FoundSlip
 from bayescal.machines.kinematics import Machine
 from bayescal.machines.readings import Legs
-from bayescal.numerics.geometry import Array, rotation_vector_from_matrix
+from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array, rotation_vector_from_matrix
+
+MOVED = 1.0  # mm, by which each leg may have moved since its calibration
 
 
 @dataclass(frozen=True)
@@ -34,9 +36,9 @@ class SharedErrors(ErrorTerm):
     priors = ()
 
     def columns(self, zeta: Array, data: Measurements) -> Array:
-        """Return them."""
-        del zeta, data
-        return self.each[None]
+        """Return them, row by row as these stand among all."""
+        del zeta
+        return self.each[data.order][None]
 
 
 def place_legs(
@@ -74,7 +76,7 @@ def read_legs(
     priors: Mapping[str, Prior],
     fixed: Mapping[str, float],
     scale: float = 0.0,
-    frames: Array | None = None,
+    shared: Array | None = None,
 ) -> Readings:
     """Return poses measured of a machine on legs, in which slips are looked for; arguments as those of `place_legs`.
 
@@ -82,24 +84,23 @@ def read_legs(
     ----------
     scale : float, optional
         By what each leg errs from pose to pose, mm: what a study's model error allows for is no slip.
-    frames : ndarray, shape (P, 6, M), optional
-        What M unknowns, standard normal, of frames that are not known do to the poses.
+    shared : ndarray, shape (P, N + 6, M), optional
+        What M unknowns, standard normal, do to the readings of all poses.
     """
     model, terms = Legs(machine), list[ErrorTerm]()
     legs = np.arange(len(model.channels)) < model.n_legs
     if scale > 0.0:
         terms.append(IndependentErrors(TAU, legs, scale, "mm", np.ones(len(legs)), 0.0))
-    if frames is not None:
-        each = np.zeros((poses.n_poses, len(legs), frames.shape[-1]))
-        each[:, ~legs] = frames
-        terms.append(SharedErrors(each))
+    if shared is not None:
+        terms.append(SharedErrors(shared))
     return place_legs(model, poses, noise, priors, Errors(tuple(terms)), fixed)
 
 
 def find_recheck_slip(calibrated: CalibratedMachine, poses: MeasuredPoses) -> FoundSlip | None:
     """Return what explains poses measured after a calibration many times better than they are; None without any.
 
-    Single channels and frames are left to the recheck itself: what they read otherwise is a shift of a parameter.
+    Single channels and frames are left to the recheck itself: what they read otherwise is a shift of a parameter. So is
+    a leg that moved: by so much each may be off in all rows.
 
     Parameters
     ----------
@@ -114,4 +115,6 @@ def find_recheck_slip(calibrated: CalibratedMachine, poses: MeasuredPoses) -> Fo
     fixed = {name: value for name, value, size in known if not size > 0.0}
     errors = calibrated.errors
     noise = np.sqrt(np.diagonal(errors.noise) + errors.model_variance)
-    return find_slip([read_legs(calibrated.legs, poses, noise, priors, fixed)], (CHANNEL, FRAME))
+    n = len(noise)
+    moved = np.broadcast_to(MOVED * np.eye(n + DEGREES_OF_FREEDOM, n), (poses.n_poses, n + DEGREES_OF_FREEDOM, n))
+    return find_slip([read_legs(calibrated.legs, poses, noise, priors, fixed, shared=moved)], (CHANNEL, FRAME))

@@ -57,22 +57,23 @@ def _read(inputs: StudyInputs, variant: VariantConfig) -> Readings:
     machine, measured = inputs.machine(variant), inputs.measured
     (known, fixed), layout = inputs.priors(variant), machine.layout.names
     priors = {name: one for name, one in known.items() if name in layout}
-    frames = None
+    shared = None
     if isinstance(measured, InstrumentMeasurement) and len(priors) < len(known):
-        frames = _see_frames(machine, measured, {name: one.sd for name, one in known.items() if name not in layout})
+        shared = _see_frames(machine, measured, {name: one.sd for name, one in known.items() if name not in layout})
     scale = inputs.config.leg_error.scale_um * MICROMETRE
-    return read_legs(machine, measured.poses, inputs.actuator_noise, priors, fixed, scale, frames)
+    return read_legs(machine, measured.poses, inputs.actuator_noise, priors, fixed, scale, shared)
 
 
 def _see_frames(machine: Machine, measured: InstrumentMeasurement, sd: Mapping[str, float]) -> Array:
-    """Return what frames (M) with standard deviations do to what an instrument says of the poses, (P, 6, M)."""
+    """Return what frames (M) with standard deviations do to what an instrument says of the poses, (P, N + 6, M)."""
     likelihood = InstrumentLikelihood(machine, measured.instrument, 0.0)
     slope = likelihood.error_jacobian(likelihood.layout.nominal)[1][
         ..., [likelihood.layout.names.index(one) for one in sd]
     ]
     rows = measured.instrument.rows
     seen = rows.to_pose @ slope[:, : rows.to_pose.shape[-1]]
-    return np.asarray(-seen * np.array(list(sd.values())))
+    legs = np.zeros((len(seen), measured.actuators.shape[1], len(sd)))
+    return np.concatenate([legs, -seen * np.array(list(sd.values()))], axis=1)
 
 
 def _without_measured_matrix(inputs: StudyInputs, variant: VariantConfig) -> VariantConfig:
