@@ -82,19 +82,34 @@ class Named:
 class Search:
     """What a search found: what is named first, all that was fitted, how many were tried, whether time ran out.
 
-    Of slips planted in data that fit, ``unnoticed`` are those after which they fit all the same.
+    ``misfit`` is the rms of the readings in noise and errors as stated that the best machine leaves of them as they
+    are, infinite where no machine within the tolerances has any of them. Of slips planted in data that fit,
+    ``unnoticed`` are those after which they fit all the same.
     """
 
-    first: Named | None
+    misfit: float
+    first: Named | None = None
     weighed: list[Weighed] = field(default_factory=list)
     tried: int = 0
     stopped: bool = False
     unnoticed: list[str] = field(default_factory=list)
 
+    @property
+    def slip(self) -> FoundSlip | None:
+        """What is named first where it is a slip of data that are far from every machine within the tolerances."""
+        first = self.first
+        if self.misfit <= STATED or first is None or not set(first.faults) <= set(SLIPS) or first.gain <= CLEARLY:
+            return None
+        factor = self.misfit / max(first.misfit, 1.0)
+        if factor <= BETTER.get(first.fault, USUALLY_BETTER):
+            return None
+        limited = np.isfinite(factor)
+        return FoundSlip(first.fault, first.text, first.gain if limited else np.inf, factor if limited else None)
+
 
 def search_cause(readings: Readings, denied: Collection[str] = ()) -> Search:
     """Return what explains readings better than they are explained as they stand."""
-    return _Search(readings, denied).run()
+    return _Search(_leave_out_outliers(readings), denied).run()
 
 
 def find_slip(variants: Iterable[Readings], denied: Collection[str] = ()) -> FoundSlip | None:
@@ -114,29 +129,23 @@ def find_slip(variants: Iterable[Readings], denied: Collection[str] = ()) -> Fou
         names = tuple(channel.name for channel in one.channels)
         groups.setdefault((names, one.posterior.likelihood.data.poses), []).append(one)
     for group in groups.values():
-        found = _find_slip(group, denied)
+        nearest = _find_nearest(group, denied)
+        found = None if nearest is None else nearest.run().slip
         if found is not None:
             return found
     return None
 
 
-def _find_slip(variants: list[Readings], denied: Collection[str]) -> FoundSlip | None:
-    nearest, best = None, np.inf
+def _find_nearest(variants: Iterable[Readings], denied: Collection[str]) -> _Search | None:
+    """Return the search of the variant that comes nearest to its readings; None where one of them fits."""
+    nearest: _Search | None = None
     for one in variants:
         search = _Search(_leave_out_outliers(one), denied)
         if search.misfit <= STATED:
             return None
-        if nearest is None or search.misfit < best:
-            nearest, best = search, search.misfit
-    first = None if nearest is None else nearest.run().first
-    if nearest is None or first is None or not set(first.faults) <= set(SLIPS) or first.gain <= CLEARLY:
-        return None
-    lost = nearest.here is None or not nearest.here.stands.any()
-    factor = np.inf if lost else best / max(first.misfit, 1.0)
-    if factor <= BETTER.get(first.fault, USUALLY_BETTER):
-        return None
-    unlimited = lost or not np.isfinite(factor)
-    return FoundSlip(first.fault, first.text, np.inf if unlimited else first.gain, None if unlimited else factor)
+        if nearest is None or search.misfit < nearest.misfit:
+            nearest = search
+    return nearest
 
 
 def _leave_out_outliers(readings: Readings) -> Readings:
@@ -191,8 +200,10 @@ class _Search:
 
     @property
     def misfit(self) -> float:
-        """Rms of what the best machine leaves of the readings as they are."""
-        return np.inf if self.base is None else self.base.misfit
+        """Rms of what the best machine leaves of the readings as they are; infinite where it has none of them."""
+        if self.here is None or self.base is None or not self.here.stands.any():
+            return np.inf
+        return self.base.misfit
 
     @property
     def fits(self) -> bool:
@@ -202,7 +213,7 @@ class _Search:
     def run(self) -> Search:
         here, base = self.here, self.base
         if here is None:
-            return Search(None)
+            return Search(np.inf)
         effects = list(list_effects(self.readings, here.pose))
         rough, tables = self._weigh_effects(effects), self._weigh_tables(here)
         if not self.fits:
@@ -227,7 +238,7 @@ class _Search:
         ]
         weighed.sort(key=lambda one: -one.gain)
         unnoticed = [cause.text for cause, value in tables if self.fits and value > -SURE]
-        return Search(self._name(weighed), weighed, len(effects) + len(tables), self.is_late, unnoticed)
+        return Search(self.misfit, self._name(weighed), weighed, len(effects) + len(tables), self.is_late, unnoticed)
 
     def _name(self, weighed: list[Weighed]) -> Named | None:
         best = [one for one in weighed if one.gain > SURE]
