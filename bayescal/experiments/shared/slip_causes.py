@@ -29,7 +29,7 @@ from bayescal.numerics.geometry import (
 )
 from bayescal.report.numbers import format_significant, join_words
 
-NOISE, TOLERANCE, DRIFT = "noise", "tolerance", "drift"
+NOISE, TOLERANCE, DRIFT, MODEL = "noise", "tolerance", "drift", "model error"
 LENGTHS = {
     "1000 times too large (µm for mm)": 1e-3,
     "in metres, 1000 times too small": 1e3,
@@ -94,6 +94,7 @@ def list_effects(readings: Readings, pose: Array) -> Iterator[Cause]:
     yield from _list_noises(readings.channels)
     yield from _list_channels(readings)
     yield from _list_tolerances(readings.posterior.sampling.names)
+    yield from _list_couplings(readings)
     if not readings.posterior.errors.outliers.expected:
         for k, name in enumerate(readings.posterior.likelihood.data.poses):
             text = f"row {k + 1} (pose {name!r}) does not belong to the others: look at its readings, or leave it out"
@@ -334,6 +335,26 @@ def _list_tolerances(names: Sequence[str]) -> Iterator[Cause]:
 
 def _say_tolerance(which: str, size: Array) -> str:
     return f"the tolerance of {which} is about {size[0]:.0f} times too tight: widen its prior"
+
+
+def _list_couplings(readings: Readings) -> Iterator[Cause]:
+    """Yield errors of the machine's own channels in proportion to the travel of all of them, as eq. 4 of RR-8096."""
+    own = [k for k in np.flatnonzero(readings.internal) if np.isfinite(readings.values[:, k]).all()]
+    if len(own) < 2:
+        return
+    values = readings.values[:, own]
+    travel = values - values.mean(axis=0)
+    columns = np.zeros((*readings.values.shape, len(own), len(own)))
+    for unit in dict.fromkeys(readings.channels[k].unit for k in own):
+        alike = [i for i, k in enumerate(own) if readings.channels[k].unit == unit]
+        for i in alike:
+            columns[:, own[i], i, alike] = travel[:, alike]
+    names = join_words(list(dict.fromkeys(readings.channels[k].kind for k in own)))
+    text = (
+        f"{names} err in proportion to the travel by more than model and model error say: choose a deformation, or "
+        "leave out terms of [model_error], so that all are taken"
+    )
+    yield Cause(MODEL, text, columns=columns.reshape(*readings.values.shape, -1))
 
 
 def _list_channels(readings: Readings) -> Iterator[Cause]:

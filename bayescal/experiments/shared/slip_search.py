@@ -224,7 +224,7 @@ class _Search:
         for cause, promise in chosen:
             if self.is_late:
                 break
-            if promise < bound or (self.fits and promise < float(np.log(counts[cause.fault]))):
+            if promise < bound or (self.fits and promise < 0.0):
                 continue
             found = self.fit(cause, here)
             if found is not None:

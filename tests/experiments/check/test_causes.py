@@ -26,7 +26,7 @@ from machines import read_subject, write_project  # noqa: E402
 sys.path.remove(str(BENCHMARK))
 
 KINDS = ("hexapod by poses", "linear delta", "serial arm", "cable robot")
-SLIPS = [name for name in PLANTS if name != "clean"]
+SLIPS = [name for name in PLANTS if name not in ("clean", "erring")]
 
 
 @pytest.fixture(scope="module")
@@ -69,6 +69,15 @@ def test_most_planted_slips_are_named(subjects, machine, slip):
 @pytest.mark.parametrize("seed", range(2))
 def test_clean_studies_are_not_accused(subjects, machine, seed):
     assert search_cause(plant(subjects[machine], "clean", seed)[0].readings).first is None
+
+
+@pytest.mark.parametrize(
+    "machine", ["linear delta", *(pytest.param(one, marks=pytest.mark.runs) for one in KINDS[::2])]
+)
+def test_a_machine_that_errs_by_what_no_model_states_is_no_slip(subjects, machine):
+    found = search_cause(plant(subjects[machine], "erring", 1)[0].readings)
+    assert found.slip is None
+    assert found.first is None or found.first.fault == "model error"
 
 
 def test_missing_readings_and_a_row_out_of_reach_are_survived(subjects):
