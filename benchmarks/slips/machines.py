@@ -1,4 +1,4 @@
-"""The machines whose data get slips: hexapods, shipped ones and `bayescal init`'s, a delta, a serial arm, a cable robot.
+"""Machines whose data get slips: hexapods, shipped ones and those of `bayescal init`, a delta, an arm, a cable robot.
 
 Every one is written to a folder with simulated data, as a user has them, and read as a study is checked; shipped ones
 are there.

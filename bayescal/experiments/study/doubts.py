@@ -6,8 +6,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from bayescal.data.instruments.readings import PointReadings
 from bayescal.density.instruments import InstrumentLikelihood
-from bayescal.experiments.shared.leg_readings import read_legs
+from bayescal.experiments.shared.leg_readings import read_legs, read_points
 from bayescal.experiments.shared.outlook import join_outlooks, tell_outlook
 from bayescal.experiments.shared.slip_rows import Readings
 from bayescal.experiments.shared.slip_search import find_slip
@@ -52,16 +53,20 @@ def find_study_slip(inputs: StudyInputs) -> FoundSlip | None:
 def _read(inputs: StudyInputs, variant: VariantConfig) -> Readings:
     """Return all poses, calibration and verification in the order of the table, under a variant.
 
-    Of points, the poses that they determine. What frames that are free do to poses is taken to first order.
+    Points stand for the poses that they determine, where they determine all. What frames that are free do to poses is
+    taken to first order.
     """
     machine, measured = inputs.machine(variant), inputs.measured
     (known, fixed), layout = inputs.priors(variant), machine.layout.names
+    noise, scale = inputs.actuator_noise, inputs.config.leg_error.scale_um * MICROMETRE
+    if isinstance(measured, InstrumentMeasurement):
+        instrument = measured.instrument
+        if isinstance(instrument, PointReadings) and not instrument.is_whole():
+            return read_points(machine, instrument, noise, known, fixed, scale)
     priors = {name: one for name, one in known.items() if name in layout}
-    shared = None
-    if isinstance(measured, InstrumentMeasurement) and len(priors) < len(known):
-        shared = _see_frames(machine, measured, {name: one.sd for name, one in known.items() if name not in layout})
-    scale = inputs.config.leg_error.scale_um * MICROMETRE
-    return read_legs(machine, measured.poses, inputs.actuator_noise, priors, fixed, scale, shared)
+    frames = {name: one.sd for name, one in known.items() if name not in layout}
+    shared = _see_frames(machine, measured, frames) if isinstance(measured, InstrumentMeasurement) and frames else None
+    return read_legs(machine, measured.poses, noise, priors, fixed, scale, shared)
 
 
 def _see_frames(machine: Machine, measured: InstrumentMeasurement, sd: Mapping[str, float]) -> Array:

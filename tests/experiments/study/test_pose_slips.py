@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import studies
+import test_instrument_study as instruments
 from scipy.spatial.transform import Rotation
 
 from bayescal.experiments.frame.load import load_experiment
@@ -93,3 +94,21 @@ def test_poses_of_the_base_are_turned_round_into_those_of_the_platform():
     (found,) = [poses for text, *poses in read if "those of the base in the platform's frame" in text]
     np.testing.assert_allclose(found[0], position, atol=1e-12)
     np.testing.assert_allclose(found[1], turned, atol=1e-12)
+
+
+@pytest.mark.parametrize("probe", [instruments.PROBE, instruments.PROBE[: instruments.PROBE.index("P2")]])
+def test_exchanged_legs_are_found_from_points_in_free_frames(probe, tmp_path, monkeypatch):
+    """Four points, which tell the pose, and a single one, which does not."""
+    monkeypatch.setattr(instruments, "PROBE", probe)
+    path = instruments.write_points(tmp_path)
+    assert find_study_slip(load_inputs(load_experiment(path), tmp_path)) is None
+    table = tmp_path / "data" / "actuators.csv"
+    comments = [line for line in table.read_text().splitlines() if line.startswith("#")]
+    header, *rows = [line.split(",") for line in table.read_text().splitlines() if not line.startswith("#")]
+    two, three = header.index("rho_2_mm"), header.index("rho_3_mm")
+    for row in rows:
+        row[two], row[three] = row[three], row[two]
+    table.write_text("\n".join([*comments, *map(",".join, [header, *rows])]) + "\n")
+    found = find_study_slip(load_inputs(load_experiment(path), tmp_path))
+    assert found is not None
+    assert "readings of rho[2] and rho[3] seem to be exchanged" in found.text
