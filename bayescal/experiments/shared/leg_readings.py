@@ -77,8 +77,8 @@ class Probe(Instrument):
         points = np.einsum("...ij,qj->...qi", rotation @ turned, self.points)
         points = points + (position + (rotation @ moved[..., None])[..., 0])[..., None, :]
         seen = [np.einsum("...ij,...qj->...qi", turn, points) + move[..., None, :] for move, turn in bases]
-        seen = np.broadcast_arrays(*seen)
-        return np.concatenate(seen, axis=-2).reshape(*seen[0].shape[:-2], -1)
+        every = np.concatenate(np.broadcast_arrays(*seen), axis=-2)
+        return every.reshape(*every.shape[:-2], -1)
 
 
 def place_legs(

@@ -51,10 +51,28 @@ ANGLES = {
 }
 GEARS = {"twice too large": 0.5, "half as large as they should be": 2.0}
 """What happens to a single sensor: another gear ratio, edges counted once or twice."""
-FACTORS = (0.05, 0.1, 0.15, 0.2, 0.3, 0.5, 2.0, 3.0, 4.0, 5.0, 7.0, 10.0, 20.0, 50.0, 100.0, 1e3, 1e4)
+FACTORS: tuple[float, ...] = (
+    0.05,
+    0.1,
+    0.15,
+    0.2,
+    0.3,
+    0.5,
+    2.0,
+    3.0,
+    4.0,
+    5.0,
+    7.0,
+    10.0,
+    20.0,
+    50.0,
+    100.0,
+    1e3,
+    1e4,
+)
 """On a noise."""
 SHIFTED = 10.0  # a shift of readings in units of its scatter, from which on it is one for all
-MOST_PAIRS = 400  # of channels that are tried exchanged: of many, those of one kind alone
+MOST_PAIRS = 200  # of channels that are tried exchanged: of many, those of one kind alone
 STEADY = 2.0  # noises within which all readings of a channel that does not move lie
 
 
