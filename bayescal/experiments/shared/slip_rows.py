@@ -65,12 +65,18 @@ class Sight:
     linear: LinearRows
     slope: Array  # (Q, R, m): -G
     errors: Array  # (Q, R): as those of the machine as expected, to first order
-    stands: np.ndarray  # (Q,): rows without a pose are none
+    stands: np.ndarray  # (Q,): which rows have a pose and more readings than it takes
+    n_spare: np.ndarray  # (Q,): readings more than a pose takes
     pose: Array
     log_volume: float
     kept: dict[tuple[bytes, bytes], Array] = field(default_factory=dict)
     columns: dict[bytes, Array] = field(default_factory=dict)
     gathered: dict[bytes, Array] = field(default_factory=dict)
+
+    @property
+    def lost(self) -> np.ndarray:
+        """Which rows have readings enough, but no pose, (Q,)."""
+        return np.asarray(~self.stands & (self.n_spare > 0))
 
     def split(self, tables: list[Table]) -> list[Sight]:
         """Return the rows of several tables that were seen one below the other."""
@@ -95,6 +101,7 @@ class Sight:
                     self.slope[part],
                     self.errors[part],
                     self.stands[part],
+                    self.n_spare[part],
                     self.pose[part],
                     one.log_volume,
                 )
@@ -147,9 +154,10 @@ class Sight:
         constant = np.where(self.stands, self.linear.constant, 0.0)
         constant = constant - np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1)
         usual = float(np.median(constant[self.stands])) if self.stands.any() else 0.0
-        constant = np.where(self.stands, constant, usual - LOST * every.shape[1])
+        constant = np.where(self.lost, usual - LOST * every.shape[1], constant)
         known = self.slope.shape[-1] + extra.shape[-1]
-        return White(white, constant, known, self.log_volume, int(np.count_nonzero(~self.stands)))
+        counted = int(self.n_spare[self.stands].sum()), int(self.n_spare[self.lost].sum())
+        return White(white, constant, known, self.log_volume, *counted)
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,7 +168,8 @@ class White:
     constant: Array  # (Q,)
     known: int  # m + N
     log_volume: float
-    lost: int  # how many rows have no pose: they are zero
+    n_spare: int  # readings more than poses take
+    n_lost: int  # the same of rows that have no pose: they are zero
 
     @cached_property
     def _some(self) -> Array:
@@ -182,14 +191,15 @@ class White:
     def solve(self, columns: np.ndarray, scale: Array) -> tuple[Array, Array, float]:
         """Return what is known (m + N,), the unknowns (k,) of columns with standard deviations (k,), and the misfit.
 
-        That is the root of χ² of the rows over their number, what is unknown integrated: one of right data. Lost rows
-        count by what they cost.
+        That is the root of χ² of the rows over their number, what is unknown integrated: about one of right data. Lost
+        rows count by what they cost.
         """
         flat = self.rows.reshape(-1, self.rows.shape[-1])
         both = np.concatenate([flat[:, : self.known], flat[:, columns] * scale], axis=1)
         found = np.linalg.solve(np.eye(both.shape[1]) + both.T @ both, both.T @ flat[:, -1])
-        square = float(flat[:, -1] @ (flat[:, -1] - both @ found)) + self.lost * self.rows.shape[1] * np.exp(2.0 * LOST)
-        return found[: self.known], found[self.known :] * scale, float(np.sqrt(square / max(len(flat), 1)))
+        square = float(flat[:, -1] @ (flat[:, -1] - both @ found)) + self.n_lost * np.exp(2.0 * LOST)
+        misfit = float(np.sqrt(square / max(self.n_spare + self.n_lost, 1)))
+        return found[: self.known], found[self.known :] * scale, misfit
 
     @cached_property
     def reduced(self) -> tuple[Array, Array, Array]:
@@ -295,9 +305,9 @@ class Readings:
             return None
         slope = linear.slope @ change
         stands = np.isfinite(linear.errors).all(axis=1) & np.isfinite(slope).all(axis=(1, 2))
-        stands &= np.isfinite(linear.constant) & (likelihood.n_spare > 0)
-        errors = linear.errors - slope @ y
-        return Sight(table.rows, linear, slope, errors, stands, pose, table.log_volume)
+        stands &= np.isfinite(linear.constant)
+        n_spare, errors = likelihood.n_spare, linear.errors - slope @ y
+        return Sight(table.rows, linear, slope, errors, stands & (n_spare > 0), n_spare, pose, table.log_volume)
 
     def measure_rows(self, n_starts: int = 0) -> Array:
         """Return how far rows lie from any machine within the tolerances, in noise and errors as stated, (P,).

@@ -208,7 +208,7 @@ class _Search:
     @property
     def fits(self) -> bool:
         """Whether the readings fit as they are."""
-        return self.misfit < MISFIT and self.here is not None and bool(self.here.stands.all())
+        return self.misfit < MISFIT and self.here is not None and not bool(self.here.lost.any())
 
     def run(self) -> Search:
         here, base = self.here, self.base

@@ -103,3 +103,13 @@ def test_a_hopeless_search_stops_and_says_what_it_tried(subjects, monkeypatch):
     search = replace(search_cause(plant(subjects["linear delta"], "unit", 1)[0].readings), first=None)
     assert search.stopped
     assert "were tried: units, signs, order, frames" in state_cause(search).text
+
+
+def test_rows_that_leave_nothing_to_compare_count_for_nothing(subjects):
+    """Of some rows the camera saw nothing: the carriages alone say where the platform is."""
+    measured, _, _ = plant(subjects["linear delta"], "clean", 3)
+    values = measured.posterior.likelihood.data.values.copy()
+    values[::4, ~measured.internal] = np.nan
+    found = search_cause(measured.retake(values).readings)
+    assert found.first is None
+    assert found.misfit == pytest.approx(search_cause(measured.readings).misfit, rel=0.3)
