@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from benchmarks.truth.machines import Array, Simulated
+from benchmarks.truth.machines import STEP, Array, Simulated, difference
 
 type Shape = Callable[[Simulated, Array, np.random.Generator], Array]
 
@@ -99,6 +99,21 @@ def err_in_one(machine: Simulated, v: Array, rng: np.random.Generator) -> Array:
     return found
 
 
+def err_within_geometry(machine: Simulated, v: Array, rng: np.random.Generator) -> Array:
+    """Return what other parameters within the tolerances make of lead, coupling and joints: nothing else shows it.
+
+    It is about each actuator's mean: an offset of it is nothing that depends on the pose.
+    """
+    true, n = machine.nominal if machine.true is None else machine.true, machine.n_actuators
+    rms = 1e-3 * BASE_UM
+    drawn = sum(scale(one(machine, v, rng), rms) for one in (err_by_lead, err_across, err_in_joints)) / machine.lever
+    by_theta = difference(lambda one: machine.read(one, v)[:, :n], true, STEP * machine.sd) * machine.sd
+    rows = (by_theta / machine.noise[:n, None]).reshape(-1, true.size)
+    step = np.linalg.solve(rows.T @ rows + np.eye(true.size), rows.T @ (drawn / machine.noise[:n]).ravel())
+    found = by_theta @ step * machine.lever
+    return np.asarray(found - found.mean(axis=0))
+
+
 SHAPES: dict[str, Shape] = {
     "lead": err_by_lead,
     "cross": err_across,
@@ -112,6 +127,7 @@ SHAPES: dict[str, Shape] = {
     "backlash": err_by_backlash,
     "homing": err_after_homing,
     "one": err_in_one,
+    "absorbed": err_within_geometry,
 }
 NONE, INSTRUMENT, MATRIX = "none", "instrument", "matrix"
 ROWS = (NONE, *SHAPES, INSTRUMENT, MATRIX)

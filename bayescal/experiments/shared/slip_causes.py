@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from bayescal.data.instruments.read_poses import FIXED, ROLL_PITCH_YAW, name_angles
-from bayescal.experiments.shared.slip_rows import Readings, Table
+from bayescal.experiments.shared.slip_rows import LOST, Readings, Table
 from bayescal.experiments.shared.slips import CHANNEL, FRAME, LEGS, POSES, ROWS, UNIT
 from bayescal.machines.readings import Channel
 from bayescal.machines.readings.placed import Placed
@@ -72,6 +72,7 @@ FACTORS: tuple[float, ...] = (
 )
 """On a noise."""
 SHIFTED = 10.0  # a shift of readings in units of its scatter, from which on it is one for all
+COUPLED = 0.1  # of the travel, by which channels err at most
 MOST_PAIRS = 200  # of channels that are tried exchanged: of many, those of one kind alone
 STEADY = 2.0  # noises within which all readings of a channel that does not move lie
 
@@ -91,6 +92,7 @@ class Cause:
     text: str
     table: Table | None = None
     columns: Array | None = None  # (P, K, k)
+    most: float = np.inf  # standard deviation of the columns' unknowns
     wider: tuple[int, ...] = ()  # parameters whose tolerance is too tight, by their places
     noise: tuple[int, ...] = ()  # channels whose noise is another one, by one of the factors
     blind: int | None = None  # channel that the table is without
@@ -212,12 +214,19 @@ def _list_blind(readings: Readings) -> Iterator[Cause]:
         there = np.isfinite(values[:, k])
         if there.sum() < 3:
             continue
-        blind = values.copy()
-        blind[:, k] = np.nan
-        spread, steady = 1e3, np.ptp(values[there, k]) <= STEADY * float(np.median(sd[there, k]))
+        # of a rotation vector, which is compared as a whole, all components
+        alike = [
+            j
+            for j, other in enumerate(readings.channels)
+            if j == k or (one.rotation and other.rotation == one.rotation)
+        ]
+        blind, spread = values.copy(), np.full(len(alike), np.exp(LOST))
+        blind[:, alike] = np.nan
+        steady = bool(np.ptp(values[there, k]) <= STEADY * float(np.median(sd[there, k])))
         if steady:
-            spread = float(np.exp(0.5))
-        volume = -float(np.sum(np.log(spread * sd[there, k]) + 0.5 * np.log(2.0 * np.pi)))
+            spread[alike.index(k)] = np.exp(0.5)
+        each = np.log(spread * sd[:, alike]) + 0.5 * np.log(2.0 * np.pi)
+        volume = -float(np.sum(each[np.isfinite(values[:, alike])]))
         table = Table(blind, np.arange(len(values)), log_volume=volume)
         yield Cause(CHANNEL, "", table, blind=k, say=partial(_say_blind, one, values[:, k], steady))
 
@@ -372,7 +381,7 @@ def _list_couplings(readings: Readings) -> Iterator[Cause]:
         f"{names} err in proportion to the travel by more than model and model error say: choose a deformation, or "
         "leave out terms of [model_error], so that all are taken"
     )
-    yield Cause(MODEL, text, columns=columns.reshape(*readings.values.shape, -1))
+    yield Cause(MODEL, text, columns=columns.reshape(*readings.values.shape, -1), most=COUPLED)
 
 
 def _list_channels(readings: Readings) -> Iterator[Cause]:

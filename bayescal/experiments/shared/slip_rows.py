@@ -214,13 +214,14 @@ class White:
         size = np.sqrt(np.diag(gram)[:-1] / max(int(np.count_nonzero(flat[:, -1])), 1))
         return left[:-1, :-1], left[:-1, -1], np.where(size > 0.0, 1.0 / np.maximum(size, 1e-300), 0.0)
 
-    def gain(self, columns: np.ndarray, wider: bool = False) -> tuple[float, float]:
-        """Return by how much columns raise the log-density, and their τ or the factor on a tolerance."""
+    def gain(self, columns: np.ndarray, wider: bool = False, most: float = np.inf) -> tuple[float, float]:
+        """Return by how much columns raise the log-density, and their τ, at most so large, or a tolerance's factor."""
         square, side, scale = self.reduced
         scale = np.ones(len(columns)) if wider else scale[columns]
         values, axes = np.linalg.eigh(scale[:, None] * square[np.ix_(columns, columns)] * scale)
         values, along = np.maximum(values, 0.0), axes.T @ (scale * side[columns])
         sizes = np.sqrt(WIDER**2 - 1.0) if wider else SIZES
+        sizes = sizes[: max(int(np.count_nonzero(sizes * scale.max(initial=0.0) <= most)), 1)]
         variance = sizes[:, None] ** 2
         gains = 0.5 * np.sum(variance * along**2 / (1.0 + variance * values) - np.log1p(variance * values), axis=1)
         best = int(np.argmax(gains))

@@ -283,7 +283,7 @@ class _Search:
             for j, white in enumerate(whites):
                 if cause.columns is not None:
                     where = white.known + np.arange(ends[i], ends[i + 1])
-                    values[i, j] = bases[j] + white.gain(where)[0]
+                    values[i, j] = bases[j] + white.gain(where, most=cause.most)[0]
                 elif cause.wider:
                     values[i, j] = bases[j] + white.gain(np.array(cause.wider), wider=True)[0]
                 elif cause.without:
@@ -456,7 +456,7 @@ class _Weigher:
             return self.search._leave_out(white, self._without)
         value = white.weigh()
         if len(which := self._find_columns(white)):
-            gain, self.size = white.gain(which, wider=bool(cause.wider))
+            gain, self.size = white.gain(which, bool(cause.wider), cause.most)
             value += gain
         return value
 

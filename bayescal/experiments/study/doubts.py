@@ -19,7 +19,6 @@ from bayescal.experiments.study.measurement import InstrumentMeasurement
 from bayescal.machines.kinematics import Machine, solve_forward_kinematics
 from bayescal.machines.mechanism import Mechanism
 from bayescal.numerics.geometry import Array
-from bayescal.numerics.units import MICROMETRE
 from bayescal.report.numbers import format_plain, format_significant
 
 FAR = 0.03
@@ -37,7 +36,7 @@ def list_outlooks(inputs: StudyInputs) -> list[str]:
         posterior = inputs.posterior(variant, with_model_error=False)
         likelihood, known = posterior.likelihood, posterior.sampling.coordinates
         errors, slope = likelihood.error_jacobian(known.start)
-        tau = np.full(likelihood.n_model_errors, inputs.config.leg_error.scale_um * MICROMETRE)
+        tau = np.full(likelihood.n_model_errors, inputs.config.leg_error.scales(inputs.actuator_noise)[0])
         rows = likelihood.whiten(tau)(slope[..., known.free]) * known.scale
         names, counted = posterior.names[: posterior.n_geometry], np.count_nonzero(errors)
         of = f"{counted} equations of legs at {len(errors)} poses for {len(names)} unknowns"
@@ -58,7 +57,8 @@ def _read(inputs: StudyInputs, variant: VariantConfig) -> Readings:
     """
     machine, measured = inputs.machine(variant), inputs.measured
     (known, fixed), layout = inputs.priors(variant), machine.layout.names
-    noise, scale = inputs.actuator_noise, inputs.config.leg_error.scale_um * MICROMETRE
+    noise = inputs.actuator_noise
+    scale = inputs.config.leg_error.scales(noise)[0]
     if isinstance(measured, InstrumentMeasurement):
         instrument = measured.instrument
         if isinstance(instrument, PointReadings) and not instrument.is_whole():
