@@ -84,13 +84,13 @@ def unit(subject: Subject, rng: np.random.Generator) -> Planted:
         np.flatnonzero([(one == other) and inside == own for other, inside in zip(units, internal, strict=True)])
         for one, own in dict.fromkeys(zip(units, internal.tolist(), strict=True))
     ]
-    some = groups[rng.integers(len(groups))]
-    if rng.random() < 1 / 3:
-        some = some[[rng.integers(len(some))]]
-    moved, home = values.copy(), subject.measured.readings.home[some]
+    some, moved = groups[rng.integers(len(groups))], values.copy()
+    home = subject.measured.readings.home[some]
     if internal[some[0]] and np.abs(home).max() > 0.0 and rng.random() < 1 / 3:
         moved[:, some] -= home
         return moved, "unit", tuple({names[k].partition("[")[0] for k in some})
+    if rng.random() < 1 / 3:
+        some = some[[rng.integers(len(some))]]
     factor = float(rng.choice(LENGTHS if units[some[0]] == "mm" else ANGLES))
     moved[:, some] *= factor
     return moved, "unit", tuple({names[k].partition("[")[0] for k in some})

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from bayescal.data.instruments.read_poses import FIXED, ROLL_PITCH_YAW, name_angles
-from bayescal.experiments.shared.slip_rows import LOST, Readings, Table
+from bayescal.experiments.shared.slip_rows import LOST, VAGUE, Readings, Table
 from bayescal.experiments.shared.slips import CHANNEL, FRAME, LEGS, POSES, ROWS, UNIT
 from bayescal.machines.readings import Channel
 from bayescal.machines.readings.placed import Placed
@@ -84,8 +84,8 @@ class Cause:
     Attributes
     ----------
     say : callable
-        From the sizes of its columns' unknowns (k,), or from its factor (1,), to words; of a table without a channel
-        from what the others say that it reads, (P,).
+        From the sizes of its columns' unknowns (k,), or from its factor (1,), to words; of a channel that may read
+        anything from what the others say that it reads, (P,).
     """
 
     fault: str
@@ -95,7 +95,7 @@ class Cause:
     most: float = np.inf  # standard deviation of the columns' unknowns
     wider: tuple[int, ...] = ()  # parameters whose tolerance is too tight, by their places
     noise: tuple[int, ...] = ()  # channels whose noise is another one, by one of the factors
-    blind: int | None = None  # channel that the table is without
+    blind: int | None = None  # channel that may read anything
     without: tuple[int, ...] = ()  # rows
     say: Callable[[Array], str] | None = None
 
@@ -208,26 +208,20 @@ def _shift(name: str, columns: np.ndarray, values: Array, together: bool = False
 
 
 def _list_blind(readings: Readings) -> Iterator[Cause]:
-    """Yield readings without one channel: it may read anything, or lies about one number by its noise."""
+    """Yield readings of which one channel may read anything, or lies about one number by its noise."""
     values, sd = readings.values, readings.posterior.likelihood.data.sd
+    n_spare = int(np.median(readings.posterior.likelihood.n_spare))
     for k, one in enumerate(readings.channels):
         there = np.isfinite(values[:, k])
-        if there.sum() < 3:
-            continue
         # of a rotation vector, which is compared as a whole, all components
-        alike = [
-            j
-            for j, other in enumerate(readings.channels)
-            if j == k or (one.rotation and other.rotation == one.rotation)
-        ]
-        blind, spread = values.copy(), np.full(len(alike), np.exp(LOST))
-        blind[:, alike] = np.nan
+        whole = [j for j, other in enumerate(readings.channels) if one.rotation and other.rotation == one.rotation]
+        alike = tuple(whole or [k])
+        if there.sum() < 3 or n_spare <= len(alike):  # the others have to contradict it
+            continue
         steady = bool(np.ptp(values[there, k]) <= STEADY * float(np.median(sd[there, k])))
-        if steady:
-            spread[alike.index(k)] = np.exp(0.5)
-        each = np.log(spread * sd[:, alike]) + 0.5 * np.log(2.0 * np.pi)
-        volume = -float(np.sum(each[np.isfinite(values[:, alike])]))
-        table = Table(blind, np.arange(len(values)), log_volume=volume)
+        volume = (float(np.log(VAGUE)) - LOST) * int(np.isfinite(values[:, alike]).sum())
+        volume += (LOST - 0.5) * int(there.sum()) if steady else 0.0
+        table = Table(values, np.arange(len(values)), vague=alike, log_volume=volume)
         yield Cause(CHANNEL, "", table, blind=k, say=partial(_say_blind, one, values[:, k], steady))
 
 

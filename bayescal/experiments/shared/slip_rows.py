@@ -32,6 +32,7 @@ SIZES = np.geomspace(1.0, 1e5, 11)
 """τ in units of a column's rms of one stated noise."""
 WIDER = np.array([2.0, 3.0, 5.0, 8.0, 12.0, 20.0, 40.0, 100.0])
 """Factors on a tolerance."""
+VAGUE = 1e5
 LOST = float(np.log(1e3))  # nats per reading of a row that is left out
 OUTLYING = 10.0
 """Rms of a row in units of the median, beyond which the others are fitted without it."""
@@ -43,18 +44,22 @@ TURNS = (-2.0, -1.0, 1.0, 2.0), (-1.0, -0.5, 0.5, 1.0)  # steps of single ones, 
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """Readings (Q, K) of some of the rows, NaN where nothing was read, and channels compared on a circle."""
+    """Readings (Q, K) of some of the rows, NaN where nothing was read, and channels that are taken otherwise.
+
+    ``circular`` ones are compared on a circle; ``vague`` ones may read anything: their noise is `VAGUE` times as large.
+    """
 
     values: Array
     rows: np.ndarray  # (Q,): which of the study's
     circular: tuple[int, ...] = ()
+    vague: tuple[int, ...] = ()
     log_volume: float = 0.0  # of the change, for densities of changed readings to be compared
 
     def pick(self, some: np.ndarray) -> Table:
         """Return some of its rows, by a mask over the study's rows."""
         here = some[self.rows]
         share = float(here.mean()) if len(here) else 0.0
-        return Table(self.values[here], self.rows[here], self.circular, share * self.log_volume)
+        return replace(self, values=self.values[here], rows=self.rows[here], log_volume=share * self.log_volume)
 
 
 @dataclass(frozen=True, eq=False)
@@ -339,6 +344,9 @@ class Readings:
             known = tuple(replace(one, period=TURN) if k in table.circular else one for k, one in channels)
             model = replace(model, channels=known)
         data = replace(likelihood.data.pick(table.rows), values=table.values)
+        if table.vague:
+            vague = np.isin(np.arange(len(self.channels)), table.vague)
+            data = replace(data, sd=np.where(vague, VAGUE * data.sd, data.sd))
         return replace(likelihood, model=model, data=data, start=likelihood.start[table.rows], expansion=None)
 
     def _locate(self, posterior: CalibrationPosterior, theta: Array, n_starts: int) -> Array:

@@ -325,8 +325,8 @@ class _Search:
         causes = [Cause("", "", table=self.readings.table), *list_tables(self.readings)]
         tables = [one.table.pick(self.some) for one in causes if one.table is not None]
         seen: list[Sight | None] = [None] * len(causes)
-        for circular in dict.fromkeys(one.circular for one in tables):
-            places = [k for k, one in enumerate(tables) if one.circular == circular]
+        for alike in dict.fromkeys((one.circular, one.vague) for one in tables):
+            places = [k for k, one in enumerate(tables) if (one.circular, one.vague) == alike]
             for start in range(0, len(places), TOGETHER):
                 if not self.is_late:
                     some = places[start : start + TOGETHER]
@@ -346,7 +346,7 @@ class _Search:
     def _see_together(self, tables: list[Table], here: Sight) -> list[Sight | None]:
         """Return what is seen of tables that are looked at one below the other."""
         values, rows = (np.concatenate([getattr(one, key) for one in tables]) for key in ("values", "rows"))
-        every = self.readings.see(Table(values, rows, tables[0].circular), np.zeros(self.m), here.pose, 2)
+        every = self.readings.see(replace(tables[0], values=values, rows=rows), np.zeros(self.m), here.pose, 2)
         return [None] * len(tables) if every is None else list(every.split(tables))
 
     def _weigh_shifts(self, here: Sight) -> list[tuple[Cause, float]]:
