@@ -180,14 +180,19 @@ class White:
     def _some(self) -> Array:
         return np.concatenate([self.rows[..., : self.known], self.rows[..., -1:]], axis=-1)
 
-    def gram(self, rows: np.ndarray | slice = slice(None)) -> Array:
+    @cached_property
+    def total(self) -> Array:
+        """`gram` of all rows."""
+        return self.gram(slice(None))
+
+    def gram(self, rows: np.ndarray | slice) -> Array:
         """Return products of what is known and the errors, summed over some of the rows, (m + N + 1, m + N + 1)."""
         flat = self._some[rows].reshape(-1, self.known + 1)
         return np.asarray(flat.T @ flat)
 
     def weigh(self, gram: Array | None = None, constant: float | None = None) -> float:
         """Return the log-density without any cause, of other products of rows where these are given."""
-        gram = self.gram() if gram is None else gram
+        gram = self.total if gram is None else gram
         root = cholesky(np.eye(self.known) + gram[:-1, :-1], lower=True, check_finite=False)
         side = solve_triangular(root, gram[:-1, -1], lower=True, check_finite=False)
         constant = float(self.constant.sum()) if constant is None else constant

@@ -33,7 +33,7 @@ SLOPS = np.array([1.0, 2.5, 10.0, 100.0, 1e3, 1e4])
 BESIDE = 2  # how many factors on either side of the best one are tried as errors change
 USUAL_FACTOR = 1.5  # sd of the logarithm of a factor on the noise
 FINAL, EACH = 8, 3  # causes that are fitted: of all, and of each kind
-FITS_WELL, HOPELESS = 1.2, 300.0  # rms of a cause that leaves little, and nats below it of what is not fitted then
+FITS_WELL, HOPELESS = 1.2, 8.0  # rms of a cause that leaves little, and nats a row below it of what is not fitted then
 FITS = 3  # steps of a fit
 TOGETHER = 100  # tables that are looked at at once
 MOST_ROWS = 10  # of which other tables are tried first
@@ -231,7 +231,7 @@ class _Search:
                 fitted.append((cause, found))
                 if base is not None:
                     as_is = max(as_is, base.weigh(found.zeta))
-                bound = max(bound, promise - HOPELESS) if found.misfit < FITS_WELL else bound
+                bound = max(bound, promise - HOPELESS * len(self.some)) if found.misfit < FITS_WELL else bound
         weighed = [
             Weighed(cause, one.value - as_is - float(np.log(counts[cause.fault])), one.text, one.misfit)
             for cause, one in fitted
@@ -300,7 +300,7 @@ class _Search:
         n = white.rows.shape[1]
         size = np.sqrt(np.mean(white.rows[rows, :, -1] ** 2, axis=1))
         broad = white.constant[rows] - n * (np.log(np.maximum(size, 1.0)) + 0.5)
-        return white.weigh(white.gram(kept), float(white.constant[kept].sum() + broad.sum()))
+        return white.weigh(white.total - white.gram(rows), float(white.constant[kept].sum() + broad.sum()))
 
     def _try_noise(self, here: Sight, cause: Cause, zeta: Array, sizes: tuple[float, ...]) -> tuple[float, float]:
         """Return the log-density by the best of some factors on some channels' noise, and that.
@@ -505,7 +505,7 @@ def _splice(base: White, white: White, chosen: np.ndarray, step: int) -> Array:
     Backwards for a negative step: rows of the other table up to that row. Rows of the other table are the chosen ones.
     """
     order = np.arange(len(chosen))[:: 1 if step > 0 else -1]
-    gram, constant, found = white.gram(), float(white.constant.sum()), np.full(len(base.rows), -np.inf)
+    gram, constant, found = white.total, float(white.constant.sum()), np.full(len(base.rows), -np.inf)
     for k in order:
         found[chosen[k]] = base.weigh(gram, constant)
         gram = gram + base.gram(chosen[[k]]) - white.gram(np.array([k]))
