@@ -52,7 +52,9 @@ def judge(subject: Subject, machine: str, slip: str, k: int, seed: int) -> dict[
         "slip": slip,
         "study": k,
         "check": nothing if not fault else first is not None and is_right(first.faults, first.text),
-        "page": said is None if slip not in DATA else said is not None and is_right((said.fault,), said.text),
+        "page": said is None
+        if slip not in DATA
+        else said is not None and first is not None and is_right(first.faults, said.text),
         "accused": said is not None,
         "misfit": round(found.misfit, 2),
         "said": "" if first is None else first.text,

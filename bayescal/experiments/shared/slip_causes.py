@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from bayescal.data.instruments.read_poses import FIXED, ROLL_PITCH_YAW, name_angles
-from bayescal.experiments.shared.slip_rows import LOST, VAGUE, Readings, Table
+from bayescal.experiments.shared.slip_rows import VAGUE, Readings, Table
 from bayescal.experiments.shared.slips import CHANNEL, FRAME, LEGS, POSES, ROWS, UNIT
 from bayescal.machines.readings import Channel
 from bayescal.machines.readings.placed import Placed
@@ -72,6 +72,7 @@ FACTORS: tuple[float, ...] = (
 )
 """On a noise."""
 SHIFTED = 10.0  # a shift of readings in units of its scatter, from which on it is one for all
+SCALED = 0.3  # by which a scale is off at most: beyond it is a unit or a gear, a table read otherwise
 COUPLED = 0.1  # of the travel, by which channels err at most
 MOST_PAIRS = 200  # of channels that are tried exchanged: of many, those of one kind alone
 STEADY = 2.0  # noises within which all readings of a channel that does not move lie
@@ -208,21 +209,24 @@ def _shift(name: str, columns: np.ndarray, values: Array, together: bool = False
 
 
 def _list_blind(readings: Readings) -> Iterator[Cause]:
-    """Yield readings of which one channel may read anything, or lies about one number by its noise."""
-    values, sd = readings.values, readings.posterior.likelihood.data.sd
+    """Yield readings of which one channel has nothing to do with the pose: normal about its mean, as wide as it is."""
+    values, sd, channels = readings.values, readings.posterior.likelihood.data.sd, readings.channels
     n_spare = int(np.median(readings.posterior.likelihood.n_spare))
-    for k, one in enumerate(readings.channels):
+    for k, one in enumerate(channels):
         there = np.isfinite(values[:, k])
-        # of a rotation vector, which is compared as a whole, all components
-        whole = [j for j, other in enumerate(readings.channels) if one.rotation and other.rotation == one.rotation]
-        alike = tuple(whole or [k])
-        if there.sum() < 3 or n_spare <= len(alike):  # the others have to contradict it
+        if there.sum() < 3:
             continue
         steady = bool(np.ptp(values[there, k]) <= STEADY * float(np.median(sd[there, k])))
-        volume = (float(np.log(VAGUE)) - LOST) * int(np.isfinite(values[:, alike]).sum())
-        volume += (LOST - 0.5) * int(there.sum()) if steady else 0.0
-        table = Table(values, np.arange(len(values)), vague=alike, log_volume=volume)
-        yield Cause(CHANNEL, "", table, blind=k, say=partial(_say_blind, one, values[:, k], steady))
+        # of a rotation vector, which is compared as a whole, a component or, where turns are large, all of them
+        whole = tuple(j for j, other in enumerate(channels) if one.rotation and other.rotation == one.rotation)
+        for alike in dict.fromkeys(((k,), whole or (k,))):
+            if n_spare <= len(alike):  # the others have to contradict it
+                continue
+            seen = np.isfinite(values[:, alike])
+            width = np.maximum(np.nanstd(values[:, alike], axis=0) / np.nanmedian(sd[:, alike], axis=0), 1.0)
+            volume = float(np.sum(seen * (np.log(VAGUE / width) - 0.5)))
+            table = Table(values, np.arange(len(values)), vague=alike, log_volume=volume)
+            yield Cause(CHANNEL, "", table, blind=k, say=partial(_say_blind, one, values[:, k], steady))
 
 
 def _say_blind(channel: Channel, measured: Array, steady: bool, expected: Array) -> str:
@@ -394,9 +398,9 @@ def _list_channels(readings: Readings) -> Iterator[Cause]:
         mean, spread = np.mean(values[finite, k]), np.ptp(values[finite, k])
         scaled = partial(_say_scale, one)
         yield Cause(CHANNEL, "", columns=show(ones), say=partial(_say_zero, one))
-        yield Cause(CHANNEL, "", columns=show(np.where(finite, values[:, k], 0.0)), say=scaled)
+        yield Cause(CHANNEL, "", columns=show(np.where(finite, values[:, k], 0.0)), say=scaled, most=SCALED)
         if abs(mean) > 0.1 * spread:
-            yield Cause(CHANNEL, "", columns=show(np.where(finite, values[:, k] - mean, 0.0)), say=scaled)
+            yield Cause(CHANNEL, "", columns=show(np.where(finite, values[:, k] - mean, 0.0)), say=scaled, most=SCALED)
         # whatever it was when the first row was measured
         yield Cause(DRIFT, "", columns=show(readings.time, ones), say=partial(_say_drift, one))
 

@@ -247,7 +247,8 @@ class _Search:
         alike = [one for one in best if one.gain > best[0].gain - ALIKE]
         others = [one for one in weighed if one not in alike]
         rival = max(others[0].gain, 0.0) if others else 0.0
-        text = best[0].text + "".join(f" (or: {one.text})" for one in alike[1:3])
+        first, *also = dict.fromkeys(one.text for one in alike)
+        text = first + "".join(f" (or: {one})" for one in also[:2])
         faults = tuple(dict.fromkeys(one.cause.fault for one in alike[:3]))
         said = others[0].text if others and others[0].gain > 0.0 else "the data as they are"
         return Named(best[0].cause.fault, faults, text, best[0].gain, alike[-1].gain - rival, said, best[0].misfit)
