@@ -72,7 +72,6 @@ FACTORS: tuple[float, ...] = (
 )
 """On a noise."""
 SHIFTED = 10.0  # a shift of readings in units of its scatter, from which on it is one for all
-SCALED = 0.3  # by which a scale is off at most: beyond it is a unit or a gear, a table read otherwise
 COUPLED = 0.1  # of the travel, by which channels err at most
 MOST_PAIRS = 200  # of channels that are tried exchanged: of many, those of one kind alone
 STEADY = 2.0  # noises within which all readings of a channel that does not move lie
@@ -94,6 +93,9 @@ class Cause:
     table: Table | None = None
     columns: Array | None = None  # (P, K, k)
     most: float = np.inf  # standard deviation of the columns' unknowns
+    scaled: int | None = (
+        None  # channel whose readings r are (1 - u) r but for the columns' unknown u: a change of density
+    )
     wider: tuple[int, ...] = ()  # parameters whose tolerance is too tight, by their places
     noise: tuple[int, ...] = ()  # channels whose noise is another one, by one of the factors
     blind: int | None = None  # channel that may read anything
@@ -398,9 +400,9 @@ def _list_channels(readings: Readings) -> Iterator[Cause]:
         mean, spread = np.mean(values[finite, k]), np.ptp(values[finite, k])
         scaled = partial(_say_scale, one)
         yield Cause(CHANNEL, "", columns=show(ones), say=partial(_say_zero, one))
-        yield Cause(CHANNEL, "", columns=show(np.where(finite, values[:, k], 0.0)), say=scaled, most=SCALED)
+        yield Cause(CHANNEL, "", columns=show(np.where(finite, values[:, k], 0.0)), say=scaled, scaled=k)
         if abs(mean) > 0.1 * spread:
-            yield Cause(CHANNEL, "", columns=show(np.where(finite, values[:, k] - mean, 0.0)), say=scaled, most=SCALED)
+            yield Cause(CHANNEL, "", columns=show(np.where(finite, values[:, k] - mean, 0.0)), say=scaled, scaled=k)
         # whatever it was when the first row was measured
         yield Cause(DRIFT, "", columns=show(readings.time, ones), say=partial(_say_drift, one))
 

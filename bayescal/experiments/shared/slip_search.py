@@ -418,6 +418,9 @@ class _Search:
         if weigher is None or not np.isfinite(last):
             return None
         value = last - 0.5 * float(zeta @ zeta) - (len(self.readings.values) - len(table.rows)) * self._row_cost(here)
+        if cause.scaled is not None:
+            n_read = np.count_nonzero(np.isfinite(self.readings.values[:, cause.scaled]))
+            value += n_read * float(np.log(max(abs(1.0 - unknown[0]), 1e-300)))
         sizes = unknown if columns is not None else np.array([weigher.size])
         if cause.blind is not None:
             theta = self.posterior.around(np.append(y, np.zeros_like(self.zeta)))[0]
