@@ -113,3 +113,23 @@ def test_rows_that_leave_nothing_to_compare_count_for_nothing(subjects):
     found = search_cause(measured.retake(values).readings)
     assert found.first is None
     assert found.misfit == pytest.approx(search_cause(measured.readings).misfit, rel=0.3)
+
+
+def test_a_channel_in_micrometres_is_no_matter_of_scale(subjects):
+    measured, _, _ = plant(subjects["linear delta"], "clean", 3)
+    values = measured.posterior.likelihood.data.values.copy()
+    values[:, 4] *= 1e3
+    found = search_cause(measured.retake(values).readings)
+    assert (found.first.fault, found.slip.fault) == ("unit", "unit")
+    assert "readings of cam_y seem to be 1000 times too large" in found.first.text
+
+
+@pytest.mark.runs
+@pytest.mark.parametrize("channel", [1, 11], ids=["a commanded one", "a part of a rotation"])
+def test_a_channel_of_legs_that_does_not_move_is_named(subjects, channel):
+    measured, _, _ = plant(subjects["hexapod by poses"], "clean", 3)
+    values = measured.posterior.likelihood.data.values.copy()
+    values[:, channel] = values[0, channel]
+    found = search_cause(measured.retake(values).readings).slip
+    assert found.fault == "channel"
+    assert f"{measured.readings.channels[channel].name} does not move" in found.text
