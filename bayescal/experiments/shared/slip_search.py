@@ -45,7 +45,6 @@ SLIPS = (UNIT, LEGS, ROWS, POSES, CHANNEL, FRAME)
 """Causes that are slips of the data: other kinds of experiments than checks name these alone."""
 STATED = 1.5
 """Rms of the rows in noise and model errors as stated up to which nothing has slipped."""
-CLEARLY = 20.0  # nats by which a slip has to explain the data better
 BETTER = {POSES: 1.5}
 """Factor by which the misfit has to fall for a slip to be named, 3 but for what is named here: angles read in another
 way are off by little at tilts of some degrees, by two to five times what was stated."""
@@ -98,7 +97,7 @@ class Search:
     def slip(self) -> FoundSlip | None:
         """What is named first where it is a slip of data that are far from every machine within the tolerances."""
         first = self.first
-        if self.misfit <= STATED or first is None or not set(first.faults) <= set(SLIPS) or first.gain <= CLEARLY:
+        if self.misfit <= STATED or first is None or not set(first.faults) <= set(SLIPS):
             return None
         factor = self.misfit / max(first.misfit, 1.0)
         if factor <= BETTER.get(first.fault, USUALLY_BETTER):
