@@ -32,7 +32,7 @@ TINY = {
     "recheck.py --twins 1": (),
     "sampling.py --warm-up 50 --draws 50": ("jax", "numpyro"),
     "sessions.py --twins 1": (),
-    "slips.py --studies 1 --machines 'linear delta' --slips clean unit": (),
+    "slips.py --studies 1 --machines hexaglide --slips clean unit": (),
     "soak.py --minutes 0.1": (),
 }
 """By command: what it needs that the tests do not."""
