@@ -32,7 +32,7 @@ TINY = {
     "recheck.py --twins 1": (),
     "sampling.py --warm-up 50 --draws 50": ("jax", "numpyro"),
     "sessions.py --twins 1": (),
-    "slips.py --twins 1": (),
+    "slips.py --studies 1 --machines hexaglide --slips clean unit": (),
 }
 """By command: what it needs that the tests do not."""
 PARTS = {"jax_density", "numba_loops", "peers_evidence", "peers_posteriors", "peers_sampling", "telescope_problem"}
