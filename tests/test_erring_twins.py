@@ -165,7 +165,7 @@ def test_audits_foretell_what_studies_by_default_report(truth, tmp_path):
     name = "hexapod"
     shapes = truth.errors.SHAPES
     parts = [shapes[one] for one in ("lead", "cross", "wave", "thermal")]
-    shapes["mixed"] = lambda *of: sum(truth.errors.scale(part(*of), 0.5) for part in parts)
+    shapes["mixed"] = lambda *of: lambda _: sum(truth.errors.plant(part, 0.5, *of)[0] for part in parts)
     folder = tmp_path / "twin"
     try:
         machine, twin = truth.scores.draw_twin(name, "mixed", 10.0 / truth.errors.BASE_UM, 11)
