@@ -6,8 +6,9 @@
 Each twin is calibrated by the study that `bayescal init` writes. Rechecks of two sessions follow, at the poses that
 `bayescal recheck` plans and at those of the calibration: of the machine as it was, and with one leg, carriage or joint
 moved by a number of standard deviations to which the plan resolves its shift. Errors are the same function of the pose
-as at the calibration; what hangs on time is another. Everything is judged once more by a recheck that takes the errors
-for random ones from pose to pose. With --keep calibrations stay in a folder and are taken from there the next time.
+as at the calibration; what hangs on time is another. Everything is judged twice more, by rechecks that take the errors
+for random ones from pose to pose, as large as they are, and that ignore them. With --keep calibrations stay in a folder
+and are taken from there the next time.
 """
 
 from __future__ import annotations
@@ -42,8 +43,10 @@ from bayescal.calibrated.recheck.statistics import (
 )
 from bayescal.density.calibration.measurements import Measurements
 from bayescal.errors import InputError
+from bayescal.experiments.frame.identity import describe_provenance, identify
 from bayescal.experiments.frame.load import load
-from bayescal.experiments.frame.run import run_experiment
+from bayescal.experiments.frame.results import write_results
+from bayescal.experiments.frame.run import compute_experiment
 from bayescal.experiments.shared.calibrating import load_calibrated
 from benchmarks.truth.errors import NONE, SHAPES
 from benchmarks.truth.machines import MACHINES, Array, Platform, Simulated
@@ -59,7 +62,7 @@ RESOLVED = 5.0
 """Standard deviations by which one is moved."""
 PLANS = "planned", "calibration"
 KEYS = ["machine", "row", "size", "poses"]
-SCORES = ("alarm", "odd", "found", "named", "random_alarm", "random_odd", "random_found")
+SCORES = ("alarm", "odd", "found", "named", "random_alarm", "random_found", "ignored_alarm", "ignored_odd")
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,10 +120,20 @@ class Case:
         values[:, :n] = commands
         return Measurements(names, values, np.tile(machine.noise, (len(commands), 1)))
 
-    def judge(self, sessions: list[Measurements], known: bool = True) -> Recheck:
-        """Return what a recheck says of sessions, with what is known of the errors or as if they were random."""
-        calibrated = self.calibrated if known else replace(self.calibrated, functions=None)
-        return judge_recheck(calibrated, self.suspects, sessions, FALSE_ALARM, SESSIONS)
+    def judge(self, sessions: list[Measurements], by: CalibratedMachine | None = None) -> Recheck:
+        """Return what a recheck says of sessions, by the machine as it was calibrated or by less known of it."""
+        return judge_recheck(by or self.calibrated, self.suspects, sessions, FALSE_ALARM, SESSIONS)
+
+    @property
+    def random(self) -> CalibratedMachine:
+        """The machine with errors that are random from pose to pose."""
+        return replace(self.calibrated, functions=None)
+
+    @property
+    def ignored(self) -> CalibratedMachine:
+        """The machine with errors by noise alone."""
+        errors = replace(self.calibrated.errors, model_variance=0.0 * self.calibrated.errors.model_variance)
+        return replace(self.calibrated, functions=None, errors=errors)
 
 
 def calibrate(name: str, row: str, size: float, seed: int, folder: Path) -> Case:
@@ -128,17 +141,27 @@ def calibrate(name: str, row: str, size: float, seed: int, folder: Path) -> Case
     machine, twin = draw_twin(name, row, size, seed)
     results = folder / f"{name}_{row}_{size:g}_{seed}"
     if not results.exists():
-        with tempfile.TemporaryDirectory() as there:
-            write_project(name, machine, "init", Path(there) / "twin")
-            write_tables(name, machine, twin.values, twin.held, Path(there) / "twin")
-            _, config = load(Path(there) / "twin" / "study.toml")
-            run_experiment(config.model_copy(update={"seed": seed}), Path(there) / "twin", results)
+        with tempfile.TemporaryDirectory(dir=folder) as there:
+            _compute(name, machine, twin, seed, Path(there) / "twin", Path(there) / "results")
+            (Path(there) / "results").rename(results)
     calibrated = load_calibrated(results, force=True, trust=True)
     suspects = choose_suspects(calibrated, [SUSPECT[name]] if name in SUSPECT else [])
     expected = expect_readings(machine.noise)
     if isinstance(machine, Platform):
         expected = expect_pose(calibrated, np.diag(machine.noise[machine.n_actuators :] ** 2))
     return Case(machine, twin, calibrated, suspects, expected)
+
+
+def _compute(name: str, machine: Simulated, twin: Twin, seed: int, project: Path, results: Path) -> None:
+    """Write what a study by default finds of a twin, all but its page."""
+    write_project(name, machine, "init", project)
+    write_tables(name, machine, twin.values, twin.held, project)
+    experiment, config = load(project / "study.toml")
+    config = config.model_copy(update={"seed": seed})
+    identity = identify(config, project, experiment.files(config, project))
+    found = compute_experiment(config, project)
+    results.mkdir()
+    write_results(replace(found, provenance=describe_provenance(config, identity)), results)
 
 
 def judge_twin(case: Case, times: int, seed: int) -> Iterator[dict[str, object]]:
@@ -154,7 +177,7 @@ def judge_twin(case: Case, times: int, seed: int) -> Iterator[dict[str, object]]
             healthy = case.measure(commands, 0.0, place, rng)
             moved = case.measure(commands, shift, place, rng)
             well, found = case.judge(healthy), case.judge(moved)
-            random, random_found = case.judge(healthy, known=False), case.judge(moved, known=False)
+            ignored = case.judge(healthy, case.ignored)
             yield {
                 "poses": name,
                 "twin": seed,
@@ -165,9 +188,10 @@ def judge_twin(case: Case, times: int, seed: int) -> Iterator[dict[str, object]]
                 "found": not found.holds,
                 "named": not found.holds and found.worst == place,
                 "z": (found.shift[place] - shift) / found.sd[place],
-                "random_alarm": not random.holds,
-                "random_odd": random.is_odd,
-                "random_found": not random_found.holds,
+                "random_alarm": not case.judge(healthy, case.random).holds,
+                "random_found": not case.judge(moved, case.random).holds,
+                "ignored_alarm": not ignored.holds,
+                "ignored_odd": ignored.is_odd,
             }
 
 
