@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.special import digamma
 from scipy.stats import binom
 
 import bayescal as bc
@@ -22,7 +23,7 @@ ROOT = Path(__file__).parents[1]
 LEGS = {"hexapod": "six_ups", "carriages": "six_pus", "telescope": "six_pus", "telescope_all": "six_pus"}
 GOAL, LEVEL = 0.85, 0.01
 """What rows have to reach, and the probability of falling short by chance for one that just does."""
-TWINS = 8
+TWINS, N_NOISY = 8, 40
 REACHED = [("hexapod", "lead"), ("hexapod", "cross"), ("carriages", "cross"), ("telescope_all", "matrix")]
 
 
@@ -268,3 +269,57 @@ def test_rechecks_hold_on_machines_that_err(truth, tmp_path):
     assert table["random_found"].sum() < least
     same = table[table["poses"] == "calibration"]
     assert same["ignored_odd"].sum() > binom.ppf(0.99, len(same), 0.02)
+
+
+# --- unknown noise -----------------------------------------------------------------------------------------------
+
+
+GROUPS = {"s": [0, 1, 2], "camera": [3, 4], "height": [5]}  # the delta's channels
+SPREAD, FREEDOM, SHARE, WIDER = 0.5, 4.0, 0.05, 3.0
+
+
+def widen_by_t(rng, n):
+    """Return factors of rows whose logarithm has mean zero, normal rows times which are t distributed."""
+    factor = np.sqrt(0.5 * FREEDOM / rng.gamma(0.5 * FREEDOM, size=n))
+    return factor * np.exp(0.5 * (digamma(0.5 * FREEDOM) - np.log(0.5 * FREEDOM)))
+
+
+def widen_some(rng, n):
+    """Return factors of rows of which a share that is itself drawn is Cauchy distributed, three times as wide."""
+    wrong = rng.random(n) < rng.beta(1.0, 1.0 / SHARE - 1.0)
+    return np.where(wrong, WIDER / np.sqrt(2.0 * rng.gamma(0.5, size=n)), 1.0)
+
+
+NOISE = {
+    "plain": ("", lambda _, n: np.ones(n)),
+    "robust": (f"robust = {FREEDOM}", widen_by_t),
+    "outliers": (f"outlier_share = {SHARE}", widen_some),
+}
+
+
+def find_factors(truth, row, seed, folder):
+    """Return the logarithms of a delta's factors, drawn from their prior, and draws of what its study finds."""
+    rng, machine, n = np.random.default_rng([7, seed]), truth.machines.MACHINES["delta"](), 30
+    says, widen = NOISE[row]
+    truth.projects.write_project("delta", machine, "init", folder)
+    text = (folder / "study.toml").read_text().replace('Everything free"\n', f'Everything free"\n{says}\n')
+    unknown = "".join(f"{name} = {SPREAD}\n" for name in GROUPS)
+    (folder / "study.toml").write_text(f"{text}\n[model_error]\nterms = []\n\n[unknown_noise]\n{unknown}")
+    theta = machine.nominal + machine.sd * rng.standard_normal(machine.nominal.size)
+    v, factors = machine.draw_poses(theta, n, rng), SPREAD * rng.standard_normal(len(GROUPS))
+    sizes = np.repeat(np.exp(factors), [len(channels) for channels in GROUPS.values()])
+    noise = sizes * machine.add_noise(np.zeros((n, 6)), rng) * widen(rng, n)[:, None]
+    truth.projects.write_tables("delta", machine, machine.read(theta, v) + noise, np.zeros(n, dtype=bool), folder)
+    names = [f"noise_factor({name})" for name in GROUPS]
+    return factors, np.log(truth.projects.calibrate(machine, folder, seed, names).draws)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("row", NOISE)
+def test_intervals_hold_unknown_factors_of_noise(truth, row, tmp_path):
+    """Drawn from their prior, as poses are, and rows as the variant takes them; factors that are 15 % off show."""
+    found = [find_factors(truth, row, seed, tmp_path / "twin") for seed in range(N_NOISY)]
+    n = N_NOISY * len(GROUPS)
+    held = [sum(truth.scores.hold(draws, factors + off) for factors, draws in found) / N_NOISY for off in (0.0, 0.15)]
+    assert binom.ppf(0.005, n, 0.9) <= round(held[0] * n) <= binom.ppf(0.995, n, 0.9)
+    assert round(held[1] * n) < binom.ppf(0.005, n, 0.9)
