@@ -22,6 +22,7 @@ from bayescal.calibrated.predict import (
     command_poses,
     draw_poses,
     find_curved,
+    find_errors,
     is_pose,
     place_machine,
     predict_poses,
@@ -236,15 +237,13 @@ def compute_budget(calibrated: CalibratedMachine, commands: Array, given: Given 
         raise InputError(f"experiment {calibrated.source.experiment}: found no draws of its posterior, expected some")
     check_determined(calibrated)
     curved, m = find_curved(calibrated), len(calibrated.model.tool_channels)
-    sources = calibrated.errors.split()
-    found: dict[str, list[Array]] = {name: [] for name in (GEOMETRY, *sources)}
+    found: dict[str, list[Array]] = {}
     for part in split(len(commands)):
         at = place_machine(calibrated, commands[part], {name: value[part] for name, value in given.items()})
-        found[GEOMETRY].append(spread_outputs(calibrated, at, curved)[1][:, :m, :m])
-        to_tool = at.gain[:, :m]
-        for name, errors in sources.items():
-            covariance = errors.covariance(at.pose, at.commands, at.given)
-            found[name].append(to_tool @ covariance @ np.swapaxes(to_tool, 1, 2))
+        errors, to_tool = find_errors(calibrated, at), at.gain[:, :m]
+        found.setdefault(GEOMETRY, []).append(spread_outputs(calibrated, at, errors, curved)[1][:, :m, :m])
+        for name, covariance in errors.parts.items():
+            found.setdefault(name, []).append(to_tool @ covariance @ np.swapaxes(to_tool, 1, 2))
     parts = {name: np.concatenate(some) for name, some in found.items()}
     return Budget(commands, predict_poses(calibrated, commands, given).tool, parts)
 

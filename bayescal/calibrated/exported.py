@@ -15,6 +15,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
+from bayescal.calibrated.functions import KnownFunctions
 from bayescal.calibrated.machine import CalibratedMachine, Errors, LegErrors, Source, find_hindrance
 from bayescal.calibrated.tables import read_given, read_quantities
 from bayescal.config.classes import CLASS
@@ -35,6 +36,7 @@ from bayescal.numerics.geometry import Array
 
 CALIBRATED, MECHANISM, MATRIX = "calibrated.toml", "mechanism.toml", "deformation_matrix.csv"
 PARAMETERS, COVARIANCE, DRAWS, MEASURED = "parameters.csv", "covariance.csv", "draws.nc", "measured.csv"
+FUNCTIONS = "functions.nc"
 MATRIX_COVARIANCE = "deformation_matrix_covariance.csv"
 PER_MILLE = 1e-3  # of K in files
 ASYMMETRY = 1e-6
@@ -76,6 +78,7 @@ class ExportedConfig(Section):
     workspace: dict[str, Annotated[list[Number], Field(min_length=2, max_length=2)]] = Field(default={})
     covariance: InputFile | None = None
     draws: InputFile | None = None
+    functions: InputFile | None = None
     measured: InputFile | None = None
     source: SourceConfig
     errors: ErrorsConfig
@@ -134,6 +137,8 @@ def _format_calibrated(calibrated: CalibratedMachine, machine: list[str]) -> dic
         lines += [f'covariance = "{COVARIANCE}"']
     if calibrated.draws is not None:
         lines += [f'draws = "{DRAWS}"']
+    if calibrated.functions is not None:
+        lines += [f'functions = "{FUNCTIONS}"']
     texts = {}
     if calibrated.measured is not None:
         lines += [f'measured = "{MEASURED}"']
@@ -207,6 +212,8 @@ def list_posterior_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
         files[COVARIANCE] = format_table(about, ["parameter", *calibrated.names], cells).encode()
     if calibrated.draws is not None:
         files[DRAWS] = _encode_draws(calibrated)
+    if calibrated.functions is not None:
+        files[FUNCTIONS] = _encode_functions(calibrated.functions, calibrated)
     return files
 
 
@@ -220,6 +227,17 @@ def _encode_draws(calibrated: CalibratedMachine) -> bytes:
         {"title": "; ".join(calibrated.source.describe())},
     )
     return bytes(content.to_netcdf(engine="h5netcdf"))
+
+
+def _encode_functions(known: KnownFunctions, calibrated: CalibratedMachine) -> bytes:
+    import xarray as xr  # takes a second, for those who need it
+
+    variables = {
+        name: (dims, one, {"units": unit, "long_name": said})
+        for name, (dims, one, unit, said) in known.list_arrays().items()
+    }
+    names = {"channel": list(known.names), "sort": list(known.sorts), "parameter": list(calibrated.names)}
+    return bytes(xr.Dataset(variables, names).to_netcdf(engine="h5netcdf"))
 
 
 # --- reading -------------------------------------------------------------------------------------------------------
@@ -266,6 +284,7 @@ def read_exported(folder: Path) -> CalibratedMachine:
         _read_workspace(config, path, model),
         config.machine or "",
         {name: (folder / name).read_bytes() for name in kept},
+        functions=None if config.functions is None else _read_functions(folder / config.functions, names),
     )
 
 
@@ -355,6 +374,20 @@ def _read_draws(path: Path, names: tuple[str, ...]) -> Array:
         return np.asarray(draws.to_numpy(), dtype=np.float64)
     except (OSError, ValueError, KeyError) as error:
         raise InputError(f"{path}: cannot be read as draws ({' '.join(str(error).split())})") from error
+
+
+def _read_functions(path: Path, names: tuple[str, ...]) -> KnownFunctions:
+    if not path.is_file():
+        raise InputError(f"{path}: no such file, expected systematic errors as netCDF")
+    try:
+        found = read_netcdf(path)
+        channels, sorts, beside = ([str(one) for one in found[key].values] for key in ("channel", "sort", "parameter"))
+        known = KnownFunctions.of_arrays({str(key): one for key, one in found.items()}, channels, sorts)
+    except (OSError, ValueError, KeyError) as error:
+        raise InputError(f"{path}: cannot be read as systematic errors ({' '.join(str(error).split())})") from error
+    if tuple(beside) != names or known.n_geometry != len(names):
+        raise InputError(f"{path}: found other parameters than those of the covariance, expected the same in its order")
+    return known
 
 
 def check_covariance(path: Path, names: Sequence[str], covariance: Array) -> None:

@@ -124,6 +124,16 @@ class KnownFunctions:
         there = values > 1e-12 * values[-1]
         return np.asarray(size[:, None] * vectors[:, there] * np.sqrt(values[there]))
 
+    @cached_property
+    def given_geometry(self) -> tuple[Array, Array]:
+        """How coefficients follow the geometry on average, (A, n), and a root (A, r) of their covariance given it."""
+        n, size = self.n_geometry, np.sqrt(np.maximum(np.diag(self.covariance), np.finfo(float).tiny))
+        scaled = self.covariance / np.outer(size, size)
+        along = scaled[n:, :n] @ np.linalg.pinv(scaled[:n, :n], rcond=1e-12, hermitian=True)
+        values, vectors = np.linalg.eigh(scaled[n:, n:] - along @ scaled[:n, n:])
+        root = size[n:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+        return along * size[n:, None] / size[:n], root
+
     @property
     def n_geometry(self) -> int:
         """Number n."""

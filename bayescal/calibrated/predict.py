@@ -3,21 +3,25 @@
 A machine θ that is told to read s stands where h_c(θ, v) = s + δ, δ its errors. Near the posterior mean θ̄ and the pose
 v̄ that it has there, v = v̄ + H⁺ (δ - r(θ)), with H = ∂h_c/∂v, its inverse weighed by the commands' noise where there are
 more of them than coordinates, and r(θ) = h_c(θ, v̄) - s; the tool t(θ, v) moves with both. Commands that hold a pose
-are s = h_c(θ, v) - δ. Where draws of the posterior keep to the tangent, A (θ - θ̄) stands for r, A = ∂h_c/∂θ: the mean
-is that of the machine θ̄, and the covariance follows from that of θ. Along a curved ridge they do not: some draws are
-put into h and t as they are.
+are s = h_c(θ, v) - δ. Systematic errors that the calibration found are a part of δ, Φ c: their mean moves poses and
+commands, and their coefficients c are known together with θ (`bayescal.calibrated.functions`).
+
+Where draws of the posterior keep to the tangent, A (θ - θ̄) stands for r, A = ∂h_c/∂θ: the mean is that of the machine
+θ̄, and the covariance follows from that of θ. Along a curved ridge they do not: some draws are put into h and t as they
+are.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
-from bayescal.calibrated.machine import CalibratedMachine
-from bayescal.density.calibration.measurements import Comparison
+from bayescal.calibrated.machine import MODEL, CalibratedMachine
+from bayescal.density.calibration.measurements import Comparison, Measurements
 from bayescal.errors import InputError
 from bayescal.machines.readings import Channel
 from bayescal.machines.readings.base import NOTHING, Function, Given, solve
@@ -45,10 +49,10 @@ class PosePrediction:
     pose : ndarray, shape (P, q)
         The coordinates, likewise.
     covariance, pose_covariance : ndarray, shapes (P, m, m) and (P, q, q), or None
-        Of tool and coordinates: geometry, errors of the commanded channels. A rotation vector errs about the base axes.
-        None where the posterior's covariance is not known.
+        Of tool and coordinates: geometry, errors of the commanded channels, systematic ones among them. A rotation
+        vector errs about the base axes. None where the posterior's covariance is not known.
     of_geometry : ndarray, shape (P, m, m), or None
-        The part of the tool's covariance by the geometry alone.
+        The part of the tool's covariance by the geometry and systematic errors that were found with it.
     found : ndarray of bool, shape (P,)
         Whether the machine has a pose there.
     """
@@ -196,6 +200,45 @@ def linearise_place(
     return Place(commands, given, pose, found, by_pose, by_parameters, outputs, direct, indirect, direct @ back)
 
 
+class ErrorsThere(NamedTuple):
+    """What commanded channels err by at P poses: δ = mean + columns (c - c̄) + what is independent of all else."""
+
+    mean: Array  # (P, C)
+    parts: dict[str, Array]  # by source: covariances (P, C, C) of what is independent of all else
+    columns: Array | None  # (P, C, A); None where no systematic errors were found
+
+    @property
+    def independent(self) -> Array:
+        """Covariance of all that is independent, (P, C, C)."""
+        return np.sum(list(self.parts.values()), axis=0)
+
+
+def find_errors(calibrated: CalibratedMachine, at: Place) -> ErrorsThere:
+    """Return what the commanded channels err by at some poses.
+
+    A drift is another one at another time, as large as it was.
+    """
+    model, errors, known = calibrated.model, calibrated.errors, calibrated.functions
+    where = at.pose, at.commands, at.given
+    if known is None or calibrated.covariance is None:
+        parts = {name: one.covariance(*where) for name, one in errors.split().items()}
+        return ErrorsThere(errors.mean(*where), parts, None)
+    own, n = calibrated.commanded, len(model.channels)
+    values = np.full((len(at.commands), n), np.nan)
+    values[:, own] = at.commands
+    data = Measurements(tuple(map(str, range(len(values)))), values, np.ones_like(values), at.given)
+    with np.errstate(all="ignore"):
+        acted, beside = known.show(model, data, model.read(calibrated.theta, at.pose, at.given))
+        gain = model.error_gain(calibrated.theta, at.pose, at.given)
+    shown = (np.broadcast_to(np.eye(n), (len(values), n, n)) if gain is None else gain)[:, own]
+    alone = np.concatenate([shown * np.sqrt(beside)[:, None], shown @ (known.place(model) * known.drift)], axis=-1)
+    others = replace(errors, model_variance=np.zeros_like(errors.model_variance)).split()
+    parts = {name: one.covariance(*where) for name, one in others.items()}
+    parts[MODEL] = alone @ np.swapaxes(alone, 1, 2)
+    columns = -(shown @ acted)
+    return ErrorsThere(errors.mean(*where) + columns @ known.mean, parts, columns)
+
+
 # --- poses of commands ---------------------------------------------------------------------------------------------
 
 
@@ -247,23 +290,30 @@ def predict_poses(calibrated: CalibratedMachine, commands: Array, given: Given =
 def _predict_some(
     calibrated: CalibratedMachine, commands: Array, given: Given, curved: Array | None
 ) -> tuple[Array, Array, Array | None, Array | None, np.ndarray]:
-    at, errors = place_machine(calibrated, commands, given), calibrated.errors
-    moved = np.einsum("pij,pj->pi", at.gain, errors.mean(at.pose, commands, given))
+    at = place_machine(calibrated, commands, given)
+    errors = find_errors(calibrated, at)
+    moved = np.einsum("pij,pj->pi", at.gain, errors.mean)
     add = compare_outputs(calibrated).add
     if calibrated.covariance is None:
         return add(at.outputs, moved), at.pose, None, None, at.found
-    shift, of_geometry = spread_outputs(calibrated, at, curved)
-    others = at.gain @ errors.covariance(at.pose, commands, given) @ np.swapaxes(at.gain, 1, 2)
+    shift, of_geometry = spread_outputs(calibrated, at, errors, curved)
+    others = at.gain @ errors.independent @ np.swapaxes(at.gain, 1, 2)
     return add(at.outputs, moved + shift), at.pose, of_geometry + others, of_geometry, at.found
 
 
-def spread_outputs(calibrated: CalibratedMachine, at: Place, curved: Array | None) -> tuple[Array, Array]:
-    """Return how the posterior moves the outputs, in the mean (P, M) and as a covariance (P, M, M)."""
+def spread_outputs(
+    calibrated: CalibratedMachine, at: Place, errors: ErrorsThere, curved: Array | None
+) -> tuple[Array, Array]:
+    """Return how the posterior moves the outputs, in the mean (P, M) and as a covariance (P, M, M).
+
+    Systematic errors move them together with the geometry.
+    """
 
     def respond(part: slice, theta: Array) -> Array:
         return _respond(calibrated, at, part, theta)
 
-    return _spread(calibrated, at.by_geometry, respond, curved)
+    columns = None if errors.columns is None else at.gain @ errors.columns
+    return _spread(calibrated, at.by_geometry, respond, curved, columns)
 
 
 def _respond(calibrated: CalibratedMachine, at: Place, part: slice, theta: Array) -> Array:
@@ -328,7 +378,7 @@ def command_poses(
 def _command_some(
     calibrated: CalibratedMachine, wanted: Array, given: Given, coordinates: bool, curved: Array | None
 ) -> tuple[Array, Array | None, tuple[str, ...]]:
-    model, theta, errors = calibrated.model, calibrated.theta, calibrated.errors
+    model, theta = calibrated.model, calibrated.theta
     pose, there = (wanted, np.ones(len(wanted), dtype=bool)) if coordinates else place_tool(calibrated, wanted)
     commands = model.read(theta, pose, given)[:, calibrated.commanded]
     faults = [
@@ -336,7 +386,10 @@ def _command_some(
         for fault, one in zip(model.find_faults(theta, pose, commands, given), there, strict=True)
     ]
     at = linearise_place(calibrated, pose, np.isfinite(commands).all(axis=1), commands, given)
-    moved = commands - errors.mean(pose, commands, given)
+    errors = find_errors(calibrated, at)
+    if errors.columns is not None:  # they are functions of what is commanded in the end
+        errors = find_errors(calibrated, replace(at, commands=commands - errors.mean))
+    moved = commands - errors.mean
     if calibrated.covariance is None:
         return moved, None, tuple(faults)
     slope, to_tool = at.by_parameters, None
@@ -353,8 +406,9 @@ def _command_some(
             apart = calibrated.comparison.subtract(model.tool_values(draws[:, None], pose[part]), wanted[part])
         return np.asarray(read - to_tool[part] @ np.moveaxis(apart, 0, -1))
 
-    shift, covariance = _spread(calibrated, slope, respond, curved)
-    return moved + shift, covariance + errors.covariance(pose, commands, given), tuple(faults)
+    columns = None if errors.columns is None else -errors.columns
+    shift, covariance = _spread(calibrated, slope, respond, curved, columns)
+    return moved + shift, covariance + errors.independent, tuple(faults)
 
 
 def place_tool(calibrated: CalibratedMachine, wanted: Array) -> tuple[Array, np.ndarray]:
@@ -418,7 +472,7 @@ def draw_poses(
     check_determined(calibrated)
     _check_given(calibrated, given, len(commands))
     at, theta = place_machine(calibrated, commands, given), calibrated.thin(n_draws)
-    errors = _draw_errors(calibrated, at, len(theta), rng)[..., :m]
+    errors = _draw_errors(calibrated, at, theta, rng)[..., :m]
     tools = []
     for part in split(len(theta), max(1, CHUNK // len(commands))):
         rows = {name: value[None] for name, value in given.items()}
@@ -428,14 +482,19 @@ def draw_poses(
     return np.concatenate(tools)
 
 
-def _draw_errors(calibrated: CalibratedMachine, at: Place, n_draws: int, rng: np.random.Generator) -> Array:
-    """Return what errors of the commands move the outputs by, shape (S, P, M)."""
-    errors = calibrated.errors
-    values, vectors = np.linalg.eigh(np.nan_to_num(errors.covariance(at.pose, at.commands, at.given)))
+def _draw_errors(calibrated: CalibratedMachine, at: Place, theta: Array, rng: np.random.Generator) -> Array:
+    """Return what errors of the commands move the outputs by, with machines (S, D), shape (S, P, M)."""
+    errors, known = find_errors(calibrated, at), calibrated.functions
+    values, vectors = np.linalg.eigh(np.nan_to_num(errors.independent))
     root = at.gain @ vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
-    shift = np.einsum("pij,pj->pi", at.gain, errors.mean(at.pose, at.commands, at.given))
-    normal = rng.standard_normal((n_draws, *at.commands.shape))
-    return shift + np.einsum("pij,spj->spi", root, normal)
+    shift = np.einsum("pij,pj->pi", at.gain, errors.mean)
+    moved = shift + np.einsum("pij,spj->spi", root, rng.standard_normal((len(theta), *at.commands.shape)))
+    if errors.columns is None or known is None:
+        return np.asarray(moved)
+    along, left = known.given_geometry
+    apart = (theta - calibrated.theta)[:, calibrated.free] @ along.T
+    apart = apart + rng.standard_normal((len(theta), left.shape[1])) @ left.T
+    return np.asarray(moved + np.einsum("pij,sj->spi", at.gain @ errors.columns, apart))
 
 
 # --- how the posterior spreads -------------------------------------------------------------------------------------
@@ -487,7 +546,11 @@ def bound_workspace(calibrated: CalibratedMachine) -> Array:
 
 
 def _spread(
-    calibrated: CalibratedMachine, slope: Array, respond: Callable[[slice, Array], Array], curved: Array | None
+    calibrated: CalibratedMachine,
+    slope: Array,
+    respond: Callable[[slice, Array], Array],
+    curved: Array | None,
+    columns: Array | None,
 ) -> tuple[Array, Array]:
     """Return how a posterior moves what the mean machine does, in the mean (P, M) and as a covariance (P, M, M).
 
@@ -499,19 +562,27 @@ def _spread(
         From some of the poses and machines (S, D) to what moves by these as they are, (P, M, S).
     curved : ndarray, shape (S, D), or None
         Draws, where the tangent does not do.
+    columns : ndarray, shape (P, M, A), or None
+        What moves by coefficients of systematic errors, which in part follow the parameters.
     """
     assert calibrated.covariance is not None
-    slope = slope[..., calibrated.free]
+    slope, beside, along = slope[..., calibrated.free], np.zeros(1), np.zeros((1, 1, len(calibrated.free)))
+    if columns is not None and calibrated.functions is not None:
+        follow, root = calibrated.functions.given_geometry
+        along, left = columns @ follow, columns @ root
+        slope, beside = slope + along, left @ np.swapaxes(left, 1, 2)
+    along = np.broadcast_to(along, slope.shape)
     if curved is None:
-        return np.zeros(slope.shape[:2]), slope @ calibrated.covariance @ np.swapaxes(slope, 1, 2)
+        return np.zeros(slope.shape[:2]), slope @ calibrated.covariance @ np.swapaxes(slope, 1, 2) + beside
+    apart_by = (curved - calibrated.theta)[:, calibrated.free].T
     mean, covariance = np.empty(slope.shape[:2]), np.empty((*slope.shape[:2], slope.shape[1]))
     for part in split(len(slope), SPREAD_POSES):
-        moved = respond(part, curved)
+        moved = respond(part, curved) + along[part] @ apart_by
         mean[part] = moved.mean(axis=-1)
         apart = moved - mean[part, :, None]
         covariance[part] = apart @ np.swapaxes(apart, 1, 2) / (len(curved) - 1)
     chance = (curved.mean(axis=0) - calibrated.theta)[calibrated.free]  # that these draws have another mean than all
-    return mean - np.einsum("pik,k->pi", slope, chance), covariance
+    return mean - np.einsum("pik,k->pi", slope, chance), covariance + beside
 
 
 def invert(slopes: Array, good: np.ndarray, scale: Array) -> Array:

@@ -46,7 +46,10 @@ type TermName = Literal["independent", "linear", "own", "smooth", "drift"]
 TERMS: Final[tuple[TermName, ...]] = get_args(TermName.__value__)
 """What a model error may be made of, in the order in which pages tell it."""
 ALONE: Final[list[TermName]] = ["independent"]
+TAU_UM: Final = 10.0
 FUNCTIONS_UM: Final = 20.0
+OF_NOISE: Final = 2.0
+"""Standard deviations of the noise that functions are as large as where nothing is said, if that is more."""
 
 type TermNames = Annotated[list[TermName], AfterValidator(check_once)]
 
@@ -125,6 +128,7 @@ class TermsConfig(Section):
     """What the models leave out, beside the stated noise: of every leg, or of every channel of the machine itself.
 
     The terms add up. Nobody has to know how large they are: τ has a half-normal prior, the others half-Cauchy ones.
+    Where their scales are not stated, a coarse machine has larger ones, by the noise of its own sensors.
     """
 
     terms: TermNames = Field(default=list(TERMS), exclude_if=lambda value: value == ALONE)
@@ -132,16 +136,26 @@ class TermsConfig(Section):
     positions of all actuators: a coupling), `own` (linear in the own position: a lead error), `smooth` (any smooth
     function of the positions), `drift` (a random walk in measuring order); `[]` for no model error.
     """
-    scale_um: Positive = 10.0
-    """Scale of the half-normal prior of the model error τ."""
-    functions_um: Positive = Field(default=FUNCTIONS_UM, exclude_if=lambda value: value == FUNCTIONS_UM)
-    """Scale of the half-Cauchy prior of the root mean square of each other term."""
+    scale_um: Positive | None = Field(default=None, exclude_if=lambda value: value is None)
+    """Scale of the half-normal prior of the model error τ. Where nothing is said: 10 µm, or what one standard deviation
+    of the noise of the machine's own sensors is at the tool if that is more.
+    """
+    functions_um: Positive | None = Field(default=None, exclude_if=lambda value: value is None)
+    """Scale of the half-Cauchy prior of the root mean square of each other term. Where nothing is said: 20 µm, or two
+    standard deviations of that noise if that is more.
+    """
     at_least_um: NotNegative | dict[TermName, NotNegative] = Field(default=0.0, exclude_if=lambda value: value == 0.0)
     """Root mean square that a term has at least, where it leaves no trace in the data, too: of `linear`, `own` and
     `smooth` together, or by term.
     """
     per_leg: bool = False
     """Whether every leg has a τ of its own, or all share one."""
+
+    def scales(self, noise: float) -> tuple[float, float]:
+        """Return the scales of the prior of τ and of those of functions, mm, by the noise of own sensors, mm."""
+        tau = max(MICROMETRE * TAU_UM, noise) if self.scale_um is None else MICROMETRE * self.scale_um
+        usual = max(MICROMETRE * FUNCTIONS_UM, OF_NOISE * noise)
+        return tau, usual if self.functions_um is None else MICROMETRE * self.functions_um
 
     def floors(self) -> dict[TermName, float]:
         """Return the least root mean square of each term that has one, µm."""

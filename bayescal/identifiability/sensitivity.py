@@ -43,6 +43,8 @@ class Sensitivity:
 
     Attributes
     ----------
+    actuators : ndarray, shape (P, N)
+        Their positions ρ, mm.
     poses : ForwardKinematics
         Where the platform stands.
     by_pose, by_actuators, by_parameters : ndarray, shapes (P, N, 6), (P, N, N) and (P, N, n)
@@ -53,6 +55,7 @@ class Sensitivity:
         What free frames do to the measured pose.
     """
 
+    actuators: Array
     poses: ForwardKinematics
     by_pose: Array
     by_actuators: Array
@@ -164,7 +167,7 @@ def linearise_at(
     seen[..., -N_FRAME_PARAMETERS:] = frame_slopes(found.position, found.rotation)
     parameters = np.concatenate([here.parameters, own], axis=-1)[..., knowledge.free]
     gain = _invert(here.pose, name)
-    return Sensitivity(found, here.pose, here.actuators, parameters, gain, seen[..., knowledge.free])
+    return Sensitivity(actuators, found, here.pose, here.actuators, parameters, gain, seen[..., knowledge.free])
 
 
 def _invert(jacobian: Array, name: Callable[[int], str]) -> Array:
@@ -286,6 +289,36 @@ def show_functions_elsewhere(
     weight = np.diagonal(at.by_actuators, axis1=-2, axis2=-1) ** 2 * left
     noise = at.gain * weight[:, None, :] @ np.swapaxes(at.gain, -1, -2)
     return _act(at, shown.transpose(1, 0, 2)).slope, np.asarray(noise)
+
+
+def share_functions(knowledge: Knowledge, plan: Plan, pool: Array) -> tuple[Callable[[Sensitivity], Sensitivity], Plan]:
+    """Return what takes derivatives at any poses to those by coefficients of unit prior that all poses share.
+
+    Sizes are root mean squares over the planned poses. The second is the same plan with what coefficients leave out as
+    independent noise: a drift too, since nobody knows in which order other poses will be measured.
+
+    Parameters
+    ----------
+    knowledge, plan
+        With systematic errors.
+    pool : ndarray, shape (C, N)
+        Actuator positions that few columns have to suit, mm.
+    """
+    assert plan.systematic is not None
+    own, sizes = place_actuators(knowledge, plan.actuators), dict(plan.systematic.sizes)
+    variance = sizes.pop(DRIFT, 0.0) ** 2
+    functions, size = PoseFunctions(tuple(sizes), own, place_actuators(knowledge, pool)), np.array(list(sizes.values()))
+    variance += float(functions.left @ size**2)
+
+    def show(at: Sensitivity) -> Sensitivity:
+        place = place_actuators(knowledge, at.actuators)
+        if not sizes:
+            return _act(at, np.zeros((*place.travel.shape, 0)))
+        basis, sorts = functions.join_bases(place)
+        return _act(at, (basis * size[sorts]).transpose(1, 0, 2))
+
+    error = float(np.hypot(plan.model_error, np.sqrt(variance)))
+    return show, replace(plan, systematic=None, model_error=error)
 
 
 def _find_functions(errors: SystematicErrors, place: Place) -> PoseFunctions:

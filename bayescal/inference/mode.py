@@ -23,6 +23,7 @@ TOP = 1e-6  # decrement where a climb ends
 STALLED, NO_GAIN = 5e-5, 1e-6  # decrement where it ends if its last step gained no more nats: rounding is next
 SAME = 0.03  # prior sds: two climbs that stop at a decrement of 1e-4 may end so far apart
 HESSIAN_STEP = 0.1  # posterior sds
+LEAST_CURVATURE = 0.3  # where that of Gauss and Newton is not one of a maximum; that of the prior is 1
 PATIENCE, HOPELESS = 20, 40.0  # steps after which a climb this many nats below the best is given up
 WORTH_KEEPING = 12.0  # a mode this many nats below the best holds no mass that matters
 WORTH_COMBINING = 7.0  # a combination of jumps expected to hold less than e^-7 of the best is not climbed
@@ -321,16 +322,31 @@ def _characterise(posterior: Target, y: Array, log_density: float) -> Mode:
 
 
 def _invert_negative(posterior: Target, y: Array, curvature: Array) -> Array:
-    """Return the inverse of minus the Hessian; of the Gauss-Newton one where the exact one is no maximum's."""
+    """Return the inverse of minus the Hessian; of the Gauss-Newton one where the exact one is no maximum's.
+
+    Raises
+    ------
+    NumericalError
+        Where neither is.
+    """
+    factor: Array | None
     try:
-        whitening = np.linalg.cholesky(-curvature)
-    except np.linalg.LinAlgError as error:
-        raise NumericalError("mode search: the Hessian at the mode is not negative definite") from error
-    factor = np.linalg.inv(whitening).T
+        factor = np.linalg.inv(np.linalg.cholesky(-curvature)).T
+    except np.linalg.LinAlgError:  # Gauss and Newton's may be none of a maximum where tails are heavy
+        values, axes = np.linalg.eigh(-curvature)
+        factor = _differentiate(posterior, y, axes / np.sqrt(np.maximum(np.abs(values), LEAST_CURVATURE)))
+    if factor is None:
+        raise NumericalError("mode search: the Hessian at the mode is not negative definite")
+    exact = _differentiate(posterior, y, factor)
+    found = factor if exact is None else exact
+    return found @ found.T
+
+
+def _differentiate(posterior: Target, y: Array, factor: Array) -> Array | None:
+    """Return F with F Fᵀ the inverse of minus the Hessian, by differences along columns (n, n); None at no maximum."""
     _, hessian = difference_twice(posterior.log_density, y, factor, HESSIAN_STEP)
     try:
-        inner = np.linalg.inv(np.linalg.cholesky(-hessian))
+        found = factor @ np.linalg.inv(np.linalg.cholesky(-hessian)).T
     except np.linalg.LinAlgError:
-        return factor @ factor.T
-    covariance = inner.T @ inner
-    return factor @ covariance @ factor.T if np.isfinite(covariance).all() else factor @ factor.T
+        return None
+    return found if np.isfinite(found).all() else None

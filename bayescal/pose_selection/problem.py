@@ -53,8 +53,8 @@ class SelectionProblem:
 
     @property
     def n_parameters(self) -> int:
-        """Number of parameters L."""
-        return len(self.candidates.domain.knowledge.sd)
+        """Number of parameters L, and of coefficients of errors that the criterion has beside them."""
+        return int(self.blocks.shape[-1])
 
     @property
     def n_measured(self) -> int:

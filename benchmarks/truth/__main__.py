@@ -1,11 +1,12 @@
 """Tables of how often intervals hold the truth, on machines that err by what no model states.
 
-    python -m benchmarks.truth ROW... --machine hexapod [--sizes 1] [--twins 40] [--seed 1] [--default init|tau|both]
-                                      [--out benchmarks/truth/hexapod.csv]
+    python -m benchmarks.truth ROW... --machine hexapod [--sizes 1] [--twins 40] [--seed 1]
+                                      [--default init|tau|floor|both] [--out benchmarks/truth/hexapod.csv]
 
 Rows are named in `errors.py`; none are all that the machine can have. With --out lines are written into the table, in
-the columns `before` of τ alone or `after` of what `bayescal init` writes; other lines and columns stay. Both take the
-same twins, and tell by the median over these how many times the processor time of τ alone the default takes.
+the columns `before` of τ alone, `after` of what `bayescal init` writes, or `floor` of that with 10 µm stated; other
+lines and columns stay. `both` takes the same twins for the first two, and tells by the median over these how many times
+the processor time of τ alone the default takes.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from benchmarks.truth.projects import DEFAULTS
 from benchmarks.truth.scores import judge_twins, summarise
 
 KEYS = ["row", "size"]
-PREFIX = {"tau": "before", "init": "after"}
+PREFIX = {"tau": "before", "init": "after", "floor": "floor"}
 
 
 def main() -> None:

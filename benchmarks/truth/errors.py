@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from benchmarks.truth.machines import Array, Simulated
+from benchmarks.truth.machines import STEP, Array, Simulated, difference
 
 type Error = Callable[[Array], Array]
 type Shape = Callable[[Simulated, Array, np.random.Generator], Error]
@@ -121,6 +121,24 @@ def err_in_one(machine: Simulated, v: Array, rng: np.random.Generator) -> Error:
     return error
 
 
+def err_within_geometry(machine: Simulated, v: Array, rng: np.random.Generator) -> Error:
+    """Return what other parameters within the tolerances make of lead, coupling and joints: nothing else shows it.
+
+    It is about each actuator's mean: an offset of it is nothing that depends on the pose.
+    """
+    true, n = machine.nominal if machine.true is None else machine.true, machine.n_actuators
+    parts = (scale(one(machine, v, rng)(v), 1e-3 * BASE_UM) for one in (err_by_lead, err_across, err_in_joints))
+
+    def differ(v: Array) -> Array:
+        return difference(lambda one: machine.read(one, v)[:, :n], true, STEP * machine.sd) * machine.sd
+
+    drawn, by_theta = sum(parts) / machine.lever, differ(v)
+    rows = (by_theta / machine.noise[:n, None]).reshape(-1, true.size)
+    step = np.linalg.solve(rows.T @ rows + np.eye(true.size), rows.T @ (drawn / machine.noise[:n]).ravel())
+    mean = (by_theta @ step).mean(axis=0)
+    return lambda v: (differ(v) @ step - mean) * machine.lever
+
+
 SHAPES: dict[str, Shape] = {
     "lead": err_by_lead,
     "cross": err_across,
@@ -134,6 +152,7 @@ SHAPES: dict[str, Shape] = {
     "backlash": err_by_backlash,
     "homing": err_after_homing,
     "one": err_in_one,
+    "absorbed": err_within_geometry,
 }
 NONE, INSTRUMENT, MATRIX = "none", "instrument", "matrix"
 ROWS = (NONE, *SHAPES, INSTRUMENT, MATRIX)

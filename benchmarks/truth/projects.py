@@ -1,7 +1,8 @@
 """The files that a user would write of a twin, and what bayescal makes of them.
 
 Projects of `bayescal init` are taken as they are, but for the tables and the sampler's effort; others are written
-likewise. With ``tau`` the model error is stated to be random errors from pose to pose alone, of all machines.
+likewise. With ``tau`` the model error is stated to be random errors from pose to pose alone, of all machines; with
+``floor`` systematic errors are stated to be 10 µm at least.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from bayescal.projects.start import start_project
 from benchmarks.truth.machines import Array, Platform, Simulated
 
 INIT = {"hexapod": ("hexapod", "poses"), "carriages": ("carriages", "poses"), "delta": ("own", None)}
-DEFAULTS = ("init", "tau")
+DEFAULTS = ("init", "tau", "floor")
 EFFORT = """[sampler]
 ensembles = 4
 walkers = 48
@@ -32,10 +33,10 @@ draws = 1000
 max_draws = 1000
 target_error = 1.0
 """
-STATED = """[model_error]
-terms = ["independent"]
-scale_um = 10.0
-"""
+STATED = {
+    "tau": '[model_error]\nterms = ["independent"]\nscale_um = 10.0\n',
+    "floor": "[model_error]\nat_least_um = 10.0\n",
+}
 TELESCOPE = """name = "telescope"
 
 [base]
@@ -141,8 +142,9 @@ def write_project(name: str, machine: Simulated, default: str, folder: Path) -> 
     if name.startswith("telescope"):
         text = _free(text, machine)
     text = "\n".join(part for part in re.split(r"\n(?=\[)", text) if not _says(part, "sampler", "evidence"))
-    if default == "tau":
-        text = "\n".join(part for part in re.split(r"\n(?=\[)", text) if not _says(part, "model_error")) + "\n" + STATED
+    if default in STATED:
+        parts = [part for part in re.split(r"\n(?=\[)", text) if not _says(part, "model_error")]
+        text = "\n".join([*parts, STATED[default]])
     path.write_text(f"{text}\n{EFFORT}")
 
 

@@ -1,4 +1,4 @@
-"""Machines whose carriages err by each other's travel, rechecked: what a calibration knows of it is taken along."""
+"""Machines whose carriages err by each other's travel: what a calibration knows of it is taken along in all uses."""
 
 from __future__ import annotations
 
@@ -8,8 +8,11 @@ import calibrated_readings as made_up
 import numpy as np
 import pytest
 
+from bayescal.calibrated.accuracy import compute_budget
+from bayescal.calibrated.exported import FUNCTIONS, _read_functions, list_posterior_files
 from bayescal.calibrated.functions import KnownFunctions
 from bayescal.calibrated.machine import CalibratedMachine, Errors, build_calibrated
+from bayescal.calibrated.predict import command_poses, draw_poses, predict_poses
 from bayescal.calibrated.recheck.statistics import choose_suspects, compute_knowledge, judge_recheck
 from bayescal.density.calibration import terms
 from bayescal.density.calibration.likelihood import CalibrationLikelihood
@@ -17,6 +20,7 @@ from bayescal.density.calibration.measurements import Measurements
 from bayescal.density.calibration.model_error import OwnChannels, build_model_error
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior
+from bayescal.errors import InputError
 from bayescal.inference.mode import find_mode
 
 NOISE = {"s": 1e-3, "cam_x": 2e-3, "cam_y": 2e-3, "height": 2e-3}
@@ -168,3 +172,60 @@ def test_drifts_join_the_rows_of_a_session(erring, calibrated):
     rows = knowledge.rows.reshape(n * k, -1)
     np.testing.assert_allclose(knowledge.total(), rows.T @ np.linalg.solve(covariance, rows), rtol=1e-8)
     assert not np.allclose(knowledge.total(), knowledge.gram.sum(axis=0), rtol=1e-3)
+
+
+def score(erring, calibrated, n=150):
+    """Return errors of predicted tools over their uncertainties, (n, 3), and the errors, mm, of a machine as it is."""
+    pose = erring.draw(n)
+    commands = erring.read(erring.theta, pose).values[:, :3]
+    found = predict_poses(calibrated, commands)
+    apart = found.tool - pose
+    return apart / np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2)), apart
+
+
+def test_poses_are_predicted_with_what_is_known_of_the_errors(erring, calibrated):
+    """Geometry alone is off by what it took of them, beyond all that it says of itself."""
+    (scores, apart), (blind, more) = score(erring, calibrated), score(erring, replace(calibrated, functions=None))
+    assert 0.5 < np.sqrt(np.mean(scores**2)) < 1.3
+    assert np.mean(np.abs(scores) < 1.645) > 0.85
+    assert np.sqrt(np.mean(blind**2)) > 2.0
+    assert np.mean(apart**2) < 0.2 * np.mean(more**2)
+
+
+def test_draws_spread_as_predicted(erring, calibrated):
+    pose = erring.draw(6)
+    commands = erring.planned.model.read(erring.theta, pose)[:, :3]
+    found, drawn = predict_poses(calibrated, commands), draw_poses(calibrated, commands, N_DRAWS, erring.rng)
+    sd = np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2))
+    assert np.abs((drawn.mean(axis=0) - found.tool) / sd).max() < 5.0 / np.sqrt(N_DRAWS)
+    np.testing.assert_allclose(drawn.std(axis=0), sd, rtol=0.15)
+    budget = compute_budget(calibrated, commands)
+    np.testing.assert_allclose(budget.combined, found.covariance, atol=1e-15)
+    alone = compute_budget(replace(calibrated, functions=None), commands)
+    assert (budget.sd("geometry") > alone.sd("geometry")).any()  # what is known of the errors is known with it
+
+
+def test_commands_correct_the_errors(erring, calibrated):
+    pose = erring.draw(8)
+    commands = command_poses(calibrated, pose).commands
+    corrected = commands - command_poses(replace(calibrated, functions=None), pose).commands
+    assert np.abs(corrected).max() > 0.01
+    left = predict_poses(calibrated, commands).tool - pose
+    assert np.abs(left).max() < 0.01 * np.abs(corrected).max()  # both are of first order in the errors
+
+
+def test_an_exported_machine_knows_its_errors(erring, calibrated, tmp_path):
+    calibrated = replace(calibrated, machine_file="delta.toml", files={})
+    files = list_posterior_files(calibrated)
+    path = tmp_path / FUNCTIONS
+    path.write_bytes(files[FUNCTIONS])
+    again = replace(calibrated, functions=_read_functions(path, calibrated.names))
+    commands = erring.planned.model.read(erring.theta, erring.draw(5))[:, :3]
+    one, other = predict_poses(calibrated, commands), predict_poses(again, commands)
+    np.testing.assert_allclose(other.tool, one.tool, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(other.covariance, one.covariance, rtol=1e-7, atol=1e-15)
+    with pytest.raises(InputError, match="found other parameters than those of the covariance"):
+        _read_functions(path, calibrated.names[1:])
+    path.write_bytes(b"nothing")
+    with pytest.raises(InputError, match="cannot be read as systematic errors"):
+        _read_functions(path, calibrated.names)

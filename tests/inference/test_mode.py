@@ -13,7 +13,7 @@ from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior, UniformPrior
 from bayescal.errors import NumericalError
 from bayescal.inference.importance import estimate_by_importance
-from bayescal.inference.mode import find_mode, find_modes, revisit_modes
+from bayescal.inference.mode import _characterise, find_mode, find_modes, revisit_modes
 from bayescal.inference.peaks import Peak, proposal_from_peaks
 
 SIX = ("a_x", "a_y", "b_x", "b_y", "l")
@@ -225,3 +225,41 @@ def test_a_climb_to_where_there_is_no_slope_is_refused(twin, monkeypatch):
     monkeypatch.setattr(Posterior, "newton", lambda self, y: (np.full(n, np.nan), np.eye(n)))
     with pytest.raises(NumericalError, match="no slope"):
         find_mode(posterior, np.zeros(n))
+
+
+def test_a_curvature_that_is_no_maximums_is_found_by_differences(twin):
+    """With heavy tails the approximate Hessian may have the wrong sign where the density has a maximum."""
+    posterior = machines.build_posterior("none", twin, ModelError(0.01))
+    right = find_mode(posterior, np.zeros(posterior.n_parameters))
+
+    class Wrong:
+        def __getattr__(self, name):
+            return getattr(posterior, name)
+
+        def gradient(self, y):
+            slope, curvature = posterior.gradient(y)
+            values, axes = np.linalg.eigh(curvature)
+            k = len(values) // 2
+            return slope, (axes * np.where(np.arange(len(values)) == k, -0.2 * values[k], values)) @ axes.T
+
+    found = revisit_modes(Wrong(), [right.y])[0]
+    sd = np.sqrt(np.diag(right.covariance))
+    np.testing.assert_allclose(found.covariance / np.outer(sd, sd), right.covariance / np.outer(sd, sd), atol=0.02)
+
+
+def test_a_saddle_is_no_mode(twin):
+    posterior = machines.build_posterior("none", twin, ModelError(0.01))
+    right = find_mode(posterior, np.zeros(posterior.n_parameters))
+
+    class Saddle:
+        def __getattr__(self, name):
+            return getattr(posterior, name)
+
+        def gradient(self, y):
+            return np.zeros_like(y), np.eye(len(y))
+
+        def log_density(self, y):
+            return np.sum((y - right.y) ** 2, axis=-1)
+
+    with pytest.raises(NumericalError, match="not negative definite"):
+        _characterise(Saddle(), right.y, 0.0)

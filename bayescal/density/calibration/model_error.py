@@ -142,6 +142,11 @@ class OwnChannels:
         expected = np.where(rows[:, None] >= 0, self.expected[rows], self.home)
         return self._locate(data.values[:, self.places], expected, data.order)
 
+    def find_noise(self, data: Measurements) -> float:
+        """Return the noise of a typical own channel at rows as stated, mm at the tool; zero where there is none."""
+        found = [_find_noise(data, k) * lever for k, lever in zip(self.places, self.levers, strict=True)]
+        return float(np.median(found)) if found else 0.0
+
     def find_missing(self, terms: Sequence[str], costly: str = "") -> dict[str, str]:
         """Return which sorts of errors there cannot be, each with the reason.
 

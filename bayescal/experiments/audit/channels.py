@@ -203,6 +203,11 @@ class ChannelPlan(Planned):
         """Root mean squares of systematic errors at the tool, mm."""
         return self.systematic
 
+    @property
+    def function_scale(self) -> float:
+        """Scale of the prior of each of these sizes, mm."""
+        return next((one.scale for one in list_functions(self.variant)), 0.0)
+
     @cached_property
     def posterior(self) -> CalibrationPosterior:
         """Its posterior about the machine expected."""

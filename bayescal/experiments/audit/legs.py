@@ -76,6 +76,7 @@ from bayescal.identifiability.sensitivity import (
     inform,
     list_rows,
     place_actuators,
+    share_functions,
     show_functions_elsewhere,
 )
 from bayescal.identifiability.structure import Structure, find_structural_rank
@@ -97,13 +98,14 @@ from bayescal.pose_selection import (
     select,
 )
 from bayescal.pose_selection.criteria import IOptimality
+from bayescal.pose_selection.domain import candidates_at
 
 SLACK = 1e-9
 POSE_UNITS = ("mm",) * 3 + ("rad",) * 3
 DRAWS_WITH_DATA = 100_000
 """So many that chance turns the ridges' directions by less than what is said of them; a few seconds."""
 SEED, SEED_OF_POSES = 4, 21
-N_CANDIDATES = 729
+N_CANDIDATES, N_CORNERS = 3**6, 2**6  # of legs that are six
 FAR = 2.0
 """How many half ranges of its readings a lever is long, from which on it is worth saying."""
 SHARE = 0.05
@@ -215,6 +217,11 @@ class LegPlan(Planned):
     def sizes(self) -> Mapping[str, float]:
         """Root mean squares of systematic errors along the legs, mm."""
         return {} if self.plan.systematic is None else self.plan.systematic.sizes
+
+    @property
+    def function_scale(self) -> float:
+        """Scale of the prior of each of these sizes, mm."""
+        return self.config.model_error.scales(self.plan.actuator_noise)[1]
 
     @property
     def floors(self) -> Mapping[str, float]:
@@ -374,20 +381,22 @@ class LegPlan(Planned):
         return expected_covariance(self.knowledge, self.plan, n, rng)
 
 
-def select_i_optimal(inputs: LegPlan, n: int | None = None, n_candidates: int = N_CANDIDATES) -> Selection:
+def select_i_optimal(inputs: LegPlan, n: int | None = None, n_candidates: int | None = None) -> Selection:
     """Return I-optimal poses for an audit, found by exchange.
 
     They minimise the expected posterior variance of the predicted pose, averaged over the poses of the audit's
-    workspace (those of its plan where it has none) and in units of its requirements (see `find_limits`).
+    workspace (those of its plan where it has none) and in units of its requirements (see `find_limits`). Systematic
+    errors are found with the parameters, and the machine in use has them.
 
     Parameters
     ----------
     inputs : LegPlan
     n : int, optional
         How many poses; as many as planned by default.
-    n_candidates : int
-        On a full factorial over the actuators' range, three levels each by default, since far corners tell most; where
-        legs are redundant random ones within the workspace.
+    n_candidates : int, optional
+        On a full factorial over the actuators' range, since far corners tell most: three levels each by default, and
+        the ends alone where there are systematic errors, beside poses of the plan and of the workspace. Where legs are
+        redundant random ones within the workspace.
 
     Raises
     ------
@@ -395,17 +404,27 @@ def select_i_optimal(inputs: LegPlan, n: int | None = None, n_candidates: int = 
         Where legs are redundant and there is no workspace, or poses are too few for the parameters.
     """
     knowledge = inputs.knowledge
+    if n_candidates is None:
+        n_candidates = N_CANDIDATES if inputs.plan.systematic is None else N_CORNERS
     rng = np.random.default_rng([inputs.config.seed, SEED_OF_POSES])
     workspace = compute_sensitivity(knowledge, inputs.workspace_actuators)
     limits = find_limits(inputs.requirements, workspace.slope * knowledge.sd)
-    criterion = IOptimality(inputs.plan, workspace=workspace, sd=knowledge.sd, limits=limits)
     if knowledge.machine.mechanism.n_legs == DEGREES_OF_FREEDOM:
         domain = ActuatorBox(knowledge)
         candidates = factorial_candidates(domain, n_candidates)
+        if inputs.plan.systematic is not None:  # far corners tell less of errors elsewhere
+            inside = place_actuators(knowledge, np.concatenate([inputs.plan.actuators, inputs.workspace_actuators]))
+            shares = np.concatenate([candidates.shares, inside.travel[np.abs(inside.travel).max(axis=1) <= 1.0]])
+            candidates = candidates_at(domain, shares)
     else:
         if inputs.workspace is None:
             raise InputError("I-optimal poses: found redundant legs without [workspace], expected it")
         candidates = random_candidates(WorkspaceBox(knowledge, inputs.workspace.half), n_candidates, rng)
+    plan, show = inputs.plan, None
+    if plan.systematic is not None:
+        pool = np.concatenate([plan.actuators, inputs.workspace_actuators, candidates.placed.actuators])
+        show, plan = share_functions(knowledge, plan, pool)
+    criterion = IOptimality(plan, workspace=workspace, sd=knowledge.sd, limits=limits, show=show)
     count = inputs.plan.n_poses if n is None else n
     problem = SelectionProblem(candidates, criterion, count)
     with threadpool_limits(1), np.errstate(all="ignore"):

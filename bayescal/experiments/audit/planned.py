@@ -140,6 +140,11 @@ class Planned(ABC):
         """Root mean squares over the planned poses of systematic errors by term as they are allowed for, mm."""
 
     @property
+    @abstractmethod
+    def function_scale(self) -> float:
+        """Scale of the prior of each of these sizes, as a study has it, mm."""
+
+    @property
     def floors(self) -> Mapping[str, float]:
         """What each term has at least, as stated, mm."""
         return self.config.model_error.lengths()
@@ -158,8 +163,7 @@ class Planned(ABC):
         if not true:
             return self.bare()
         rows = self.resize(dict.fromkeys(true, 1.0)).list_rows()
-        scale = MICROMETRE * self.config.model_error.functions_um
-        return self.resize(expect_sizes(*rows, true, self.floors, scale))
+        return self.resize(expect_sizes(*rows, true, self.floors, self.function_scale))
 
     @abstractmethod
     def resize(self, sizes: Mapping[str, float]) -> Self:

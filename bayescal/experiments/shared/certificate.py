@@ -61,6 +61,11 @@ SOURCES = {
     MODEL: "model error, what the model leaves unexplained",
     MATRIX: "deformation matrix, as measured",
 }
+KNOWN_SOURCES = SOURCES | {
+    GEOMETRY: "geometry and systematic errors, as found together",
+    MODEL: "model error, what is random or drifts",
+}
+"""The same of a machine whose systematic errors are known."""
 COLOURS = dict(zip(SOURCES, (LEG_COLOURS[4], LEG_COLOURS[1], LEG_COLOURS[0], LEG_COLOURS[3]), strict=True))
 STATED = {"_um": "µm", "_mm": "mm", "_arcsec": "arcsec", "_deg": "°", "_rad": "rad", " noise": ""}
 """Endings of keys that state standard deviations, and their units."""
@@ -141,6 +146,11 @@ class Certificate:
     def axis_names(self) -> tuple[str, ...]:
         """Names of the tool's numbers."""
         return tuple(one.name for one in self.calibrated.model.tool_channels)
+
+    @property
+    def sources(self) -> dict[str, str]:
+        """What uncertainty comes from, in words, by source."""
+        return SOURCES if self.calibrated.functions is None else KNOWN_SOURCES
 
     @property
     def units(self) -> tuple[str, ...]:
@@ -346,7 +356,7 @@ def _state_verdict(found: Certificate) -> list[Statement]:
         )
         said.append(Statement(text, "warning", "Extrapolated"))
     first = max(shares, key=lambda source: shares[source][main].mean())
-    text = f"{SOURCES[first]} makes {format_percent(float(shares[first][main].mean()))} of the variance"
+    text = f"{found.sources[first]} makes {format_percent(float(shares[first][main].mean()))} of the variance"
     text += " of position." if len(found.calibrated.lengths) else "."
     said.append(Statement(f"{text[:1].upper()}{text[1:]}", "plain", "Where it comes from"))
     worst = found.ratios[np.argmax(np.abs(found.ratios - 1.0))] - 1.0
@@ -407,7 +417,7 @@ def _tabulate_budget(found: Certificate) -> Table:
     def write(title: str, values: Array) -> list[str | Cell]:
         return [title, *(_micro(value) for value in values)]
 
-    rows = [write(SOURCES[source], found.summarise(found.budget.sd(source))[0]) for source in found.budget.parts]
+    rows = [write(found.sources[source], found.summarise(found.budget.sd(source))[0]) for source in found.budget.parts]
     rows.append(write("combined standard uncertainty u", found.summarise(found.budget.sd())[0]))
     percent = format_percent(found.wishes.coverage)
     rows.append(

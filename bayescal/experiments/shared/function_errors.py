@@ -6,7 +6,7 @@ all machines read, in µm at the tool.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -24,6 +24,7 @@ from bayescal.density.schema import TERMS, TermsConfig
 from bayescal.experiments.frame.memory import Need, check_memory
 from bayescal.experiments.shared.hidden import tabulate_hidden
 from bayescal.identifiability.hidden import choose_unseen, hide_in_posterior
+from bayescal.inference.causes import weigh_causes
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import ARCSECOND, MICROMETRE
 
@@ -139,12 +140,14 @@ def tabulate_model_error(
     y: Array,
     draws: CommonDraws,
     error: TermsConfig,
+    rng: np.random.Generator,
 ) -> dict[str, pd.DataFrame]:
     """Return what each term of a model error contributes, µm at the tool, as tables by name; none without terms.
 
     ``model_error`` has root mean squares over calibration rows and own channels, of each term and of all functions
     together; ``model_error_members`` those of each channel, of the posterior mean of each term; ``model_error_poses``
-    all functions together at every row; ``model_error_hidden`` what errors that leave no trace hide of each parameter.
+    all functions together at every row; ``model_error_hidden`` what errors that leave no trace hide of each parameter;
+    ``model_error_alone`` how far one sort of functions explains all.
 
     Parameters
     ----------
@@ -161,6 +164,8 @@ def tabulate_model_error(
         Of the errors common to all rows, one for each.
     error : TermsConfig
         What is stated of it.
+    rng : Generator
+        For evidences.
     """
     sizes, functions, tau = dict[str, Array](), dict[str, Array](), list[Array]()
     names, terms = list[str](), posterior.errors.of(posterior.zeta(y))
@@ -207,4 +212,11 @@ def tabulate_model_error(
         sd = posterior.natural(y)[:, :n].std(axis=0)
         known = posterior.sampling.names, posterior.units[:n]
         tables["model_error_hidden"] = tabulate_hidden(variant, *known, hidden, sd)
+        tables["model_error_alone"] = tabulate_causes(variant, weigh_causes(posterior, y.mean(axis=0), rng))
     return {name: one for name, one in tables.items() if len(one)}
+
+
+def tabulate_causes(variant: str, weights: Mapping[str, float]) -> pd.DataFrame:
+    """Return by how many nats one sort of functions alone, or none, explains the data better than all together."""
+    rows = [{"variant": variant, "term": name, "log_odds": value} for name, value in weights.items()]
+    return pd.DataFrame(rows, columns=["variant", "term", "log_odds"])

@@ -17,7 +17,6 @@ from bayescal.experiments.study.measurement import InstrumentMeasurement
 from bayescal.machines.kinematics import Machine, solve_forward_kinematics
 from bayescal.machines.mechanism import Mechanism
 from bayescal.numerics.geometry import Array
-from bayescal.numerics.units import MICROMETRE
 from bayescal.report.numbers import format_plain, format_significant
 
 FAR = 0.03
@@ -35,7 +34,7 @@ def list_outlooks(inputs: StudyInputs) -> list[str]:
         posterior = inputs.posterior(variant, with_model_error=False)
         likelihood, known = posterior.likelihood, posterior.sampling.coordinates
         errors, slope = likelihood.error_jacobian(known.start)
-        tau = np.full(likelihood.n_model_errors, inputs.config.leg_error.scale_um * MICROMETRE)
+        tau = np.full(likelihood.n_model_errors, inputs.config.leg_error.scales(inputs.actuator_noise)[0])
         rows = likelihood.whiten(tau)(slope[..., known.free]) * known.scale
         names, counted = posterior.names[: posterior.n_geometry], np.count_nonzero(errors)
         of = f"{counted} equations of legs at {len(errors)} poses for {len(names)} unknowns"
@@ -83,7 +82,7 @@ def _state_error(inputs: StudyInputs) -> float:
     config = inputs.config
     variance = np.diagonal(inputs.measured.poses.covariance, axis1=1, axis2=2)[:, :3]
     position = float(np.nanmean(variance)) if np.isfinite(variance).any() else 0.0
-    others = MICROMETRE * np.array([config.leg_error.scale_um, config.measured.actuator_noise_um])
+    others = np.array([config.leg_error.scales(inputs.actuator_noise)[0], inputs.actuator_noise])
     return float(np.sqrt(position + np.sum(others**2)))
 
 

@@ -250,16 +250,17 @@ class StudyInputs(Inputs):
         """Return the posterior of a variant; ``factor`` multiplies the widths of all parameters' priors."""
         priors, fixed = self.priors(variant, factor)
         error, known = ModelError(None), self.config.leg_error
+        scale, function_scale = known.scales(self.actuator_noise)
         likelihood, terms = self.likelihood(variant, verification=False), list[LegTerm]()
         if with_model_error and "independent" in known.terms_for(variant):
             floor = known.floors().get("independent", 0.0) * MICROMETRE
-            error = ModelError(known.scale_um * MICROMETRE, not known.per_leg, floor)
+            error = ModelError(scale, not known.per_leg, floor)
         if with_model_error and self.name_kernel(variant) != INDEPENDENT:
             likelihood, terms = _give_kernel(likelihood, self.config, variant, self.mechanism.actuator_range)
         elif with_model_error and (sorts := self.list_sorts(variant)):
             likelihood = self.give_functions(likelihood, variant)
             floors: dict[str, float] = {name: one * MICROMETRE for name, one in known.floors().items()}
-            terms = [FunctionScales(sorts, known.functions_um * MICROMETRE, floors)]
+            terms = [FunctionScales(sorts, function_scale, floors)]
         blunders = self.config.blunders
         outliers = NORMAL if blunders is None else Contaminated(SharePrior(blunders.expected_share))
         return build_leg_posterior(likelihood, priors, error, fixed, terms, outliers)

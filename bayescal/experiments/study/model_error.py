@@ -18,9 +18,11 @@ from bayescal.density.legs import LegPosterior, Likelihood
 from bayescal.density.prediction import FUNCTION_DRAWS, draw_functions, predict_given
 from bayescal.density.schema import TERMS
 from bayescal.experiments.shared.estimate import Arrays, Fit
+from bayescal.experiments.shared.function_errors import tabulate_causes
 from bayescal.experiments.shared.hidden import tabulate_hidden
 from bayescal.experiments.shared.trees import spread
 from bayescal.identifiability.hidden import hide_in_posterior
+from bayescal.inference.causes import NONE, weigh_causes
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import MICROMETRE
 
@@ -32,6 +34,7 @@ OF_FUNCTIONS = "function_"
 """Before the names of arrays of the functions: fields of `FunctionDraws`."""
 BY_LEG = "function_by_leg"
 HIDDEN = "function_hidden"
+ALONE = "function_alone"
 BY_POSE = ("mean", "low", "high")
 
 
@@ -65,7 +68,7 @@ def evaluate_functions(
         Root mean squares by term, mm, of errors that leave no trace.
     """
     likelihood, flat = cast("FunctionLikelihood", posterior.likelihood), y.reshape(-1, y.shape[-1])
-    rngs = [np.random.default_rng(one) for one in seed.spawn(3)]
+    rngs = [np.random.default_rng(one) for one in seed.spawn(4)]
     theta, errors = posterior.theta(flat), posterior.errors.amplitudes(posterior.zeta(flat))
     rows = cast("LegRows | None", others)
     given = [predict_given(likelihood, None, theta, errors, chosen, rngs[0])]
@@ -87,6 +90,7 @@ def evaluate_functions(
         **{name: one[back] for name, one in by_pose.items()},
         **{OF_FUNCTIONS + name: one for name, one in functions.items()},
         HIDDEN: hide_in_posterior(posterior, flat, unseen),
+        ALONE: np.array([*weigh_causes(posterior, flat.mean(axis=0), rngs[3]).values()]),
         **together,
     }
 
@@ -95,10 +99,11 @@ def tabulate_model_error(inputs: StudyInputs, fits: Mapping[Task, Fit]) -> dict[
     """Return what each term of the model error contributes, µm along the legs, as tables by name; some may be empty.
 
     ``model_error`` has root mean squares over calibration poses and legs, ``model_error_members`` those of each leg, of
-    the posterior mean of each term, ``model_error_poses`` all functions together at every pose, and
-    ``model_error_hidden`` what errors that leave no trace hide of each parameter.
+    the posterior mean of each term, ``model_error_poses`` all functions together at every pose, ``model_error_hidden``
+    what errors that leave no trace hide of each parameter, and ``model_error_alone`` how far one sort of functions
+    explains all.
     """
-    terms, members, poses, hidden = (list[pd.DataFrame]() for _ in range(4))
+    terms, members, poses, hidden, alone = (list[pd.DataFrame]() for _ in range(5))
     for task, fit in fits.items():
         if not task.with_model_error:
             continue
@@ -112,9 +117,11 @@ def tabulate_model_error(inputs: StudyInputs, fits: Mapping[Task, Fit]) -> dict[
             members.append(_tabulate_members(task.variant, sorts, of[f"{OF_FUNCTIONS}mean_by_leg"]))
             poses.append(_tabulate_poses(inputs, task.variant, of))
             n = len(of[HIDDEN])
+            if len(of[ALONE]):
+                alone.append(tabulate_causes(task.variant, dict(zip((NONE, *sorts), of[ALONE], strict=True))))
             hidden.append(tabulate_hidden(task.variant, fit.names[:n], fit.units[:n], of[HIDDEN], fit.sd[:n]))
     found = {"model_error": terms, "model_error_members": members, "model_error_poses": poses}
-    found["model_error_hidden"] = hidden
+    found |= {"model_error_hidden": hidden, "model_error_alone": alone}
     return {name: pd.concat(frames, ignore_index=True) for name, frames in found.items() if frames}
 
 

@@ -158,10 +158,13 @@ def fit_variant(inputs: ReadingInputs, name: str) -> ReadingFit:
     posterior = subject.density
     fit = fit_posterior(subject, config.seed, name, config.sampler, config.evidence)
     rng = np.random.default_rng([config.seed, 9, zlib.crc32(name.encode())])
+    own = np.random.default_rng([config.seed, 10, zlib.crc32(name.encode())])
     functions, some = find_functions(posterior, fit.kept, rng), fit.kept[spread(len(fit.kept), ERROR_DRAWS)]
     with np.errstate(all="ignore"):
         drawn = posterior.likelihood.draw_common(*posterior.at(some), rng)
-    found = tabulate_model_error(name, variant.data, variant.verification, posterior, some, drawn, config.leg_error)
+    found = tabulate_model_error(
+        name, variant.data, variant.verification, posterior, some, drawn, config.leg_error, own
+    )
     packed = fit.pack(subject.build_tree(fit, name, KnownFunctions.find(posterior, fit.kept)), ONLY_SAVED)
     covariance = np.atleast_2d(np.cov(fit.kept[:, : posterior.n_geometry], rowvar=False))
     with stage("held-back poses"):

@@ -129,6 +129,7 @@ def _summarise(inputs: StudyInputs, fits: Mapping[Task, Fit]) -> dict[str, Any]:
     return {
         "models": {label_class(variant.seen[0]): seen[variant.name].model.title for variant in config.variants},
         "drive": inputs.mechanism.drive,
+        "tau_scale_um": inputs.config.leg_error.scales(inputs.actuator_noise)[0] / MICROMETRE,
         **inputs.measured.describe(),
         **{key: value for key, value in optional.items() if value},
     }
@@ -326,7 +327,7 @@ def _tabulate_tau_scale(inputs: StudyInputs, posteriors: Mapping[Task, Fit]) -> 
     weights of these have a heavy tail the posterior lies elsewhere, and there is no answer.
     """
     rows = []
-    own = inputs.config.leg_error.scale_um
+    own = inputs.config.leg_error.scales(inputs.actuator_noise)[0] / MICROMETRE
     for task, fit in posteriors.items():
         if not task.with_model_error:
             continue

@@ -65,6 +65,15 @@ def test_scales_floors_and_tau_by_channel_are_those_of_the_section(tmp_path):
     assert floors == pytest.approx([0.0, *[0.006 / np.sqrt(3.0)] * 3, 0.0])
 
 
+@pytest.mark.parametrize(("noise_um", "scales"), [(5.0, (0.01, 0.02)), (300.0, (0.3, 0.6))])
+def test_a_coarse_machine_may_err_by_more_where_nothing_is_said(noise_um, scales, tmp_path):
+    path = write(tmp_path)
+    calibrations.change(path, "s = { noise_um = 5.0 }", f"s = {{ noise_um = {noise_um} }}")
+    tau, *functions = read(path).variants["all"].posterior().errors.terms
+    assert tau.priors[0].scale == pytest.approx(scales[0])
+    assert [one.priors[0].scale for one in functions] == pytest.approx(4 * scales[1:])
+
+
 def test_terms_that_there_cannot_be_are_left_out_and_said(tmp_path):
     path = write(tmp_path, variant='sensors = ["s[1]", "cam_x", "cam_y", "height"]')
     study = read(path)

@@ -150,7 +150,7 @@ def build_terms_of_model(
         own,
         len(model.channels),
         there,
-        (MICROMETRE * error.scale_um, MICROMETRE * error.functions_um),
+        error.scales(own.find_noise(data)),
         {name: MICROMETRE * floor for name, floor in floors.items()},
         error.per_leg,
         few=data.n_poses * (len(model.channels) - start.shape[1]) > MOST_ROWS if few is None else few,

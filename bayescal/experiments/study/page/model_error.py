@@ -18,6 +18,7 @@ from matplotlib.figure import Figure as Drawing
 from matplotlib.lines import Line2D
 
 from bayescal.experiments.frame.results import Row
+from bayescal.experiments.shared.headline import say_odds
 from bayescal.experiments.shared.hidden import show_hidden
 from bayescal.experiments.study.page.parameters import draw_intervals, label_legs
 from bayescal.experiments.study.page.results import INDEPENDENT, TERMS, TOGETHER, VARIANT, StudyResults
@@ -63,7 +64,7 @@ KINDS: dict[str, Kind] = {
     ),
     "linear": Kind(
         "linear in the positions of all actuators",
-        "a coupling: one actuator moves what another one positions",
+        "a coupling: one actuator moves what another one positions; a frame that yields",
         "Look for a coupling between actuators, or free parameters of one (of legs: a deformation with a free matrix)",
     ),
     "own": Kind(
@@ -87,6 +88,8 @@ NO_TRACE = (0.10, 0.32, 0.46, 0.56)
 each is then about flat from zero to what the data allow, and several together are never near zero."""
 BEYOND = 0.26
 """Share of the way from there to one, from which on the data show an error: of one term at a third of the median."""
+CLEAR = 3.0
+"""Nats by which one term alone has to be better than any other alone to be named, and all together than each alone."""
 OUTSTANDING = 1.5  # times the median of the others, from which on one member is named
 WHY = (
     "What a model leaves out is systematic: it repeats with the pose, and the geometry imitates a part of it. Without "
@@ -99,6 +102,10 @@ SIZES = (
     "Size: rms over the calibration poses, median and 90 % interval. An error is said to be seen where the lower end "
     "of the interval is at least a third of the median; of several terms together, which are never near zero, up to "
     "two thirds."
+)
+ALONE = (
+    "Alone: log-evidence of this sort of systematic errors and no other, less that of all together. One cause is named "
+    "where it explains the data as well as all together and 20 to 1 better than any other alone."
 )
 NO_FLOOR = (
     "An error that the parameters can imitate leaves no trace in any data. None is allowed for beyond what the terms "
@@ -142,11 +149,15 @@ def _list_described(study: StudyResults) -> list[str]:
 
 
 class _Found(NamedTuple):
-    """What was found of one variant's model error: rows of its table by term, and rms of each member's mean, µm."""
+    """What was found of one variant's model error.
+
+    Rows of its table by term; rms of each member's mean, µm; evidence of each term alone less that of all, nat.
+    """
 
     label: str
     sizes: dict[str, Row]
     members: dict[str, float]
+    alone: dict[str, float]
 
     @property
     def functions(self) -> dict[str, Row]:
@@ -163,6 +174,13 @@ class _Found(NamedTuple):
     def member(self) -> str:
         """What its members are called."""
         return "leg" if all(name.startswith("leg ") for name in self.members) else "channel"
+
+    @property
+    def cause(self) -> str:
+        """The term that alone is as good as all together and better than any other alone; empty where none is."""
+        first, *others = sorted(self.alone, key=lambda name: -self.alone[name]) or [""]
+        suffices = others and self.alone[first] > -1.0 and self.alone[first] - self.alone[others[0]] >= CLEAR
+        return first if suffices and first in self.functions else ""
 
     @property
     def seen(self) -> list[str]:
@@ -182,7 +200,9 @@ def _find(study: StudyResults, name: str) -> _Found:
     calibration = poses[poses["use"] == "calibration"]
     square = (calibration["mean_um"] ** 2).groupby(calibration["member"], sort=False).mean()
     members = {str(member): math.sqrt(value) for member, value in square.items()}
-    return _Found(study.label(name), {row["term"]: row for row in study.rows("model_error", name)}, members)
+    sizes = {row["term"]: row for row in study.rows("model_error", name)}
+    alone = {row["term"]: row["log_odds"] for row in study.rows("model_error_alone", name)}
+    return _Found(study.label(name), sizes, members, alone)
 
 
 def state_terms(study: StudyResults) -> list[Statement]:
@@ -201,13 +221,23 @@ def _advise(found: _Found) -> Statement:
         scatters = INDEPENDENT in found.seen
         first = f"{KINDS[INDEPENDENT].advice}. " if scatters else ""
         return Statement(f"{first}{_describe_absent(found)}", "plain" if scatters else "good", LEAD)
-    main, outstanding = KINDS[seen[0]], _name_outstanding(found)
+    main, outstanding = KINDS[found.cause or seen[0]], _name_outstanding(found)
     text = (
         f"{main.advice.format(member=outstanding or f'every {found.member}')}. {found.label} leaves out a "
-        f"systematic error of {_format_size(found.whole)} µm rms (90 % interval), {_describe_members(found)}; the "
-        f"largest part is {main.along} ({main.causes}). The intervals allow for it. {_describe_independent(found)}"
+        f"systematic error of {_format_size(found.whole)} µm rms (90 % interval), {_describe_members(found)}; "
+        f"{_describe_cause(found, main)}. The intervals allow for it. {_describe_independent(found)}"
     )
     return Statement(text.rstrip(), lead=LEAD)
+
+
+def _describe_cause(found: _Found, main: Kind) -> str:
+    """Say along what the largest part changes, and whether that alone explains all."""
+    if found.cause:
+        lead = found.alone[found.cause] - max(one for name, one in found.alone.items() if name != found.cause)
+        return f"all of it may be {main.along} ({main.causes}), {say_odds(lead)} against any other single cause"
+    text = f"the largest part is {main.along} ({main.causes})"
+    several = found.alone and max(found.alone.values()) < -CLEAR
+    return f"{text}, but no single cause explains all of it" if several else text
 
 
 def _describe_absent(found: _Found) -> str:
@@ -284,13 +314,18 @@ def _show_terms(study: StudyResults, described: list[str]) -> list[Block]:
 def _tabulate_terms(found: _Found) -> Table:
     """Return the size of each term, along what it changes and what usually causes it."""
     columns = [Column("Along what", kind="text"), Column("Size", "µm rms", "median [5 %, 95 %]")]
+    columns += [Column("Alone", "nat")] if found.alone else []
     columns += [Column("In the data", kind="text"), Column("Usual causes", kind="text")]
     rows = []
     for name, size in found.sizes.items():
         along, causes = (KINDS[name].along, KINDS[name].causes) if name in KINDS else ("systematic errors together", "")
         n_terms = len(found.functions) if name == TOGETHER else 1
-        rows.append([along, _format_size(size), "seen" if is_seen(size, n_terms) else "no trace", causes])
-    return make_table(f"Model error of {found.label}.", columns, rows, [Statement(SIZES)])
+        alone = [format_fixed(found.alone.get(name, math.nan), 1, sign=True)] if found.alone else []
+        rows.append([along, _format_size(size), *alone, "seen" if is_seen(size, n_terms) else "no trace", causes])
+    if "none" in found.alone:
+        rows.append(["no systematic error", NOTHING, format_fixed(found.alone["none"], 1, sign=True), "", ""])
+    notes = [Statement(SIZES), *([Statement(ALONE)] if found.alone else [])]
+    return make_table(f"Model error of {found.label}.", columns, rows, notes)
 
 
 def _show_floor(study: StudyResults, name: str) -> list[Block]:

@@ -94,6 +94,7 @@ COLUMNS: dict[str, dict[str, tuple[str, ...]]] = {
         "texts": ("variant", "pose", "use", "member"),
         "numbers": ("mean_um", "low_um", "high_um"),
     },
+    "model_error_alone": {"texts": ("variant", "term"), "numbers": ("log_odds",)},
     "claims": {
         "texts": ("claim", "section", "statement", "expected", "found", "unit", "verdict", "why"),
         "numbers": ("value",),
@@ -427,8 +428,8 @@ class StudyResults:
 
     @property
     def tau_scale(self) -> float | None:
-        """Scale of the model error's prior, µm, if the config states it."""
-        scale = self.config.get("model_error", {}).get("scale_um")
+        """Scale of the model error's prior, µm; None where nothing is known of it."""
+        scale = self.summary.get("tau_scale_um", self.config.get("model_error", {}).get("scale_um"))
         return None if scale is None else float(scale)
 
     # --- parameters ----------------------------------------------------------------------------------------------

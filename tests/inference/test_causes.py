@@ -1,0 +1,76 @@
+"""Single causes of a model error: their evidence against that of whole calibrations, and which is named."""
+
+from __future__ import annotations
+
+import calibrations
+import numpy as np
+import pandas as pd
+import pytest
+
+from bayescal.experiments.frame.load import load
+from bayescal.experiments.study.by_tables import ReadingStudy
+from bayescal.inference.causes import NONE, weigh_causes
+from bayescal.inference.mode import find_modes
+
+SILENT = "\n[model_error]\nterms = []\n"
+SLOPES = np.array([4e-4, -6e-4, 5e-4])  # a lead error of each carriage
+
+
+def write(folder, error=None):
+    """Write a delta's study that is silent on its model error; carriages read what they do, and an error (P, 3), mm."""
+    path = calibrations.write_delta(folder)
+    calibrations.change(path, SILENT, "")
+    if error is not None:
+        file = path.parent / "data" / "readings.csv"
+        table = pd.read_csv(file, comment="#")
+        columns = ["s_1_mm", "s_2_mm", "s_3_mm"]
+        table[columns] += error(table[columns].to_numpy())
+        table.to_csv(file, index=False)
+    return path
+
+
+def weigh(path, seed=1):
+    study = ReadingStudy.load(load(path)[1], path.parent)
+    posterior = study.variants["all"].posterior().anchored()
+    return weigh_causes(posterior, find_modes(posterior)[0].y, np.random.default_rng(seed)), posterior
+
+
+def test_the_cause_is_far_better_than_any_other_alone(tmp_path):
+    found, _ = weigh(write(tmp_path, lambda s: SLOPES * 3.0 * (s - s.mean(axis=0))))
+    own = found.pop("own")
+    assert own > 0.0
+    assert own - max(found.values()) > 3.0
+    assert found[NONE] < found["linear"]
+
+
+def test_without_errors_none_is_best(tmp_path):
+    found, _ = weigh(write(tmp_path))
+    assert max(found, key=found.get) == NONE
+
+
+def test_draws_hardly_matter(tmp_path):
+    path = write(tmp_path)
+    one, other = weigh(path)[0], weigh(path, seed=2)[0]
+    assert list(one) == [NONE, "linear", "own", "smooth", "drift"]
+    np.testing.assert_allclose([*one.values()], [*other.values()], atol=0.5)
+
+
+def test_nothing_is_said_without_functions(tmp_path):
+    path = calibrations.change(calibrations.write_delta(tmp_path), "terms = []", 'terms = ["independent"]')
+    assert weigh(path)[0] == {}
+
+
+@pytest.mark.runs
+def test_evidence_is_that_of_whole_calibrations(tmp_path, call):
+    """Sampling of the joint posterior and importance sampling of it know nothing of the closed form."""
+    path = write(tmp_path, lambda s: SLOPES * (s - s.mean(axis=0))).with_name("causes.toml")
+    others = {"own": ["own"], "linear": ["linear"], NONE: []}
+    chosen = {"all": "", **{name: f"model_error = {['independent', *one]}\n" for name, one in others.items()}}
+    variants = [f'[[variants]]\nname = "{name}"\ntitle = "{name}"\n{keys}' for name, keys in chosen.items()]
+    path.write_text("\n".join(['extends = "study.toml"\nname = "causes"\n', *variants]).replace("'", '"'))
+    assert call("run", path, "--out", tmp_path / "out", "--workers", "1")[0] in (0, 3)
+    tables = tmp_path / "out" / "tables"
+    evidence = pd.read_csv(tables / "variants.csv").set_index("variant")["log_evidence"]
+    alone = pd.read_csv(tables / "model_error_alone.csv").set_index(["variant", "term"])["log_odds"]
+    for name in others:
+        assert alone["all", name] == pytest.approx(evidence[name] - evidence["all"], abs=0.4), name
