@@ -308,7 +308,7 @@ NOISE = {
 
 def find_factors(truth, row, seed, folder):
     """Return the logarithms of a delta's factors, drawn from their prior, and draws of what its study finds."""
-    rng, machine, n = np.random.default_rng([7, seed]), truth.machines.MACHINES["delta"](), 30
+    rng, machine, n = np.random.default_rng([7, seed]), truth.machines.MACHINES["delta"](), 31
     says, widen = NOISE[row]
     truth.projects.write_project("delta", machine, "init", folder)
     text = (folder / "study.toml").read_text().replace('Everything free"\n', f'Everything free"\n{says}\n')
@@ -318,7 +318,7 @@ def find_factors(truth, row, seed, folder):
     v, factors = machine.draw_poses(theta, n, rng), SPREAD * rng.standard_normal(len(GROUPS))
     sizes = np.repeat(np.exp(factors), [len(channels) for channels in GROUPS.values()])
     noise = sizes * machine.add_noise(np.zeros((n, 6)), rng) * widen(rng, n)[:, None]
-    truth.projects.write_tables("delta", machine, machine.read(theta, v) + noise, np.zeros(n, dtype=bool), folder)
+    truth.projects.write_tables("delta", machine, machine.read(theta, v) + noise, np.arange(n) == 30, folder)
     names = [f"noise_factor({name})" for name in GROUPS]
     return factors, np.log(truth.projects.calibrate(machine, folder, seed, names).draws)
 
