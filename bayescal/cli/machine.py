@@ -365,7 +365,7 @@ def _read_poses(
     """Return what is wrong with a session's measured poses, in lines, and the poses."""
     from bayescal.calibrated.recheck.plan import has_noise, place_poses, read_session
     from bayescal.data.instruments.read_poses import PoseNoise
-    from bayescal.experiments.shared.measured_slips import find_recheck_slip
+    from bayescal.experiments.shared.leg_readings import find_recheck_slip
 
     noise = PoseNoise() if has_noise(path) or stated is None else PoseNoise(*stated)
     read = read_session(path, actuators, noise, calibrated)

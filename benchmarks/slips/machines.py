@@ -1,6 +1,7 @@
-"""The machines whose data get slips: `bayescal init`'s hexapod and delta, a serial arm, a cable robot, each a project.
+"""Machines whose data get slips: hexapods, shipped ones and those of `bayescal init`, a delta, an arm, a cable robot.
 
-Every one is written to a folder with simulated data, as a user has them, and read as a study is checked.
+Every one is written to a folder with simulated data, as a user has them, and read as a study is checked; shipped ones
+are there.
 """
 
 from __future__ import annotations
@@ -57,12 +58,15 @@ R = { prior = "normal", sd = 0.3 }
 """,
 )
 OWN = {"serial arm": ARM, "cable robot": CABLES}
-MACHINES = (*HEXAPODS, "linear delta", *OWN)
+SHIPPED = {"m2 hexapod": "m2_hexapod", "hexaglide": "hexaglide"}
+MACHINES = (*HEXAPODS, *SHIPPED, "linear delta", *OWN)
 N_POSES = 30
 
 
 def write_project(machine: str, folder: Path) -> Path:
     """Write a machine's project; return its study's config."""
+    if machine in SHIPPED:
+        return HERE.parents[1] / "experiments" / SHIPPED[machine] / "study.toml"
     if machine in HEXAPODS:
         start_project(folder, "hexapod", HEXAPODS[machine])
     elif machine == "linear delta":

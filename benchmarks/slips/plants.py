@@ -73,20 +73,25 @@ def frame(subject: Subject, rng: np.random.Generator) -> Planted:
     return moved, "frame", ("frame",)
 
 
+LENGTHS = (1e-3, 1e3, 0.1, 10.0, 1.0 / 25.4)  # metres, µm, cm, mm for cm, inches
+ANGLES = (float(np.degrees(1.0)), float(np.radians(1.0)), 1e3)
+
+
 def unit(subject: Subject, rng: np.random.Generator) -> Planted:
-    """Plant columns in metres, in degrees, or one of them a thousand times too large."""
+    """Plant columns in another unit, one of them alone, or displacements from home in place of positions."""
     values, (names, units, internal) = simulate(subject, rng), _channels(subject)
     groups = [
         np.flatnonzero([(one == other) and inside == own for other, inside in zip(units, internal, strict=True)])
         for one, own in dict.fromkeys(zip(units, internal.tolist(), strict=True))
     ]
-    some = groups[rng.integers(len(groups))]
+    some, moved = groups[rng.integers(len(groups))], values.copy()
+    home = subject.measured.readings.home[some]
+    if internal[some[0]] and np.abs(home).max() > 0.0 and rng.random() < 1 / 3:
+        moved[:, some] -= home
+        return moved, "unit", tuple({names[k].partition("[")[0] for k in some})
     if rng.random() < 1 / 3:
         some = some[[rng.integers(len(some))]]
-        factor = 1e3
-    else:
-        factor = 1e-3 if units[some[0]] == "mm" else float(np.degrees(1.0))
-    moved = values.copy()
+    factor = float(rng.choice(LENGTHS if units[some[0]] == "mm" else ANGLES))
     moved[:, some] *= factor
     return moved, "unit", tuple({names[k].partition("[")[0] for k in some})
 
@@ -101,13 +106,47 @@ def sign(subject: Subject, rng: np.random.Generator) -> Planted:
 
 
 def exchanged(subject: Subject, rng: np.random.Generator) -> Planted:
-    """Plant two channels of one unit exchanged."""
+    """Plant two channels of one unit exchanged, or legs numbered the other way round or from another one."""
     values, (names, units, internal) = simulate(subject, rng), _channels(subject)
-    pairs = [(a, b) for a in range(len(names)) for b in range(a) if units[a] == units[b] and internal[a] == internal[b]]
-    a, b = pairs[rng.integers(len(pairs))]
-    moved = values.copy()
-    moved[:, [a, b]] = values[:, [b, a]]
-    return moved, "legs", (f"{names[b]} and {names[a]}",)
+    moved, own = values.copy(), np.flatnonzero(internal)
+    kind = rng.integers(3)
+    if kind == 0 or len(own) < 3:
+        pairs = [(a, b) for a in range(len(names)) for b in range(a)]
+        pairs = [(a, b) for a, b in pairs if units[a] == units[b] and internal[a] == internal[b]]
+        a, b = pairs[rng.integers(len(pairs))]
+        moved[:, [a, b]] = values[:, [b, a]]
+        return moved, "legs", (f"{names[b]} and {names[a]}",)
+    if kind == 1:
+        moved[:, own] = values[:, own[::-1]]
+        return moved, "legs", ("the other way round", f"{names[own[0]]} and {names[own[-1]]}")
+    moved[:, own] = np.roll(values[:, own], int(rng.integers(1, len(own))), axis=1)
+    return moved, "legs", ("counted from leg",)
+
+
+def poses(subject: Subject, rng: np.random.Generator) -> Planted:
+    """Plant poses that were read in another way: angles for vectors, the base seen from the platform, a mirror."""
+    values, (names, units, internal) = simulate(subject, rng), _channels(subject)
+    lengths = [k for k in np.flatnonzero(~internal) if units[k] == "mm"]
+    turned = [k for k in np.flatnonzero(~internal) if units[k] == "rad"]
+    moved, kind = values.copy(), rng.integers(4)
+    if len(lengths) != 3 or len(turned) != 3:  # a position alone
+        k = lengths[rng.integers(len(lengths))]
+        moved[:, k] *= -1.0
+        return moved, "unit", (names[k],)
+    if kind == 0:
+        moved[:, turned] = Rotation.from_rotvec(values[:, turned]).as_euler("xyz")
+        return moved, "poses", ("no rotation vectors but angles",)
+    if kind == 1:
+        moved[:, turned] *= -1.0
+        return moved, "poses unit", ("the other way round", "inverted")
+    if kind == 2:
+        back = Rotation.from_rotvec(-values[:, turned])
+        moved[:, turned], moved[:, lengths] = -values[:, turned], -back.apply(values[:, lengths])
+        return moved, "poses", ("those of the base in the platform's frame",)
+    k = rng.integers(3)
+    moved[:, lengths[k]] *= -1.0
+    moved[:, [turned[one] for one in range(3) if one != k]] *= -1.0
+    return moved, "poses", ("left-handed",)
 
 
 def noise(subject: Subject, rng: np.random.Generator) -> Planted:
@@ -119,11 +158,15 @@ def noise(subject: Subject, rng: np.random.Generator) -> Planted:
 
 
 def row(subject: Subject, rng: np.random.Generator) -> Planted:
-    """Plant a row whose commands belong to another pose, or rows shifted by one from some place on."""
+    """Plant a row whose commands belong to another pose, rows shifted by one from some place on, or all of them."""
     values, (_, _, internal) = simulate(subject, rng), _channels(subject)
     n = len(values)
     moved, own = values.copy(), np.flatnonzero(internal)
-    if rng.random() < 0.5:
+    kind = rng.integers(3)
+    if kind == 0:
+        moved[:, own] = np.roll(values[:, own], int(rng.choice([-1, 1])), axis=0)
+        return moved, "rows", ("shifted by one",)
+    if kind == 1:
         k, other = rng.choice(n, 2, replace=False)
         moved[k, own] = values[other, own]
         return moved, "rows", (f"row {k + 1} ",)
@@ -177,11 +220,28 @@ def drift(subject: Subject, rng: np.random.Generator) -> Planted:
     return moved, "drift", (names[k].partition("[")[0], "frame")
 
 
+def erring(subject: Subject, rng: np.random.Generator) -> Planted:
+    """Plant nothing, but let the machine err by what no model states: 10 or 50 µm rms at the tool, with the travel.
+
+    A random matrix times the travel of the machine's own channels, as eq. 4 of RR-8096 has K.
+    """
+    values, (_, units, internal) = simulate(subject, rng), _channels(subject)
+    own = np.flatnonzero(internal)
+    reach = np.ptp(values[:, [k for k in np.flatnonzero(~internal) if units[k] == "mm"]], axis=0).max()
+    travel = (values[:, own] - values[:, own].mean(axis=0)) / np.ptp(values[:, own], axis=0)
+    error = travel @ rng.standard_normal((len(own), len(own)))
+    error *= 1e-3 * float(rng.choice([10.0, 50.0])) / reach / np.sqrt(np.mean(error**2, axis=0))
+    moved = values.copy()
+    moved[:, own] += error * np.ptp(values[:, own], axis=0)
+    return moved, "", ()
+
+
 def clean(subject: Subject, rng: np.random.Generator) -> Planted:
     """Plant nothing."""
     return simulate(subject, rng), "", ()
 
 
 PLANTS: dict[str, Callable[[Subject, np.random.Generator], Planted]] = {
-    one.__name__: one for one in (clean, frame, unit, sign, exchanged, noise, row, sensor, tolerance, drift)
+    one.__name__: one
+    for one in (clean, erring, frame, unit, sign, exchanged, poses, row, sensor, noise, tolerance, drift)
 }

@@ -30,7 +30,7 @@ from bayescal.calibrated.recheck.statistics import (
 from bayescal.data.actuators import name_actuators
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.errors import InputError
-from bayescal.experiments.shared.measured_slips import find_recheck_slip
+from bayescal.experiments.shared.leg_readings import find_recheck_slip
 from bayescal.machines.deformations import NoDeformation
 from bayescal.machines.kinematics import build_machine, solve_forward_kinematics
 from bayescal.machines.models.six_pus import SixPus
@@ -225,8 +225,8 @@ def test_an_operator_takes_the_plan_and_brings_poses_back(calibrated, exported, 
 @pytest.mark.parametrize(
     ("mend", "said"),
     [
-        (lambda rho: np.roll(rho, 1, axis=0), "rows seem to be shifted by one"),
-        (lambda rho: rho[:, [0, 2, 1, 3, 4, 5]], "legs 2 and 3 seem to be exchanged"),
+        (lambda rho: np.roll(rho, 1, axis=0), "rows of rho seem to be shifted by one"),
+        (lambda rho: rho[:, [0, 2, 1, 3, 4, 5]], "readings of rho[2] and rho[3] seem to be exchanged"),
     ],
 )
 def test_a_slip_is_said_before_any_leg_is_accused(mend, said, calibrated, candidates):

@@ -12,13 +12,13 @@ from scipy.optimize import minimize
 from scipy.stats import chi2
 
 from bayescal.density.calibration.likelihood import CalibrationPosterior
-from bayescal.density.calibration.measurements import Measurements
 from bayescal.density.calibration.terms import Errors, ErrorTerm
 from bayescal.density.low_rank import gather_columns
 from bayescal.density.sessions import ReadingRows
 from bayescal.errors import NumericalError
 from bayescal.experiments.check.inputs import Subject, draw_posterior
 from bayescal.experiments.shared.chi_square import ChiSquare, format_chance
+from bayescal.experiments.shared.leg_readings import SharedErrors
 from bayescal.experiments.shared.measured import Found, MeasuredReadings, MeasuredVariant, see_legs
 from bayescal.experiments.shared.slip_search import PATIENCE, Search, search_cause
 from bayescal.experiments.shared.soundness import fit_rows
@@ -235,20 +235,6 @@ def _check_extraction(legs: MeasuredVariant) -> Finding | None:
 # --- what is left ------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class SharedErrors(ErrorTerm):
-    """Errors that all poses share: what M unknowns, standard normal, add to the readings, (P, K, M)."""
-
-    each: Array
-    names = units = ()
-    priors = ()
-
-    def columns(self, zeta: Array, data: Measurements) -> Array:
-        """Return them."""
-        del zeta, data
-        return self.each[None]
-
-
 @dataclass(frozen=True, eq=False)
 class Left:
     """What the best machine leaves of the readings at the stated noise.
@@ -406,7 +392,7 @@ def look_at_data(task: tuple[Subject, int, int]) -> Look:
     draw_seed, mode_seed, derivative_seed = np.random.SeedSequence([seed, 1]).spawn(3)
     posterior = subject.posterior
     findings = [check_derivatives(subject, np.random.default_rng(derivative_seed))]
-    findings.append(state_cause(search_cause(subject.measured)))
+    findings.append(state_cause(search_cause(subject.measured.readings)))
     nothing = np.empty((0, posterior.n_parameters))
     if any(one.fault for one in findings):  # nothing else can be said then
         return findings, nothing, nothing

@@ -18,9 +18,9 @@ from bayescal.experiments.frame.memory import check_arrays
 from bayescal.experiments.next.schema import CandidatesConfig, NextConfig
 from bayescal.experiments.shared.design import REQUIRED, find_actuators, read_workspace
 from bayescal.experiments.shared.measured import MeasuredReadings, measure_variants
-from bayescal.experiments.shared.measured_slips import find_measured_slip
 from bayescal.experiments.shared.schema import WorkspaceConfig
 from bayescal.experiments.shared.search_memory import list_readings
+from bayescal.experiments.shared.slip_search import find_slip
 from bayescal.experiments.shared.slips import FoundSlip
 from bayescal.identifiability.design import Knowledge, PoseVolume
 from bayescal.identifiability.reading_rows import (
@@ -119,7 +119,9 @@ def read_next(config: NextConfig, folder: Path) -> NextInputs:
         _check_located(first, workspace.values)
     subjects = {name: Subject(one, requirements, workspace, candidates) for name, one in so_far.items()}
     origin = first.origin.partition(": study ")[0]
-    return NextInputs(config, origin, subjects, len(candidates.values), units, find_measured_slip(list(found.values())))
+    return NextInputs(
+        config, origin, subjects, len(candidates.values), units, find_slip(one.readings for one in found.values())
+    )
 
 
 def _read_requirements(config: NextConfig, measured: MeasuredReadings) -> tuple[list[Requirement], dict[str, str]]:

@@ -21,7 +21,7 @@ from bayescal.errors import InputError, name_faults
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.sessions.schema import SessionConfig, SessionsConfig, ThermalConfig
 from bayescal.experiments.shared.measured import MeasuredReadings, MeasuredVariant, measure_variants
-from bayescal.experiments.shared.measured_slips import find_measured_slip
+from bayescal.experiments.shared.slip_search import find_slip
 from bayescal.experiments.shared.slips import tell_denial
 from bayescal.files.csv_tables import read_table
 from bayescal.machines.kinematics import Machine, solve_forward_kinematics
@@ -115,13 +115,13 @@ def _judge_slip(session: SessionConfig, measured: MeasuredReadings) -> str | Non
     InputError
         Where a slip explains a session many times better: joined to others it would pass for drift.
     """
-    slip = find_measured_slip([measured], session.denied_slips)
+    slip = find_slip([measured.readings], session.denied_slips)
     if slip is not None:
         raise InputError(
             f"session {session.label!r}: found data that no machine within the tolerances comes near, expected this "
             f"machine's; {slip.say()}{tell_denial('denied_slips of the session')}"
         )
-    slip = find_measured_slip([measured]) if session.denied_slips else None
+    slip = find_slip([measured.readings]) if session.denied_slips else None
     return None if slip is None else f"Session {session.label!r}: {slip.say()}"
 
 

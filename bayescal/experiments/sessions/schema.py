@@ -38,7 +38,8 @@ class SessionConfig(Section):
     temperatures: InputFile | None = None
     """CSV file with a temperature for each pose: pose, temperature_celsius."""
     denied_slips: DeniedSlips = Field(default=[], exclude_if=lambda value: not value)
-    """Kinds of slips that its data look like and are not, as somebody says who looked: `unit`, `legs`, `rows`."""
+    """Kinds of slips that its data look like and are not, as somebody says who looked: `unit`, `legs`, `rows`, `poses`,
+    `channel`, `frame`."""
 
     @model_validator(mode="after")
     def _check_one(self) -> Self:

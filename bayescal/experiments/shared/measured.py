@@ -11,9 +11,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from bayescal.calibrated.recheck.plan import place_poses
 from bayescal.data.measured_poses import MeasuredPoses
-from bayescal.density.calibration.likelihood import CalibrationLikelihood, CalibrationPosterior
+from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.density.calibration.measurements import Comparison
 from bayescal.density.calibration.model_error import OwnChannels, build_model_error
 from bayescal.density.calibration.terms import Errors, ErrorTerm
@@ -21,14 +20,15 @@ from bayescal.density.errors import FUNCTION_SCALES, TAU, Amplitudes
 from bayescal.density.functions import FunctionLikelihood
 from bayescal.density.legs import LegPosterior
 from bayescal.density.pose_likelihood import PoseLikelihood
-from bayescal.density.posterior import Posterior
 from bayescal.density.priors import HalfCauchyPrior, Prior
 from bayescal.errors import InputError
+from bayescal.experiments.shared.leg_readings import place_legs
+from bayescal.experiments.shared.slip_rows import Readings
 from bayescal.experiments.shared.study_schema import StudyConfig, name_variant
 from bayescal.inference.target import Target
 from bayescal.machines.kinematics import Machine
 from bayescal.machines.readings import Legs
-from bayescal.numerics.geometry import Array, matrix_from_rotation_vector, rotation_vector_from_matrix
+from bayescal.numerics.geometry import Array, matrix_from_rotation_vector
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,6 +177,11 @@ class MeasuredReadings:
         return self.posterior.anchored()
 
     @property
+    def readings(self) -> Readings:
+        """The readings, of which causes of a misfit are weighed."""
+        return Readings(self.posterior, self.low, self.high, self.internal)
+
+    @property
     def found(self) -> Found:
         """The posterior that is found, of legs that of the study."""
         return self.anchored if self.legs is None else self.legs.posterior
@@ -272,7 +277,6 @@ def _see_errors(measured: MeasuredVariant, model: Legs) -> tuple[ErrorTerm, ...]
     error, actuators = errors.model_error, measured.poses.actuators
     terms = [] if error.scale is None else ["independent"]
     floors, scale, few = {"independent": error.floor}, 0.0, False
-    mechanism, n = model.machine.mechanism, model.n_legs
     order, n_places = np.arange(len(actuators)), len(actuators)
     if isinstance(likelihood, FunctionLikelihood):
         terms += likelihood.functions.sorts
@@ -283,6 +287,7 @@ def _see_errors(measured: MeasuredVariant, model: Legs) -> tuple[ErrorTerm, ...]
         scale = prior.scale
         if likelihood.place.time is not None:
             order, n_places = np.rint(likelihood.n_places * likelihood.place.time).astype(int), likelihood.n_places
+    mechanism, n = model.machine.mechanism, model.n_legs
     own = OwnChannels(
         Comparison(model.channels[:n]),
         np.arange(n),
@@ -302,15 +307,11 @@ def _see_errors(measured: MeasuredVariant, model: Legs) -> tuple[ErrorTerm, ...]
 
 def see_legs(measured: MeasuredVariant) -> MeasuredReadings:
     """Return poses measured of a machine on legs as readings of its actuators and of its pose."""
-    model, poses, own = Legs(measured.machine), measured.poses, measured.posterior
-    pose = np.concatenate([poses.position, rotation_vector_from_matrix(poses.rotation)], axis=1)
-    data, n = place_poses(poses.names, poses.actuators, pose, poses.covariance), model.n_legs
+    own, model = measured.posterior, Legs(measured.machine)
     left = 0.0 if measured.actuator_variance is None else measured.actuator_variance
-    sd, legs = data.sd.copy(), np.arange(len(model.channels)) < n
-    sd[:, :n] = np.sqrt(measured.actuator_noise**2 + left)
-    data = replace(data, sd=sd, commanded=np.tile(legs, (poses.n_poses, 1)))
-    likelihood = CalibrationLikelihood(model, data, 1.0, pose)
-    posterior: CalibrationPosterior = Posterior(likelihood, own.priors, Errors(_see_errors(measured, model)), own.fixed)
+    noise = np.sqrt(measured.actuator_noise**2 + left)
+    errors = Errors(_see_errors(measured, model))
+    found = place_legs(model, measured.poses, noise, own.priors, errors, own.fixed)
     return MeasuredReadings(
-        measured.name, measured.origin, posterior, pose.min(axis=0), pose.max(axis=0), legs, measured
+        measured.name, measured.origin, found.posterior, found.low, found.high, found.internal, measured
     )

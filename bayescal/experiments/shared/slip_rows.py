@@ -12,7 +12,7 @@ out, and what was read otherwise is another table: all are weighed by the same l
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
@@ -25,32 +25,41 @@ from bayescal.density.calibration.poses import search_poses
 from bayescal.density.low_rank import gather_columns
 from bayescal.density.sessions import LinearRows, ReadingRows
 from bayescal.errors import BayescalError
+from bayescal.machines.readings import Channel, ReadingModel
 from bayescal.numerics.geometry import Array
 
 SIZES = np.geomspace(1.0, 1e5, 11)
 """τ in units of a column's rms of one stated noise."""
 WIDER = np.array([2.0, 3.0, 5.0, 8.0, 12.0, 20.0, 40.0, 100.0])
 """Factors on a tolerance."""
+VAGUE = 1e5
 LOST = float(np.log(1e3))  # nats per reading of a row that is left out
+OUTLYING = 10.0
+"""Rms of a row in units of the median, beyond which the others are fitted without it."""
 STARTS, SPREAD = 9, 0.6  # poses of the workspace from which others are looked for, in its half widths
 TURN = 2.0 * float(np.pi)
-TURNS = (-2.0, -1.0, 1.0, 2.0), (-1.0, -0.5, 0.5, 1.0)  # steps of single coordinates of errors, turn by turn
+LEVELS = (-3.0, -2.0, -1.0, 1.0, 2.0, 3.0, 4.0, 5.0)  # of all coordinates of errors at once
+TURNS = (-2.0, -1.0, 1.0, 2.0), (-1.0, -0.5, 0.5, 1.0)  # steps of single ones, turn by turn
 
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """Readings (Q, K) of some of the rows, NaN where nothing was read, and channels compared on a circle."""
+    """Readings (Q, K) of some of the rows, NaN where nothing was read, and channels that are taken otherwise.
+
+    ``circular`` ones are compared on a circle; ``vague`` ones may read anything: their noise is `VAGUE` times as large.
+    """
 
     values: Array
     rows: np.ndarray  # (Q,): which of the study's
     circular: tuple[int, ...] = ()
+    vague: tuple[int, ...] = ()
     log_volume: float = 0.0  # of the change, for densities of changed readings to be compared
 
     def pick(self, some: np.ndarray) -> Table:
         """Return some of its rows, by a mask over the study's rows."""
         here = some[self.rows]
         share = float(here.mean()) if len(here) else 0.0
-        return Table(self.values[here], self.rows[here], self.circular, share * self.log_volume)
+        return replace(self, values=self.values[here], rows=self.rows[here], log_volume=share * self.log_volume)
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,12 +70,18 @@ class Sight:
     linear: LinearRows
     slope: Array  # (Q, R, m): -G
     errors: Array  # (Q, R): as those of the machine as expected, to first order
-    stands: np.ndarray  # (Q,): rows without a pose are none
+    stands: np.ndarray  # (Q,): which rows have a pose and more readings than it takes
+    n_spare: np.ndarray  # (Q,): readings more than a pose takes
     pose: Array
     log_volume: float
     kept: dict[tuple[bytes, bytes], Array] = field(default_factory=dict)
     columns: dict[bytes, Array] = field(default_factory=dict)
     gathered: dict[bytes, Array] = field(default_factory=dict)
+
+    @property
+    def lost(self) -> np.ndarray:
+        """Which rows have readings enough, but no pose, (Q,)."""
+        return np.asarray(~self.stands & (self.n_spare > 0))
 
     def split(self, tables: list[Table]) -> list[Sight]:
         """Return the rows of several tables that were seen one below the other."""
@@ -91,6 +106,7 @@ class Sight:
                     self.slope[part],
                     self.errors[part],
                     self.stands[part],
+                    self.n_spare[part],
                     self.pose[part],
                     one.log_volume,
                 )
@@ -143,9 +159,10 @@ class Sight:
         constant = np.where(self.stands, self.linear.constant, 0.0)
         constant = constant - np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1)
         usual = float(np.median(constant[self.stands])) if self.stands.any() else 0.0
-        constant = np.where(self.stands, constant, usual - LOST * every.shape[1])
+        constant = np.where(self.lost, usual - LOST * every.shape[1], constant)
         known = self.slope.shape[-1] + extra.shape[-1]
-        return White(white, constant, known, self.log_volume)
+        counted = int(self.n_spare[self.stands].sum()), int(self.n_spare[self.lost].sum())
+        return White(white, constant, known, self.log_volume, *counted)
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,34 +173,43 @@ class White:
     constant: Array  # (Q,)
     known: int  # m + N
     log_volume: float
+    n_spare: int  # readings more than poses take
+    n_lost: int  # the same of rows that have no pose: they are zero
 
     @cached_property
     def _some(self) -> Array:
         return np.concatenate([self.rows[..., : self.known], self.rows[..., -1:]], axis=-1)
 
     @cached_property
-    def _gram(self) -> Array:
-        flat = self._some.reshape(-1, self.known + 1)
-        return np.asarray(flat.T @ flat)
+    def total(self) -> Array:
+        """`gram` of all rows."""
+        return self.gram(slice(None))
 
-    @cached_property
-    def by_row(self) -> Array:
-        """Products of what is known and the errors, (Q, m + N + 1, m + N + 1)."""
-        return np.asarray(np.swapaxes(self._some, 1, 2) @ self._some)
+    def gram(self, rows: np.ndarray | slice) -> Array:
+        """Return products of what is known and the errors, summed over some of the rows, (m + N + 1, m + N + 1)."""
+        flat = self._some[rows].reshape(-1, self.known + 1)
+        return np.asarray(flat.T @ flat)
 
     def weigh(self, gram: Array | None = None, constant: float | None = None) -> float:
         """Return the log-density without any cause, of other products of rows where these are given."""
-        gram = self._gram if gram is None else gram
+        gram = self.total if gram is None else gram
         root = cholesky(np.eye(self.known) + gram[:-1, :-1], lower=True, check_finite=False)
         side = solve_triangular(root, gram[:-1, -1], lower=True, check_finite=False)
         constant = float(self.constant.sum()) if constant is None else constant
         return constant + self.log_volume - 0.5 * float(gram[-1, -1] - side @ side) - float(np.log(np.diag(root)).sum())
 
-    def misfit(self, y: Array, which: np.ndarray, unknown: Array) -> float:
-        """Return the rms of what a machine (m,) and unknowns (k,) of columns leave, in the noise."""
-        own = which[which >= self.known]
-        left = self.rows[..., -1] - self.rows[..., : len(y)] @ y - self.rows[..., own] @ unknown
-        return float(np.sqrt(np.mean(left**2)))
+    def solve(self, columns: np.ndarray, scale: Array) -> tuple[Array, Array, float]:
+        """Return what is known (m + N,), the unknowns (k,) of columns with standard deviations (k,), and the misfit.
+
+        That is the root of χ² of the rows over their number, what is unknown integrated: about one of right data. Lost
+        rows count by what they cost.
+        """
+        flat = self.rows.reshape(-1, self.rows.shape[-1])
+        both = np.concatenate([flat[:, : self.known], flat[:, columns] * scale], axis=1)
+        found = np.linalg.solve(np.eye(both.shape[1]) + both.T @ both, both.T @ flat[:, -1])
+        square = float(flat[:, -1] @ (flat[:, -1] - both @ found)) + self.n_lost * np.exp(2.0 * LOST)
+        misfit = float(np.sqrt(square / max(self.n_spare + self.n_lost, 1)))
+        return found[: self.known], found[self.known :] * scale, misfit
 
     @cached_property
     def reduced(self) -> tuple[Array, Array, Array]:
@@ -198,13 +224,14 @@ class White:
         size = np.sqrt(np.diag(gram)[:-1] / max(int(np.count_nonzero(flat[:, -1])), 1))
         return left[:-1, :-1], left[:-1, -1], np.where(size > 0.0, 1.0 / np.maximum(size, 1e-300), 0.0)
 
-    def gain(self, columns: np.ndarray, wider: bool = False) -> tuple[float, float]:
-        """Return by how much columns raise the log-density, and their τ or the factor on a tolerance."""
+    def gain(self, columns: np.ndarray, wider: bool = False, most: float = np.inf) -> tuple[float, float]:
+        """Return by how much columns raise the log-density, and their τ, at most so large, or a tolerance's factor."""
         square, side, scale = self.reduced
         scale = np.ones(len(columns)) if wider else scale[columns]
         values, axes = np.linalg.eigh(scale[:, None] * square[np.ix_(columns, columns)] * scale)
         values, along = np.maximum(values, 0.0), axes.T @ (scale * side[columns])
         sizes = np.sqrt(WIDER**2 - 1.0) if wider else SIZES
+        sizes = sizes[: max(int(np.count_nonzero(sizes * scale.max(initial=0.0) <= most)), 1)]
         variance = sizes[:, None] ** 2
         gains = 0.5 * np.sum(variance * along**2 / (1.0 + variance * values) - np.log1p(variance * values), axis=1)
         best = int(np.argmax(gains))
@@ -218,18 +245,52 @@ class Readings:
     Attributes
     ----------
     posterior : CalibrationPosterior
+        With the poses at which the nominal machine explains the readings best.
     low, high : ndarray, shape (q,)
         The workspace, mm and rad.
+    internal : ndarray of bool, shape (K,)
+        Which channels the machine keeps after its calibration.
     """
 
     posterior: CalibrationPosterior
     low: Array
     high: Array
+    internal: np.ndarray
+
+    @property
+    def model(self) -> ReadingModel:
+        """The machine."""
+        return self.posterior.likelihood.model
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """Its channels, K of them."""
+        return self.model.channels
 
     @property
     def values(self) -> Array:
         """As they are, (P, K)."""
         return self.posterior.likelihood.data.values
+
+    @property
+    def home(self) -> Array:
+        """What the machine as expected reads at home, (K,)."""
+        given = {name: value[:1] for name, value in self.posterior.likelihood.data.given.items()}
+        return self.model.read(self.posterior.sampling.start[None], self.model.home_pose[None], given)[0]
+
+    @property
+    def time(self) -> Array:
+        """When rows were measured, from 0 to 1 by their order, (P,)."""
+        order = self.posterior.likelihood.data.order
+        return np.asarray((order - order.min()) / max(float(np.ptp(order)), 1.0))
+
+    def with_table(self, table: Table) -> Readings:
+        """Return them as if a table had been read."""
+        return replace(self, posterior=replace(self.posterior, likelihood=self._with(table)))
+
+    def pick(self, rows: np.ndarray) -> Readings:
+        """Return some of the rows."""
+        return replace(self, posterior=replace(self.posterior, likelihood=self.posterior.likelihood.pick(rows)))
 
     @cached_property
     def table(self) -> Table:
@@ -255,9 +316,29 @@ class Readings:
             return None
         slope = linear.slope @ change
         stands = np.isfinite(linear.errors).all(axis=1) & np.isfinite(slope).all(axis=(1, 2))
-        stands &= np.isfinite(linear.constant) & (likelihood.n_spare > 0)
-        errors = linear.errors - slope @ y
-        return Sight(table.rows, linear, slope, errors, stands, pose, table.log_volume)
+        stands &= np.isfinite(linear.constant)
+        n_spare, errors = likelihood.n_spare, linear.errors - slope @ y
+        return Sight(table.rows, linear, slope, errors, stands & (n_spare > 0), n_spare, pose, table.log_volume)
+
+    def measure_rows(self, n_starts: int = 0) -> Array:
+        """Return how far rows lie from any machine within the tolerances, in noise and errors as stated, (P,).
+
+        The rms of what no pose explains of each beside the machine that fits all best to first order, without outlying
+        rows; infinite for rows that the machine as expected has no pose of.
+        """
+        n, n_spare = len(self.values), self.posterior.likelihood.n_spare
+        seen = self.see(self.table, np.zeros(self.posterior.n_geometry), None, n_starts)
+        if seen is None:
+            return np.full(n, np.inf)
+        white = seen.whiten(np.zeros(self.posterior.errors.n_parameters))
+        rest, moves, spare = white.rows[..., -1], white.rows[..., : white.known], np.maximum(n_spare, 1)
+        left, there = rest, np.flatnonzero(seen.stands)
+        for _ in range(2 if len(there) else 0):
+            off = np.sqrt(np.sum(left[there] ** 2, axis=1) / spare[there])
+            used = there[off <= OUTLYING * np.median(off)]
+            flat, along = moves[used].reshape(-1, white.known), rest[used].ravel()
+            left = rest - moves @ np.linalg.solve(np.eye(white.known) + flat.T @ flat, flat.T @ along)
+        return np.where(seen.stands, np.sqrt(np.sum(left**2, axis=1) / spare), np.where(n_spare > 0, np.inf, 0.0))
 
     def _with(self, table: Table) -> CalibrationLikelihood:
         """Return the density of a table's readings."""
@@ -268,6 +349,9 @@ class Readings:
             known = tuple(replace(one, period=TURN) if k in table.circular else one for k, one in channels)
             model = replace(model, channels=known)
         data = replace(likelihood.data.pick(table.rows), values=table.values)
+        if table.vague:
+            vague = np.isin(np.arange(len(self.channels)), table.vague)
+            data = replace(data, sd=np.where(vague, VAGUE * data.sd, data.sd))
         return replace(likelihood, model=model, data=data, start=likelihood.start[table.rows], expansion=None)
 
     def _locate(self, posterior: CalibrationPosterior, theta: Array, n_starts: int) -> Array:
@@ -299,22 +383,25 @@ class Readings:
 type Weigh = Callable[[Array], float]
 
 
-def profile(weigh: Weigh, n_errors: int) -> tuple[Array, float]:
-    """Return the errors' coordinates ζ (n,) with the largest log-density and prior, and these, on a grid by turns."""
-    best, value = np.zeros(n_errors), weigh(np.zeros(n_errors))
+def profile(weigh: Weigh, starts: Sequence[Array], levels: bool = True, turns: bool = True) -> Array:
+    """Return the errors' coordinates ζ (n,) with the largest log-density and prior.
 
-    def attempt(zeta: Array) -> None:
-        nonlocal best, value
-        found = weigh(zeta) - 0.5 * float(zeta @ zeta)
-        if found > value:
-            best, value = zeta, found
+    The best of some starts, and of all coordinates at once; from there by turns, one coordinate after the other.
+    """
+    zeta, best = starts[0], -np.inf
 
-    if n_errors:
-        for size in (-3.0, -2.0, -1.0, 1.0, 2.0, 3.0, 4.0, 5.0):
-            attempt(np.full(n_errors, size))
-        for steps in TURNS if n_errors > 1 else ():
-            for k, step in product(range(n_errors), steps):
-                zeta = best.copy()
-                zeta[k] += step
-                attempt(zeta)
-    return best, value
+    def attempt(one: Array) -> None:
+        nonlocal zeta, best
+        found = weigh(one) - 0.5 * float(one @ one)
+        if found > best:
+            zeta, best = one, found
+
+    n = len(zeta)
+    for start in (*starts, *(np.full(n, size) for size in LEVELS if n and levels)):
+        attempt(start)
+    for steps in TURNS if n and turns else ():
+        for k, step in product(range(n), steps):
+            moved = zeta.copy()
+            moved[k] += step
+            attempt(moved)
+    return zeta

@@ -12,11 +12,11 @@ import numpy as np
 from bayescal.experiments.frame.memory import Need
 from bayescal.experiments.shared.knowledge_page import NO_TOOL
 from bayescal.experiments.shared.measured import MeasuredReadings
-from bayescal.experiments.shared.measured_slips import find_calibration_slip
 from bayescal.experiments.shared.origin import name_origin
 from bayescal.experiments.shared.outlook import join_outlooks
 from bayescal.experiments.shared.readings.inputs import ReadingInputs, read_inputs
 from bayescal.experiments.shared.readings.memory import estimate_calibration
+from bayescal.experiments.shared.slip_search import find_slip
 from bayescal.experiments.shared.slips import FoundSlip
 from bayescal.experiments.shared.study_inputs import Described, Inputs, Task
 from bayescal.experiments.shared.study_schema import StudyConfig
@@ -94,7 +94,7 @@ class ReadingStudy(ReadingInputs, Inputs):
 
     def find_slip(self) -> FoundSlip | None:
         """Return what may have happened to readings that no machine within its priors comes near."""
-        return find_calibration_slip(one.suspicion() for one in self.variants.values())
+        return find_slip(one.list_readings() for one in self.variants.values())
 
     def measure(self, names: Sequence[str], path: Path, with_model_error: bool) -> dict[str, MeasuredReadings]:
         """Return the posteriors of the calibration poses."""

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Mapping
 
 import numpy as np
 
+from bayescal.data.instruments.readings import PointReadings
 from bayescal.density.instruments import InstrumentLikelihood
-from bayescal.density.legs import Likelihood
-from bayescal.experiments.shared.measured_slips import Suspect, find_leg_slip, weigh_poses
+from bayescal.experiments.shared.leg_readings import read_legs, read_points
 from bayescal.experiments.shared.outlook import join_outlooks, tell_outlook
-from bayescal.experiments.shared.slips import FoundSlip, LegData
+from bayescal.experiments.shared.slip_rows import Readings
+from bayescal.experiments.shared.slip_search import find_slip
+from bayescal.experiments.shared.slips import FoundSlip
 from bayescal.experiments.shared.study_schema import VariantConfig
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.measurement import InstrumentMeasurement
@@ -44,28 +46,39 @@ def list_outlooks(inputs: StudyInputs) -> list[str]:
 
 def find_study_slip(inputs: StudyInputs) -> FoundSlip | None:
     """Return what explains the data many times better than they are; None where some variant's machine fits them."""
-    stated = _state_error(inputs)
-    suspects = (_suspect(inputs, _without_measured_matrix(inputs, one), stated) for one in inputs.config.variants)
-    return find_leg_slip(suspects, inputs.mechanism.initial_actuator_positions)
+    return find_slip(_read(inputs, _without_measured_matrix(inputs, one)) for one in inputs.config.variants)
 
 
-def _suspect(inputs: StudyInputs, variant: VariantConfig, stated: float) -> Suspect:
-    """Return a variant's density of all poses, calibration and verification in the order of the table."""
+def _read(inputs: StudyInputs, variant: VariantConfig) -> Readings:
+    """Return all poses, calibration and verification in the order of the table, under a variant.
+
+    Points stand for the poses that they determine, where they determine all. What frames that are free do to poses is
+    taken to first order.
+    """
     machine, measured = inputs.machine(variant), inputs.measured
+    (known, fixed), layout = inputs.priors(variant), machine.layout.names
     noise = inputs.actuator_noise
-    likelihood_of = weigh_poses(machine, measured.poses, noise)
-    if isinstance(measured, InstrumentMeasurement) and not measured.has_poses:
+    scale = inputs.config.leg_error.scales(noise)[0]
+    if isinstance(measured, InstrumentMeasurement):
         instrument = measured.instrument
+        if isinstance(instrument, PointReadings) and not instrument.is_whole():
+            return read_points(machine, instrument, noise, known, fixed, scale)
+    priors = {name: one for name, one in known.items() if name in layout}
+    frames = {name: one.sd for name, one in known.items() if name not in layout}
+    shared = _see_frames(machine, measured, frames) if isinstance(measured, InstrumentMeasurement) and frames else None
+    return read_legs(machine, measured.poses, noise, priors, fixed, scale, shared)
 
-        def likelihood_of(data: LegData, chosen: np.ndarray) -> Likelihood:
-            return InstrumentLikelihood(machine, replace(instrument.select(chosen), actuators=data.actuators), noise)
 
-    # those of targets have no form of their own
-    stated_poses = measured.poses if isinstance(measured, InstrumentMeasurement) and measured.has_poses else None
-    known = inputs.posterior(variant, with_model_error=False).sampling.coordinates
-    return Suspect(
-        likelihood_of, known.start, known.free, known.scale, LegData(measured.actuators, stated_poses), stated
-    )
+def _see_frames(machine: Machine, measured: InstrumentMeasurement, sd: Mapping[str, float]) -> Array:
+    """Return what frames (M) with standard deviations do to what an instrument says of the poses, (P, N + 6, M)."""
+    likelihood = InstrumentLikelihood(machine, measured.instrument, 0.0)
+    slope = likelihood.error_jacobian(likelihood.layout.nominal)[1][
+        ..., [likelihood.layout.names.index(one) for one in sd]
+    ]
+    rows = measured.instrument.rows
+    seen = rows.to_pose @ slope[:, : rows.to_pose.shape[-1]]
+    legs = np.zeros((len(seen), measured.actuators.shape[1], len(sd)))
+    return np.concatenate([legs, -seen * np.array(list(sd.values()))], axis=1)
 
 
 def _without_measured_matrix(inputs: StudyInputs, variant: VariantConfig) -> VariantConfig:
@@ -75,15 +88,6 @@ def _without_measured_matrix(inputs: StudyInputs, variant: VariantConfig) -> Var
     rigid = variant.model_copy(update={"deformation": "none"})
     known = {block.symbol for block in inputs.machine(rigid).layout.blocks}
     return rigid.model_copy(update={"free": [symbol for symbol in inputs.free(variant) if symbol in known]})
-
-
-def _state_error(inputs: StudyInputs) -> float:
-    """Return what a leg may err by as stated: model error, actuators, the measured position, mm."""
-    config = inputs.config
-    variance = np.diagonal(inputs.measured.poses.covariance, axis1=1, axis2=2)[:, :3]
-    position = float(np.nanmean(variance)) if np.isfinite(variance).any() else 0.0
-    others = np.array([config.leg_error.scales(inputs.actuator_noise)[0], inputs.actuator_noise])
-    return float(np.sqrt(position + np.sum(others**2)))
 
 
 def doubt_zero(inputs: StudyInputs) -> list[str]:

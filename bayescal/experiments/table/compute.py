@@ -13,7 +13,7 @@ from bayescal.errors import NumericalError
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.shared.estimate import Estimate, estimate_posterior
-from bayescal.experiments.shared.measured_slips import find_calibration_slip
+from bayescal.experiments.shared.slip_search import find_slip
 from bayescal.experiments.table.inputs import (
     Plan,
     Polynomial,
@@ -50,7 +50,7 @@ def compute_table(inputs: TableInputs, run: Run) -> Results:
     table = find_table(inputs, estimate.kept, estimate.mode)
     actuators = inputs.actuators.channels
     text = format_polynomial(table.polynomial, inputs.actuators.names, [one.unit for one in actuators])
-    summary, slip = summarise(inputs, table, problems), find_calibration_slip([inputs.variant.suspicion()])
+    summary, slip = summarise(inputs, table, problems), find_slip([inputs.variant.list_readings()])
     summary |= {} if slip is None else {"slip": slip.record()}
     return Results(summary, tabulate(inputs, table), {POLYNOMIAL_FILE: text})
 

@@ -8,10 +8,10 @@ from bayescal.experiments.frame.memory import Need, estimate_arrays
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.shared.estimate import KEPT_DRAWS
-from bayescal.experiments.shared.measured_slips import find_calibration_slip
 from bayescal.experiments.shared.of_another import OfAnother
 from bayescal.experiments.shared.readings.memory import list_variant
 from bayescal.experiments.shared.search_memory import list_sampling
+from bayescal.experiments.shared.slip_search import find_slip
 from bayescal.experiments.table.compute import compute_table
 from bayescal.experiments.table.inputs import TableInputs, read_table
 from bayescal.experiments.table.page import build_page
@@ -50,7 +50,7 @@ class LookUpTable(OfAnother[TableConfig, TableInputs]):
 
     def doubt(self, inputs: TableInputs) -> list[str]:
         """Return what may have happened to readings that no machine within its priors comes near."""
-        said = find_calibration_slip([inputs.variant.suspicion()])
+        said = find_slip([inputs.variant.list_readings()])
         return [] if said is None else [said.say()]
 
     def compute(self, inputs: TableInputs, run: Run) -> Results:

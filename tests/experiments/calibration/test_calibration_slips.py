@@ -20,7 +20,11 @@ SLIPS = {
     "centimetres": (CARRIAGES, lambda x: 0.1 * x, "readings of s seem to be 10 times too small (mm for cm)"),
     "inches": (CAMERA[:1], lambda x: x / 25.4, "readings of cam_x seem to be in inches"),
     "sign": (CAMERA[1:], lambda x: -x, "readings of cam_y seem to be of the other sign"),
-    "mirrored": (CAMERA[:1], lambda x: -x, "readings of cam_x seem to be of the other sign (or: readings of s["),
+    "mirrored": (
+        CAMERA[:1],
+        lambda x: -x,
+        "readings of s[2] and s[3] seem to be exchanged (or: readings of cam_x seem to",
+    ),
     "exchanged": (CARRIAGES[:2], lambda x: x[:, ::-1], "readings of s[1] and s[2] seem to be exchanged"),
     "the other way round": (CARRIAGES[::2], lambda x: x[:, ::-1], "legs of s seem to be numbered the other way"),
     "counted": (CARRIAGES, lambda x: np.roll(x, 1, axis=1), "legs of s seem to be counted from leg 2"),
@@ -81,7 +85,7 @@ def test_a_run_that_would_find_no_machine_is_refused_with_the_likely_cause(tmp_p
 def test_page_summary_and_terminal_begin_with_it(tmp_path, call, no_pictures, monkeypatch):
     said = FoundSlip("rows", "rows of s seem to be shifted", 100.0, 41.0)
     path = calibrations.write_delta(tmp_path)
-    monkeypatch.setattr("bayescal.experiments.study.by_tables.find_calibration_slip", lambda variants: said)
+    monkeypatch.setattr("bayescal.experiments.study.by_tables.find_slip", lambda variants: said)
     calibrations.change(path, '[[variants]]\nname = "one_rod"\ntitle = "Rods of one length"\ncommon = ["l"]\n', "")
     code, out, _ = call("run", path, "--out", tmp_path / "out", "--workers", 1)
     assert code == 0

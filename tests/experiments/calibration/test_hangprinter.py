@@ -103,7 +103,8 @@ def tiny(tmp_path_factory):
     variants[-1], tail = variants[-1].split("[validation]")
     kept = [one.rstrip() + '\nnoise = "stated"\n\n' for one in variants if 'name = "rigid"' in one]
     head = head.replace('channels = ["motor"]', 'ignore = ["force_1", "force_2", "force_3", "force_4"]')
-    (folder / "study.toml").write_text(head + "".join(kept) + "[validation]" + tail + "\n[next]\ncandidates = 30\n" + PLAIN)
+    tail += "\n[next]\ncandidates = 30\n" + PLAIN
+    (folder / "study.toml").write_text(head + "".join(kept) + "[validation]" + tail)
     _, config = load(folder / "study.toml")
     return run_experiment(config, folder, folder / "out", quiet=True)
 

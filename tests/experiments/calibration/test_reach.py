@@ -60,7 +60,7 @@ def test_readings_that_never_change_are_refused(readings, tmp_path, refuse):
 def test_another_zero_is_doubted_where_the_machine_can_have_it(readings, tmp_path, call):
     path = planar_rrr.write_project(tmp_path / "project", change([0], lambda x: x + 0.5 * np.pi)(readings))
     code, out, complaint = call("validate", path)
-    assert "theta[1] seem to have another zero, +1.57" in out + complaint
+    assert "theta[1] seem to have another zero, +90.4°" in out + complaint
     assert code in (0, 2)
 
 

@@ -165,7 +165,7 @@ def test_a_unit_slip_of_the_actuators_is_named(factor):
 @pytest.mark.runs
 def test_shifted_rows_are_named():
     found = checked.change_actuators(checked.make_clean(4), lambda rho: np.roll(rho, 1, axis=0))
-    found = state_cause(search_cause(found.measured))
+    found = state_cause(search_cause(found.measured.readings))
     assert (found.fault, found.level) == ("rows", "bad")
     assert "rows of rho seem to be shifted by one" in found.text
 
@@ -176,7 +176,7 @@ def test_rotations_in_degrees_are_named():
     poses = subject.measured.legs.poses
     turned = matrix_from_rotation_vector(np.degrees(rotation_vector_from_matrix(poses.rotation)))
     turned = checked.with_poses(subject.measured.legs, replace(poses, rotation=turned))
-    found = state_cause(search_cause(turned.measured))
+    found = state_cause(search_cause(turned.measured.readings))
     assert (found.fault, "in degrees" in found.text) == ("unit", True)
 
 
@@ -269,7 +269,7 @@ def test_twenty_clean_studies_pass(seed):
 
 
 def test_which_slips_would_pass_unnoticed_is_said(subject):
-    search = search_cause(subject.measured)
+    search = search_cause(subject.measured.readings)
     assert "no planted slip of the table would pass unnoticed" in state_cause(search).text
     text = state_cause(replace(search, unnoticed=["readings of s seem to be in inches"])).text
     assert "planted slips of the table that would pass unnoticed within the tolerances: readings of s in inches" in text

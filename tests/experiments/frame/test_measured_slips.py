@@ -32,7 +32,7 @@ def test_the_next_pose_of_exchanged_legs_is_doubted(tmp_path):
     assert experiment.doubt(experiment.read(config, tmp_path)) == []
     change_actuators(tmp_path / "data" / "actuators.csv", lambda rho: rho[:, [0, 2, 1, 3, 4, 5]])
     (doubt,) = experiment.doubt(experiment.read(config, tmp_path))
-    assert "times better if corrected: legs 2 and 3 seem to be exchanged" in doubt
+    assert "times better if corrected: readings of rho[2] and rho[3] seem to be exchanged" in doubt
 
 
 def test_what_is_found_is_said_first():
@@ -48,7 +48,7 @@ def test_sessions_whose_rows_are_shifted_are_refused(tmp_path):
     experiment, config = load(path)
     change_actuators(tmp_path / "data" / "2" / "actuators.csv", lambda rho: np.roll(rho, 1, axis=0))
     with pytest.raises(
-        InputError, match=r"session 'S2': .* rows seem to be shifted by one.* denied_slips of the session"
+        InputError, match=r"session 'S2': .* rows of rho seem to be shifted by one.* denied_slips of the session"
     ):
         experiment.read(config, tmp_path)
 
@@ -61,14 +61,14 @@ def test_a_denied_slip_is_said_and_not_refused(tmp_path, denied, refused):
     second = config.sessions[1].model_copy(update={"denied_slips": denied})
     config = config.model_copy(update={"sessions": [config.sessions[0], second, *config.sessions[2:]]})
     if refused:
-        with pytest.raises(InputError, match="rows seem to be shifted by one"):
+        with pytest.raises(InputError, match="rows of rho seem to be shifted by one"):
             experiment.read(config, tmp_path)
         return
     (said,) = experiment.read(config, tmp_path).denied
     assert said.startswith("Session 'S2': the data fit ")
     (statement,) = state_denied({"denied_slips": [said]})
     assert (statement.level, statement.lead) == ("warning", "Data")
-    assert "rows seem to be shifted by one" in statement.text
+    assert "rows of rho seem to be shifted by one" in statement.text
     assert "The config denies that" in statement.text
 
 

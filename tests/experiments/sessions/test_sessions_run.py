@@ -187,7 +187,7 @@ def test_temperatures_that_nothing_is_made_of_are_doubted(written, call, tmp_pat
 
 def test_a_denied_slip_is_said_and_not_refused(written, tmp_path, monkeypatch):
     found = FoundSlip("rows", "rows of s seem to be shifted by one", 50.0, 4.0)
-    monkeypatch.setattr(inputs, "find_measured_slip", lambda measured, denied=(): None if "rows" in denied else found)
+    monkeypatch.setattr(inputs, "find_slip", lambda measured, denied=(): None if "rows" in denied else found)
     path = session_studies.copy_sessions(written["channels"], tmp_path)
     for k in (1, 2, 3):
         studies.edit(path, f'label = "M{k}"', f'label = "M{k}"\ndenied_slips = ["rows"]')

@@ -1,15 +1,13 @@
 """Slips of measured poses planted in a study by poses: the cause is found by trying it, clean ones pass."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import studies
+import test_instrument_study as instruments
 from scipy.spatial.transform import Rotation
 
-from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.experiments.frame.load import load_experiment
-from bayescal.experiments.shared.slips import list_rereads
+from bayescal.experiments.shared.slip_causes import list_rereads
 from bayescal.experiments.study.doubts import find_study_slip
 from bayescal.experiments.study.inputs import load_inputs
 from bayescal.experiments.study.tables import format_poses
@@ -55,18 +53,23 @@ def exchange(columns):
     return columns | {"x_mm": columns["y_mm"], "y_mm": columns["x_mm"]}
 
 
+def mirror(columns):
+    return columns | {name: [str(-float(x)) for x in columns[name]] for name in ("y_mm", "rx_deg", "rz_deg")}
+
+
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "fault", "said"),
     [
-        (turn_back, "the other way round"),
-        (flip_z, "z_mm seems to be of the other sign"),
-        (exchange, "x_mm and y_mm seem to be exchanged"),
+        (turn_back, "poses", "the other way round"),
+        (flip_z, "unit", "readings of z seem to be of the other sign"),
+        (exchange, "legs", "readings of x and y seem to be exchanged"),
+        (mirror, "poses", "left-handed frame, y of the other sign"),
     ],
 )
-def test_likely_cause_is_found(fed, change, said):
+def test_likely_cause_is_found(fed, change, fault, said):
     slip = look(fed, change)
     assert slip is not None
-    assert slip.fault == "poses"
+    assert slip.fault == fault
     assert said in slip.text
 
 
@@ -74,30 +77,38 @@ def test_clean_poses_are_not_suspected(fed):
     assert look(fed) is None
 
 
-def make_poses(rotation):
-    n = len(rotation)
-    position = np.arange(3.0 * n).reshape(n, 3) + 200.0
-    return MeasuredPoses(tuple("abcdefgh"[:n]), position, rotation, np.tile(np.eye(6), (n, 1, 1)), np.zeros((n, 6)))
-
-
 @pytest.mark.parametrize("axes", ["xyz", "zyx", "yxz"])
 def test_angles_that_were_read_as_vectors_become_the_rotations_they_are(axes, rng):
     angles = rng.uniform(-0.3, 0.3, (4, 3))
     truth = Rotation.from_euler(axes, angles[:, ["xyz".index(axis) for axis in axes]]).as_matrix()
-    read = make_poses(Rotation.from_rotvec(angles).as_matrix())
-    found = {text: poses.rotation for text, poses in list_rereads(read)}
-    (right,) = [text for text, rotation in found.items() if np.allclose(rotation, truth, atol=1e-12)]
+    read = list_rereads(np.ones((4, 3)), Rotation.from_rotvec(angles).as_matrix())
+    (right,) = [text for text, _, rotation in read if np.allclose(rotation, truth, atol=1e-12)]
     assert f"the fixed axes {', '.join(axes)} one after the other" in right
 
 
 def test_poses_of_the_base_are_turned_round_into_those_of_the_platform():
     turned = Rotation.from_rotvec([[0.1, 0.2, 0.3], [0.0, -0.4, 0.2]]).as_matrix()
-    poses = make_poses(turned)
-    back = replace(
-        poses,
-        position=-np.einsum("pji,pj->pi", turned, poses.position),
-        rotation=np.swapaxes(turned, 1, 2),
-    )
-    (found,) = [p for text, p in list_rereads(back) if "those of the base in the platform's frame" in text]
-    np.testing.assert_allclose(found.position, poses.position, atol=1e-12)
-    np.testing.assert_allclose(found.rotation, poses.rotation, atol=1e-12)
+    position = np.arange(6.0).reshape(2, 3) + 200.0
+    back = np.swapaxes(turned, 1, 2)
+    read = list_rereads(-np.einsum("pij,pj->pi", back, position), back)
+    (found,) = [poses for text, *poses in read if "those of the base in the platform's frame" in text]
+    np.testing.assert_allclose(found[0], position, atol=1e-12)
+    np.testing.assert_allclose(found[1], turned, atol=1e-12)
+
+
+@pytest.mark.parametrize("probe", [instruments.PROBE, instruments.PROBE[: instruments.PROBE.index("P2")]])
+def test_exchanged_legs_are_found_from_points_in_free_frames(probe, tmp_path, monkeypatch):
+    """Four points, which tell the pose, and a single one, which does not."""
+    monkeypatch.setattr(instruments, "PROBE", probe)
+    path = instruments.write_points(tmp_path)
+    assert find_study_slip(load_inputs(load_experiment(path), tmp_path)) is None
+    table = tmp_path / "data" / "actuators.csv"
+    comments = [line for line in table.read_text().splitlines() if line.startswith("#")]
+    header, *rows = [line.split(",") for line in table.read_text().splitlines() if not line.startswith("#")]
+    two, three = header.index("rho_2_mm"), header.index("rho_3_mm")
+    for row in rows:
+        row[two], row[three] = row[three], row[two]
+    table.write_text("\n".join([*comments, *map(",".join, [header, *rows])]) + "\n")
+    found = find_study_slip(load_inputs(load_experiment(path), tmp_path))
+    assert found is not None
+    assert "readings of rho[2] and rho[3] seem to be exchanged" in found.text

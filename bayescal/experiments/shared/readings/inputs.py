@@ -16,8 +16,8 @@ from bayescal.density.elimination import project_out
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import Prior
 from bayescal.errors import InputError, name_faults
-from bayescal.experiments.shared.measured_slips import Suspicion, check_reach
 from bayescal.experiments.shared.outlook import join_outlooks, tell_outlook
+from bayescal.experiments.shared.reach import check_reach
 from bayescal.experiments.shared.readings.beside import Beside, read_beside
 from bayescal.experiments.shared.readings.errors import build_terms, build_terms_of_model
 from bayescal.experiments.shared.readings.instruments import keep_files, read_instruments, read_model
@@ -26,6 +26,7 @@ from bayescal.experiments.shared.readings.priors import choose_priors, widen
 from bayescal.experiments.shared.readings.reading_tables import PoseReadings, read_tables
 from bayescal.experiments.shared.readings.workspace import Workspace, build_workspace, find_starts
 from bayescal.experiments.shared.search_memory import check_readings
+from bayescal.experiments.shared.slip_rows import Readings
 from bayescal.experiments.shared.study_schema import StudyConfig, VariantConfig
 from bayescal.machines.readings import ReadingModel, place
 from bayescal.numerics.geometry import Array
@@ -87,9 +88,9 @@ class Variant:
         priors = self.priors if factor == 1.0 else {k: widen(one, factor) for k, one in self.priors.items()}
         return Posterior(likelihood, priors, self.errors, self.fixed, self.common)
 
-    def suspicion(self, which: np.ndarray | None = None) -> Suspicion:
+    def list_readings(self, which: np.ndarray | None = None) -> Readings:
         """Return the same for slips to be looked for in."""
-        return Suspicion(self.posterior(which), self.workspace.low, self.workspace.high)
+        return Readings(self.posterior(which), self.workspace.low, self.workspace.high, self.internal)
 
     def tell_outlook(self) -> str:
         """Return in a line what its readings can determine, to first order about the nominal machine."""
@@ -222,7 +223,7 @@ def _build(
         config.leg_error, wanted, model, data, start, used, workspace, priors, unplaced.errors
     )
     placed = replace(unplaced, start=start, errors=replace(unplaced.errors, terms=(*terms, *found)), missing=missing)
-    check_reach(placed.suspicion(np.ones(data.n_poses, dtype=bool)))
+    check_reach(placed.list_readings(np.ones(data.n_poses, dtype=bool)))
     return placed
 
 
