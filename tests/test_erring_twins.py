@@ -8,7 +8,8 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
-from scipy.stats import t
+from scipy.special import digamma
+from scipy.stats import binom, t
 
 import bayescal as bc
 from bayescal.experiments.audit.design import load_audit, read_inputs
@@ -22,7 +23,7 @@ ROOT = Path(__file__).parents[1]
 LEGS = {"hexapod": "six_ups", "carriages": "six_pus", "telescope": "six_pus", "telescope_all": "six_pus"}
 GOAL, LEVEL = 0.85, 0.01
 """What rows have to reach, and the probability of falling short by chance for one that just does."""
-TWINS = 8
+TWINS, N_NOISY = 8, 40
 REACHED = [("hexapod", "lead"), ("hexapod", "cross"), ("carriages", "cross"), ("telescope_all", "matrix")]
 
 
@@ -30,9 +31,10 @@ REACHED = [("hexapod", "lead"), ("hexapod", "cross"), ("carriages", "cross"), ("
 def truth(monkeypatch):
     """The benchmark's modules, which are no part of the package."""
     monkeypatch.syspath_prepend(str(ROOT))
-    from benchmarks.truth import __main__, errors, machines, projects, scores
+    from benchmarks.truth import __main__, errors, machines, projects, recheck, scores
 
-    return SimpleNamespace(command=__main__, errors=errors, machines=machines, projects=projects, scores=scores)
+    modules = {"errors": errors, "machines": machines, "projects": projects, "recheck": recheck, "scores": scores}
+    return SimpleNamespace(command=__main__, **modules)
 
 
 def read_by_package(truth, name, machine, folder, theta, v):
@@ -165,7 +167,7 @@ def test_audits_foretell_what_studies_by_default_report(truth, tmp_path):
     name = "hexapod"
     shapes = truth.errors.SHAPES
     parts = [shapes[one] for one in ("lead", "cross", "wave", "thermal")]
-    shapes["mixed"] = lambda *of: sum(truth.errors.scale(part(*of), 0.5) for part in parts)
+    shapes["mixed"] = lambda *of: lambda _: sum(truth.errors.plant(part, 0.5, *of)[0] for part in parts)
     folder = tmp_path / "twin"
     try:
         machine, twin = truth.scores.draw_twin(name, "mixed", 10.0 / truth.errors.BASE_UM, 11)
@@ -227,3 +229,106 @@ def test_the_default_keeps_the_goal_where_the_model_is_right(truth, name):
     parameters, directions = judge(truth, name, "none", "init")
     assert reaches(parameters), parameters
     assert reaches(directions), directions
+
+
+# --- rechecks ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.runs
+def test_commanded_twins_stand_where_they_read_the_command(truth, tmp_path):
+    """And err there by the function that they erred by when they were calibrated."""
+    case = truth.recheck.calibrate("delta", "cross", 1.0, 5, tmp_path)
+    machine, twin, n = case.machine, case.twin, case.machine.n_actuators
+    session = case.measure(case.commands, 0.0, 0, np.random.default_rng(3))[0]
+    v = machine.solve(twin.theta, case.commands)
+    assert np.allclose(machine.read(twin.theta, v)[:, :n], case.commands, rtol=0.0, atol=1e-9)
+    assert np.array_equal(session.values[:, :n], case.commands)
+    used = twin.v[~twin.held]
+    exact = machine.read(twin.theta, used)[:, :n]
+    residual = (case.commands - exact - twin.error(used)) / machine.noise[:n]
+    assert 0.8 < np.sqrt(np.mean(residual**2)) < 1.2  # noise is all that is left
+    assert np.sqrt(np.mean(((case.commands - exact) / machine.noise[:n]) ** 2)) > 2.0
+
+
+@pytest.mark.runs
+def test_rechecks_are_written_line_by_line(truth, tmp_path, monkeypatch):
+    path = tmp_path / "recheck.csv"
+    words = ["recheck", "none", "--machine", "delta", "--twins", "1", "--times", "1", "--out", str(path)]
+    for _ in range(2):  # lines are replaced
+        monkeypatch.setattr("sys.argv", [*words, "--keep", str(tmp_path)])
+        truth.recheck.main()
+    table = pd.read_csv(path)
+    assert table[["machine", "row", "poses"]].to_numpy().tolist() == [
+        ["delta", "none", "planned"],
+        ["delta", "none", "calibration"],
+    ]
+    assert table["rechecks"].tolist() == [1, 1]
+    assert (table["resolved_um"] > 1.0).all()
+
+
+@pytest.mark.slow
+def test_rechecks_hold_on_machines_that_err(truth, tmp_path):
+    """At most 2 % false alarms, 95 % of shifts found; not so where errors are taken for random ones, or ignored."""
+    cases = {seed: truth.recheck.calibrate("hexapod", "cross", 1.0, seed, tmp_path) for seed in (2000, 2001)}
+    table = pd.DataFrame([line for seed, case in cases.items() for line in truth.recheck.judge_twin(case, 10, seed)])
+    most, least = binom.ppf(0.99, len(table), 0.02), binom.ppf(LEVEL, len(table), 0.95)
+    assert (table["alarm"] | table["odd"]).sum() <= most
+    assert table["found"].sum() >= least
+    assert table["named"].sum() >= least
+    assert table["random_found"].sum() < least
+    same = table[table["poses"] == "calibration"]
+    assert same["ignored_odd"].sum() > binom.ppf(0.99, len(same), 0.02)
+
+
+# --- unknown noise -----------------------------------------------------------------------------------------------
+
+
+GROUPS = {"s": [0, 1, 2], "camera": [3, 4], "height": [5]}  # the delta's channels
+SPREAD, FREEDOM, SHARE, WIDER = 0.5, 4.0, 0.05, 3.0
+
+
+def widen_by_t(rng, n):
+    """Return factors of rows whose logarithm has mean zero, normal rows times which are t distributed."""
+    factor = np.sqrt(0.5 * FREEDOM / rng.gamma(0.5 * FREEDOM, size=n))
+    return factor * np.exp(0.5 * (digamma(0.5 * FREEDOM) - np.log(0.5 * FREEDOM)))
+
+
+def widen_some(rng, n):
+    """Return factors of rows of which a share that is itself drawn is Cauchy distributed, three times as wide."""
+    wrong = rng.random(n) < rng.beta(1.0, 1.0 / SHARE - 1.0)
+    return np.where(wrong, WIDER / np.sqrt(2.0 * rng.gamma(0.5, size=n)), 1.0)
+
+
+NOISE = {
+    "plain": ("", lambda _, n: np.ones(n)),
+    "robust": (f"robust = {FREEDOM}", widen_by_t),
+    "outliers": (f"outlier_share = {SHARE}", widen_some),
+}
+
+
+def find_factors(truth, row, seed, folder):
+    """Return the logarithms of a delta's factors, drawn from their prior, and draws of what its study finds."""
+    rng, machine, n = np.random.default_rng([7, seed]), truth.machines.MACHINES["delta"](), 31
+    says, widen = NOISE[row]
+    truth.projects.write_project("delta", machine, "init", folder)
+    text = (folder / "study.toml").read_text().replace('Everything free"\n', f'Everything free"\n{says}\n')
+    unknown = "".join(f"{name} = {SPREAD}\n" for name in GROUPS)
+    (folder / "study.toml").write_text(f"{text}\n[model_error]\nterms = []\n\n[unknown_noise]\n{unknown}")
+    theta = machine.nominal + machine.sd * rng.standard_normal(machine.nominal.size)
+    v, factors = machine.draw_poses(theta, n, rng), SPREAD * rng.standard_normal(len(GROUPS))
+    sizes = np.repeat(np.exp(factors), [len(channels) for channels in GROUPS.values()])
+    noise = sizes * machine.add_noise(np.zeros((n, 6)), rng) * widen(rng, n)[:, None]
+    truth.projects.write_tables("delta", machine, machine.read(theta, v) + noise, np.arange(n) == 30, folder)
+    names = [f"noise_factor({name})" for name in GROUPS]
+    return factors, np.log(truth.projects.calibrate(machine, folder, seed, names).draws)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("row", NOISE)
+def test_intervals_hold_unknown_factors_of_noise(truth, row, tmp_path):
+    """Drawn from their prior, as poses are, and rows as the variant takes them; factors that are 15 % off show."""
+    found = [find_factors(truth, row, seed, tmp_path / "twin") for seed in range(N_NOISY)]
+    n = N_NOISY * len(GROUPS)
+    held = [sum(truth.scores.hold(draws, factors + off) for factors, draws in found) / N_NOISY for off in (0.0, 0.15)]
+    assert binom.ppf(0.005, n, 0.9) <= round(held[0] * n) <= binom.ppf(0.995, n, 0.9)
+    assert round(held[1] * n) < binom.ppf(0.005, n, 0.9)

@@ -29,7 +29,6 @@ TINY = {
         *("jax", "numpyro", "dynesty", "nautilus"),
     ),
     "pose_selection.py --candidates 300 --iterations 5 --sets 5": (),
-    "recheck.py --twins 1": (),
     "sampling.py --warm-up 50 --draws 50": ("jax", "numpyro"),
     "sessions.py --twins 1": (),
     "slips.py --studies 1 --machines hexaglide --slips clean unit": (),

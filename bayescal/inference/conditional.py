@@ -26,6 +26,7 @@ NODES_PER_FEATURE: Final = 6  # at which the map is fitted
 MOST_NODES: Final = 800
 WIDER: Final = 1.3  # standard deviations of half of the nodes in those of the draws
 BOUND: Final = 4.0  # standard deviations of log(s² + r) at which features level off
+FAR: Final = 1e6  # the same, beyond which features do not tell them apart
 REST: Final = 0.1  # r, in medians of s²
 
 
@@ -63,7 +64,9 @@ class Features:
 
     def list(self, zeta: Array) -> Array:
         """Return them at ζ, (B, k) to (B, f): one, coordinates, products of two, and of three but for distinct ones."""
-        white = (np.log(self.sizes(zeta) ** 2 + self.rest) - self.place) / self.width
+        with np.errstate(over="ignore"):  # of walkers that are far out
+            white = (np.log(self.sizes(zeta) ** 2 + self.rest) - self.place) / self.width
+        white = np.minimum(white, FAR)
         one = white / np.sqrt(1.0 + (white / BOUND) ** 2)
         first, second = np.triu_indices(one.shape[1])
         parts = [np.ones((len(one), 1)), one, one[:, first] * one[:, second]]

@@ -1,7 +1,9 @@
 """What machines err by and no model states: of each actuator, at each row of a table.
 
-Each is a function of (machine, poses (P, q), random generator) and returns errors (P, N) of any size; they are scaled
-afterwards so that their rms about each actuator's mean is what is asked for. Rows are in measuring order.
+Each shape is a function of (machine, poses (P, q), random generator) that draws coefficients and returns errors (P', N)
+of any size as a function of poses (P', q) in measuring order. They are scaled so that their rms about each actuator's
+mean, over the poses P, is what is asked for. Measured again, a machine errs by the same function; what hangs on time
+and not on the pose is drawn anew at every call.
 """
 
 from __future__ import annotations
@@ -12,106 +14,129 @@ import numpy as np
 
 from benchmarks.truth.machines import STEP, Array, Simulated, difference
 
-type Shape = Callable[[Simulated, Array, np.random.Generator], Array]
+type Error = Callable[[Array], Array]
+type Shape = Callable[[Simulated, Array, np.random.Generator], Error]
 
 
-def err_by_lead(machine: Simulated, v: Array, rng: np.random.Generator) -> Array:
+def err_by_lead(machine: Simulated, v: Array, rng: np.random.Generator) -> Error:
     """Return each actuator's own scale times its travel."""
-    travel = machine.travel(v)
-    return travel * rng.standard_normal(travel.shape[1])
+    scale = rng.standard_normal(machine.n_actuators)
+    return lambda v: machine.travel(v) * scale
 
 
-def err_across(machine: Simulated, v: Array, rng: np.random.Generator) -> Array:
+def err_across(machine: Simulated, v: Array, rng: np.random.Generator) -> Error:
     """Return a random matrix times the travels: every actuator moves every leg."""
-    travel = machine.travel(v)
-    return travel @ rng.standard_normal((travel.shape[1],) * 2)
+    matrix = rng.standard_normal((machine.n_actuators,) * 2)
+    return lambda v: machine.travel(v) @ matrix
 
 
-def err_by_slopes(machine: Simulated, v: Array, rng: np.random.Generator) -> Array:
+def err_by_slopes(machine: Simulated, v: Array, rng: np.random.Generator) -> Error:
     """Return each actuator's own scale above home and another below it."""
-    travel = machine.travel(v)
-    above, below = rng.standard_normal((2, travel.shape[1]))
-    return np.where(travel > 0.0, above, below) * travel
+    above, below = rng.standard_normal((2, machine.n_actuators))
+    return lambda v: np.where((travel := machine.travel(v)) > 0.0, above, below) * travel
 
 
-def err_in_joints(machine: Simulated, v: Array, rng: np.random.Generator) -> Array:
+def err_in_joints(machine: Simulated, v: Array, rng: np.random.Generator) -> Error:
     """Return squares of the tilt, each actuator with its own coefficients."""
-    tilt = machine.tilt(v)
-    squares = np.stack([tilt[:, 0] ** 2, tilt[:, 1] ** 2, tilt[:, 0] * tilt[:, 1]], axis=-1)
-    return squares @ rng.standard_normal((3, machine.n_actuators))
+    weights = rng.standard_normal((3, machine.n_actuators))
+
+    def error(v: Array) -> Array:
+        tilt = machine.tilt(v)
+        return np.stack([tilt[:, 0] ** 2, tilt[:, 1] ** 2, tilt[:, 0] * tilt[:, 1]], axis=-1) @ weights
+
+    return error
 
 
-def err_in_waves(machine: Simulated, v: Array, rng: np.random.Generator) -> Array:
+def err_in_waves(machine: Simulated, v: Array, rng: np.random.Generator) -> Error:
     """Return a sinusoid of each actuator's travel, one or two whole travels long."""
-    return _wave(machine.travel(v), rng, 1.0, 2.0)
+    return _wave(machine, v, rng, 1.0, 2.0)
 
 
-def err_periodically(machine: Simulated, v: Array, rng: np.random.Generator) -> Array:
+def err_periodically(machine: Simulated, v: Array, rng: np.random.Generator) -> Error:
     """Return a sinusoid of each actuator's travel, several periods in a travel."""
-    return _wave(machine.travel(v), rng, 0.12, 0.2)
+    return _wave(machine, v, rng, 0.12, 0.2)
 
 
-def _wave(travel: Array, rng: np.random.Generator, shortest: float, longest: float) -> Array:
-    n = travel.shape[1]
-    length = np.ptp(travel, axis=0) * rng.uniform(shortest, longest, n)  # in whole travels
-    return np.sin(2.0 * np.pi * (travel / length + rng.random(n))) * rng.uniform(0.5, 1.5, n)
+def _wave(machine: Simulated, v: Array, rng: np.random.Generator, shortest: float, longest: float) -> Error:
+    n = machine.n_actuators
+    length = np.ptp(machine.travel(v), axis=0) * rng.uniform(shortest, longest, n)  # in whole travels
+    phase, size = rng.random(n), rng.uniform(0.5, 1.5, n)
+    return lambda v: np.sin(2.0 * np.pi * (machine.travel(v) / length + phase)) * size
 
 
-def err_by_gravity(machine: Simulated, v: Array, rng: np.random.Generator) -> Array:
+def err_by_gravity(machine: Simulated, v: Array, rng: np.random.Generator) -> Error:
     """Return one function of the pose, linear and quadratic, in all actuators with the same sign."""
-    place = machine.place(v)
-    linear, square = rng.standard_normal((2, place.shape[1]))
-    sag = place @ linear + 0.5 * place**2 @ square
-    return sag[:, None] * rng.uniform(0.5, 1.5, machine.n_actuators)
+    linear, square = rng.standard_normal((2, machine.place(v).shape[1]))
+    weights = rng.uniform(0.5, 1.5, machine.n_actuators)
+
+    def error(v: Array) -> Array:
+        place = machine.place(v)
+        return (place @ linear + 0.5 * place**2 @ square)[:, None] * weights
+
+    return error
 
 
-def err_cubically(machine: Simulated, v: Array, rng: np.random.Generator) -> Array:
+def err_cubically(machine: Simulated, v: Array, rng: np.random.Generator) -> Error:
     """Return the cube of each actuator's travel."""
-    travel = machine.travel(v)
-    return travel**3 * rng.standard_normal(travel.shape[1])
+    scale = rng.standard_normal(machine.n_actuators)
+    return lambda v: machine.travel(v) ** 3 * scale
 
 
-def err_with_time(machine: Simulated, v: Array, rng: np.random.Generator) -> Array:
+def err_with_time(machine: Simulated, v: Array, rng: np.random.Generator) -> Error:
     """Return a ramp and a random walk over the session, each actuator with its own."""
     n = machine.n_actuators
-    ramp = np.linspace(0.0, 1.0, len(v))[:, None] * rng.standard_normal(n)
-    return ramp + np.cumsum(rng.standard_normal((len(v), n)), axis=0) / np.sqrt(len(v))
+
+    def error(v: Array) -> Array:
+        ramp = np.linspace(0.0, 1.0, len(v))[:, None] * rng.standard_normal(n)
+        return ramp + np.cumsum(rng.standard_normal((len(v), n)), axis=0) / np.sqrt(len(v))
+
+    return error
 
 
-def err_by_backlash(machine: Simulated, v: Array, rng: np.random.Generator) -> Array:
+def err_by_backlash(machine: Simulated, v: Array, rng: np.random.Generator) -> Error:
     """Return each actuator's own play, with the sign of its last move."""
-    travel = machine.travel(v)
-    moved = np.sign(np.diff(travel, axis=0, prepend=np.zeros((1, travel.shape[1]))))
-    return moved * rng.uniform(0.5, 1.5, travel.shape[1])
+    n = machine.n_actuators
+    play = rng.uniform(0.5, 1.5, n)
+    return lambda v: np.sign(np.diff(machine.travel(v), axis=0, prepend=np.zeros((1, n)))) * play
 
 
-def err_after_homing(machine: Simulated, v: Array, rng: np.random.Generator) -> Array:
+def err_after_homing(machine: Simulated, v: Array, rng: np.random.Generator) -> Error:
     """Return offsets that are others after a row somewhere in the middle: the machine was homed again."""
-    later = np.arange(len(v)) >= int(len(v) * rng.uniform(0.3, 0.7))
-    return later[:, None] * rng.standard_normal(machine.n_actuators)
+
+    def error(v: Array) -> Array:
+        later = np.arange(len(v)) >= int(len(v) * rng.uniform(0.3, 0.7))
+        return later[:, None] * rng.standard_normal(machine.n_actuators)
+
+    return error
 
 
-def err_in_one(machine: Simulated, v: Array, rng: np.random.Generator) -> Array:
+def err_in_one(machine: Simulated, v: Array, rng: np.random.Generator) -> Error:
     """Return a slope and a square of the travel of one actuator; the others have none."""
-    travel, one = machine.travel(v), rng.integers(machine.n_actuators)
-    found = np.zeros((len(v), machine.n_actuators))
-    found[:, one] = travel[:, one] + rng.standard_normal() * travel[:, one] ** 2
-    return found
+    one, square = rng.integers(machine.n_actuators), rng.standard_normal()
+
+    def error(v: Array) -> Array:
+        travel = machine.travel(v)
+        return np.where(np.arange(machine.n_actuators) == one, travel + square * travel**2, 0.0)
+
+    return error
 
 
-def err_within_geometry(machine: Simulated, v: Array, rng: np.random.Generator) -> Array:
+def err_within_geometry(machine: Simulated, v: Array, rng: np.random.Generator) -> Error:
     """Return what other parameters within the tolerances make of lead, coupling and joints: nothing else shows it.
 
     It is about each actuator's mean: an offset of it is nothing that depends on the pose.
     """
     true, n = machine.nominal if machine.true is None else machine.true, machine.n_actuators
-    rms = 1e-3 * BASE_UM
-    drawn = sum(scale(one(machine, v, rng), rms) for one in (err_by_lead, err_across, err_in_joints)) / machine.lever
-    by_theta = difference(lambda one: machine.read(one, v)[:, :n], true, STEP * machine.sd) * machine.sd
+    parts = (scale(one(machine, v, rng)(v), 1e-3 * BASE_UM) for one in (err_by_lead, err_across, err_in_joints))
+
+    def differ(v: Array) -> Array:
+        return difference(lambda one: machine.read(one, v)[:, :n], true, STEP * machine.sd) * machine.sd
+
+    drawn, by_theta = sum(parts) / machine.lever, differ(v)
     rows = (by_theta / machine.noise[:n, None]).reshape(-1, true.size)
     step = np.linalg.solve(rows.T @ rows + np.eye(true.size), rows.T @ (drawn / machine.noise[:n]).ravel())
-    found = by_theta @ step * machine.lever
-    return np.asarray(found - found.mean(axis=0))
+    mean = (by_theta @ step).mean(axis=0)
+    return lambda v: (differ(v) @ step - mean) * machine.lever
 
 
 SHAPES: dict[str, Shape] = {
@@ -147,12 +172,29 @@ def scale(errors: Array, rms: float) -> Array:
     return errors * rms / np.sqrt(np.mean((errors - errors.mean(axis=0)) ** 2))
 
 
-def distort(machine: Simulated, row: str, size: float, exact: Array, v: Array, rng: np.random.Generator) -> Array:
-    """Return noise-free channels (P, m) with an error of ``size`` times the base amplitude; not of eq. 4."""
+def plant(shape: Shape, rms: float, machine: Simulated, v: Array, rng: np.random.Generator) -> tuple[Array, Error]:
+    """Return errors (P, N) of a size at poses (P, q), and what they are at others, mm at the tool."""
+    error = shape(machine, v, rng)
+    first = error(v)
+    scaled = scale(first, rms)
+    most = np.argmax(np.abs(first))
+    factor = scaled.flat[most] / first.flat[most]
+    return scaled, lambda v: factor * error(v)
+
+
+def distort(
+    machine: Simulated, row: str, size: float, exact: Array, v: Array, rng: np.random.Generator
+) -> tuple[Array, Error]:
+    """Return noise-free channels (P, m) with an error of ``size`` times the base amplitude; not of eq. 4.
+
+    Beside these what actuators err by at other poses, in their own units.
+    """
     found, rms = exact.copy(), 1e-3 * BASE_UM * size
     if row in SHAPES:
-        found[:, : machine.n_actuators] += scale(SHAPES[row](machine, v, rng), rms) / machine.lever
-    elif row == INSTRUMENT:  # its scale is wrong, and the wrong way round in half of the twins
+        errors, error = plant(SHAPES[row], rms, machine, v, rng)
+        found[:, : machine.n_actuators] += errors / machine.lever
+        return found, lambda v: error(v) / machine.lever
+    if row == INSTRUMENT:  # its scale is wrong, and the wrong way round in half of the twins
         lengths = exact[:, machine.seen] - exact[:, machine.seen].mean(axis=0)
         found[:, machine.seen] += rng.choice([-1.0, 1.0]) * scale(lengths, rms)
-    return found
+    return found, lambda v: np.zeros((len(v), machine.n_actuators))

@@ -84,6 +84,16 @@ class Simulated(ABC):
     def draw_poses(self, theta: Array, n: int, rng: np.random.Generator) -> Array:
         """Return n poses of the workspace of a machine (D,), shape (n, q)."""
 
+    def solve(self, theta: Array, wanted: Array) -> Array:
+        """Return poses (P, q) at which as many actuators of a machine (D,) read (P, q): by Newton's steps from home."""
+        v, n = np.tile(self.home, (len(wanted), 1)), self.n_actuators
+        start = self.read(theta, v)[:, :n]
+        for k in range(1, NEWTON + 1):  # the first steps go a part of the way
+            slope = difference(lambda move, v=v: self.read(theta, v + move)[:, :n], 0.0 * self.home, STEP * self.size)
+            there = start + min(k / 4.0, 1.0) * (wanted - start)
+            v = v + np.linalg.solve(slope, (there - self.read(theta, v)[:, :n])[..., None])[..., 0]
+        return v
+
     def travel(self, v: Array) -> Array:
         """Return how far a twin's actuators are from the drawing's home, shape (P, N), about one at the ends."""
         true = self.nominal if self.true is None else self.true
@@ -200,12 +210,7 @@ class Platform(Simulated):
 
     def draw_poses(self, theta: Array, n: int, rng: np.random.Generator) -> Array:
         """Return poses of actuators drawn evenly from their travel: by Newton's steps."""
-        wanted = self.initial + self.range_mm * self.share * rng.uniform(-1.0, 1.0, (n, 6))
-        v = np.tile(self.home, (n, 1))
-        for _ in range(NEWTON):
-            slope = difference(lambda move, v=v: self.read(theta, v + move)[:, :6], np.zeros(6), STEP * self.size)
-            v = v + np.linalg.solve(slope, (wanted - self.read(theta, v)[:, :6])[..., None])[..., 0]
-        return v
+        return self.solve(theta, self.initial + self.range_mm * self.share * rng.uniform(-1.0, 1.0, (n, 6)))
 
     share = 0.6  # of the actuators' travel, as `bayescal init` has it
 

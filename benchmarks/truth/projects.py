@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 import shutil
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -109,7 +110,7 @@ class Calibrated:
     Attributes
     ----------
     draws : ndarray, shape (T, D)
-        Of the posterior, in the simulator's order of parameters, mm and radians.
+        Of the posterior, in the simulator's order of parameters, mm and radians, or of what was named.
     held : ndarray of bool
         Which held-back readings lie within their 90 % predictive intervals, noise included.
     problems : list of str
@@ -192,14 +193,14 @@ def _write(path: Path, header: list[str], rows: list[str], values: Array) -> Non
     path.write_text("\n".join([",".join(header), *lines]) + "\n")
 
 
-def calibrate(machine: Simulated, folder: Path, seed: int) -> Calibrated:
-    """Return what a study finds of its tables, computed in this process; no page is made."""
+def calibrate(machine: Simulated, folder: Path, seed: int, names: Sequence[str] = ()) -> Calibrated:
+    """Return what a study finds of its tables, computed in this process; draws of other unknowns if they are named."""
     began = time.process_time()
     kind, config = load(folder / "study.toml")
     inputs = read_inputs(kind, config.model_copy(update={"seed": seed}), folder)
     fit = inputs.fit(inputs.list_tasks()[0])
     seconds = time.process_time() - began
-    order = [fit.names.index(name) for name in machine.names]
+    order = [fit.names.index(name) for name in names or machine.names]
     if isinstance(machine, Platform):
         rows, found = inputs.verification, fit.evaluated
         inside = (found["low"] <= found["error"]) & (found["error"] <= found["high"])

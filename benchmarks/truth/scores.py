@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from bayescal.errors import NumericalError
-from benchmarks.truth.errors import COUPLING, MATRIX, distort
+from benchmarks.truth.errors import COUPLING, MATRIX, Error, distort
 from benchmarks.truth.machines import MACHINES, Array, Carriages, Simulated, find_determined
 from benchmarks.truth.projects import calibrate, write_project, write_tables
 
@@ -41,12 +41,16 @@ FAILED = Score(np.nan, np.nan, np.nan, np.nan, 0, 1, np.nan)
 
 @dataclass(frozen=True, eq=False)
 class Twin:
-    """A true machine (D,), the poses (P, q) where it was measured, which of them are held back, and the readings."""
+    """A true machine (D,), the poses (P, q) where it was measured, which of them are held back, and the readings.
+
+    ``error`` is what its actuators err by as a function of poses in measuring order, in their units.
+    """
 
     theta: Array
     v: Array
     held: np.ndarray
     values: Array
+    error: Error
 
 
 def draw_twin(name: str, row: str, size: float, seed: int) -> tuple[Simulated, Twin]:
@@ -64,7 +68,8 @@ def draw_twin(name: str, row: str, size: float, seed: int) -> tuple[Simulated, T
     exact = machine.read(theta, v)
     noise = machine.add_noise(np.zeros_like(exact), rng)
     own = np.random.default_rng([seed, zlib.crc32(row.encode())])
-    return machine, Twin(theta, v, held, distort(machine, row, size, exact, v, own) + noise)
+    values, error = distort(machine, row, size, exact, v, own)
+    return machine, Twin(theta, v, held, values + noise, error)
 
 
 def judge(name: str, row: str, size: float, folder: Path, seed: int) -> Score:

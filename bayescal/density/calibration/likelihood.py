@@ -13,7 +13,7 @@ from bayescal.density.calibration.frozen import FrozenRows
 from bayescal.density.calibration.poses import PoseElimination, Stand
 from bayescal.density.calibration.terms import CommonDraws, Errors
 from bayescal.density.components import LinearRows
-from bayescal.density.elimination import Whitening, invert, left_of, orthonormalise, project_out
+from bayescal.density.elimination import Whitening, half_log_volume, invert, left_of, orthonormalise, project_out
 from bayescal.density.low_rank import Coefficients, find_coefficients, gather_columns, split
 from bayescal.density.outliers import Outliers
 from bayescal.density.posterior import Elimination, Funnel, Posterior
@@ -382,11 +382,28 @@ class CalibrationLikelihood(PoseElimination, Elimination[AffineSampling, Errors]
         return np.sqrt(np.einsum("bpk,gpk->bg", square, mine) / np.maximum(mine.sum(axis=(1, 2)), 1))
 
     def linear_rows(self, sampling: AffineSampling, errors: Errors, y: Array) -> LinearRows | None:
-        """Return the frozen rows as linear in the geometry about y, shape (n,); None where there are none."""
-        if self.frozen is None:
+        """Return rows as linear in the geometry about y, shape (n,); None where all of their noise is known.
+
+        None, too, before a machine is known that explains the readings, where errors common to all rows are not frozen,
+        and where rows may be outliers.
+        """
+        theta = sampling.theta_from_y(y[None, : sampling.size])
+        change = sampling.jacobian(theta[0])
+        if self.frozen is not None:
+            return self.frozen.linear_rows(self, theta[0], change, errors)
+        if self.expansion is None or errors.has_columns or errors.outliers.expected or not errors.has_noise:
             return None
-        theta = sampling.theta_from_y(y[None, : sampling.size])[0]
-        return self.frozen.linear_rows(self, theta, sampling.jacobian(theta), errors)
+        _, at = self.explain(theta, errors, y[None, sampling.size :])
+        error, slope, by_parameters = self._linearise(theta, at.pose, with_parameters=True)
+        both = np.concatenate([-by_parameters @ change, error[..., None]], axis=-1)
+
+        def square(zeta: Array) -> tuple[Array, float]:
+            white = self.whiten(*self.noise(errors, zeta[None]))
+            by_pose = white.rows(slope)
+            rows = (project_out(by_pose[0]) @ white.rows(both)[0]).reshape(-1, both.shape[-1])
+            return rows.T @ rows, float((half_log_volume(by_pose) - white.log_det).sum())
+
+        return LinearRows(np.zeros((sampling.size,) * 2), np.zeros(sampling.size), square)
 
     def funnel(self, sampling: AffineSampling, errors: Errors, y: Array) -> Funnel | None:
         """Return how the geometry depends on the noise at y, shape (n,); None where that is known."""

@@ -15,6 +15,7 @@ from bayescal.density.calibration.terms import Errors, NoiseFactor
 from bayescal.density.outliers import NORMAL, Contaminated, Outliers, StudentT
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior, SharePrior
+from bayescal.inference.exploration import explore
 from bayescal.inference.importance import resample
 from bayescal.inference.mode import find_modes
 from bayescal.inference.proposal import MixtureProposal
@@ -45,9 +46,9 @@ def test_the_posterior_of_factors_is_that_of_all_readings_at_once(rng):
 
     Poses are integrated, not fitted: fitted ones would cost a degree of freedom for each coordinate.
     """
-    posterior, n_poses = problem(rng, (1.3, 0.7), 8), 8
+    posterior, n_poses = problem(rng, (1.3, 0.7), 8).anchored(), 8
     model, values = posterior.likelihood.model, posterior.likelihood.data.values
-    found, expected = [], []
+    found, alone, expected = [], [], []
     for zeta in np.array([[0.0, 0.0], [1.0, -0.5], [-1.5, 1.0], [0.3, 2.0]]):
         y = np.zeros(5)
         y[3:] = zeta
@@ -55,13 +56,26 @@ def test_the_posterior_of_factors_is_that_of_all_readings_at_once(rng):
             gradient, hessian = posterior.gradient(y)
             y[:3] -= np.linalg.solve(hessian[:3, :3], gradient[:3])
         found.append(posterior.log_density(y[None])[0] - 0.5 * np.linalg.slogdet(-hessian[:3, :3])[1])
+        alone.append(posterior.linear_geometry(np.zeros(5)).log_mass(zeta))
         sd = np.where(FIRST, *np.exp(SCALE * zeta)) * SD
         own = np.diag(sd**2) + WIDE**2 * model.by_pose @ model.by_pose.T
         every = np.tile(model.by_parameters, (n_poses, 1))
         covariance = np.kron(np.eye(n_poses), own) + every @ every.T
         expected.append(multivariate_normal.logpdf(values.ravel(), cov=covariance) - 0.5 * zeta @ zeta)
     np.testing.assert_allclose(np.diff(found), np.diff(expected), atol=1e-3)
+    np.testing.assert_allclose(np.diff(alone), np.diff(expected), atol=1e-3)
     assert np.ptp(found) > 10.0  # so that a wrong volume of the poses would show
+
+
+def test_proposals_reach_where_a_factor_is_large(rng):
+    """Few rows hardly tell one group's noise from the other's: geometry follows, and walkers far out do no harm."""
+    posterior = problem(rng, (1.3, 0.7), 8).anchored()
+    found = explore(posterior, np.random.SeedSequence(1))
+    assert found.straight.conditional is not None
+    assert found.efficiency > 0.5
+    far = np.zeros((2, 5))
+    far[:, 3:] = [[2e3, 0.0], [0.0, -2e3]]
+    assert np.isneginf(found.straight.log_density(far)).all()
 
 
 def find_intervals(posterior, rng):
