@@ -124,6 +124,17 @@ def test_a_table_is_written_line_by_line(truth, tmp_path, monkeypatch, name):
     assert table["after_cpu_ratio"].item() > 0.1
 
 
+@pytest.mark.runs
+def test_causes_are_named_on_twins(truth, monkeypatch, capsys):
+    from benchmarks.truth import causes
+
+    monkeypatch.setattr("sys.argv", ["causes", "lead", "none", "--twins", "1"])
+    causes.main()
+    said = capsys.readouterr().out
+    assert "hexapod lead ×1: {'own': 1}" in said
+    assert "hexapod none ×1: {'-': 1}" in said or "hexapod none ×1: {'none': 1}" in said
+
+
 AUDIT = """kind = "audit"
 name = "twin"
 title = "The poses of a twin"
