@@ -326,19 +326,20 @@ class Readings:
         The rms of what no pose explains of each beside the machine that fits all best to first order, without outlying
         rows; infinite for rows that the machine as expected has no pose of.
         """
-        n, n_spare = len(self.values), self.posterior.likelihood.n_spare
+        n_spare = self.posterior.likelihood.n_spare
+        nowhere = np.where(n_spare > 0, np.inf, 0.0)
         seen = self.see(self.table, np.zeros(self.posterior.n_geometry), None, n_starts)
-        if seen is None:
-            return np.full(n, np.inf)
+        if seen is None or not seen.stands.any():
+            return nowhere
         white = seen.whiten(np.zeros(self.posterior.errors.n_parameters))
         rest, moves, spare = white.rows[..., -1], white.rows[..., : white.known], np.maximum(n_spare, 1)
         left, there = rest, np.flatnonzero(seen.stands)
-        for _ in range(2 if len(there) else 0):
+        for _ in range(2):
             off = np.sqrt(np.sum(left[there] ** 2, axis=1) / spare[there])
             used = there[off <= OUTLYING * np.median(off)]
             flat, along = moves[used].reshape(-1, white.known), rest[used].ravel()
             left = rest - moves @ np.linalg.solve(np.eye(white.known) + flat.T @ flat, flat.T @ along)
-        return np.where(seen.stands, np.sqrt(np.sum(left**2, axis=1) / spare), np.where(n_spare > 0, np.inf, 0.0))
+        return np.where(seen.stands, np.sqrt(np.sum(left**2, axis=1) / spare), nowhere)
 
     def _with(self, table: Table) -> CalibrationLikelihood:
         """Return the density of a table's readings."""
