@@ -9,7 +9,7 @@ THREADS := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 
 help:
 	@echo "make study      the telescope study: environment, run, ranking, report (one to two minutes on two cores)"
-	@echo "make real       a real machine, really measured: the Hangprinter HP4 (one to two minutes)"
+	@echo "make real       a real machine, really measured: the Hangprinter HP4 (about five minutes)"
 	@echo "make audits     all shipped identifiability audits"
 	@echo "make reproduce  the papers: RR-8096, Yu 2023 and Sika 2008, all that their pages in docs name"
 	@echo "make test       environment and the quick tests"
