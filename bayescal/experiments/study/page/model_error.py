@@ -88,6 +88,9 @@ NO_TRACE = (0.10, 0.32, 0.46, 0.56)
 each is then about flat from zero to what the data allow, and several together are never near zero."""
 BEYOND = 0.26
 """Share of the way from there to one, from which on the data show an error: of one term at a third of the median."""
+UNDECIDED = (
+    "Measure more poses, and some again at another time: what differs there is drift, what repeats goes with the pose"
+)
 CLEAR = 3.0
 """Nats by which one term alone has to be better than any other alone to be named, and all together than each alone."""
 OUTSTANDING = 1.5  # times the median of the others, from which on one member is named
@@ -183,6 +186,13 @@ class _Found(NamedTuple):
         return first if suffices and first in self.functions else ""
 
     @property
+    def rivals(self) -> list[str]:
+        """The terms any of which alone is about as good as all together, largest first, where none is to be named."""
+        best = max(self.alone.values(), default=-math.inf)
+        near = [name for name in self.functions if self.alone.get(name, -math.inf) > best - CLEAR]
+        return near if best >= -CLEAR and not self.cause and len(near) > 1 else []
+
+    @property
     def seen(self) -> list[str]:
         """The terms of which the data show an error."""
         return [name for name in (*self.functions, INDEPENDENT) if is_seen(self.sizes.get(name))]
@@ -222,8 +232,9 @@ def _advise(found: _Found) -> Statement:
         first = f"{KINDS[INDEPENDENT].advice}. " if scatters else ""
         return Statement(f"{first}{_describe_absent(found)}", "plain" if scatters else "good", LEAD)
     main, outstanding = KINDS[found.cause or seen[0]], _name_outstanding(found)
+    advice = UNDECIDED if found.rivals else main.advice.format(member=outstanding or f"every {found.member}")
     text = (
-        f"{main.advice.format(member=outstanding or f'every {found.member}')}. {found.label} leaves out a "
+        f"{advice}. {found.label} leaves out a "
         f"systematic error of {_format_size(found.whole)} µm rms (90 % interval), {_describe_members(found)}; "
         f"{_describe_cause(found, main)}. The intervals allow for it. {_describe_independent(found)}"
     )
@@ -235,6 +246,8 @@ def _describe_cause(found: _Found, main: Kind) -> str:
     if found.cause:
         lead = found.alone[found.cause] - max(one for name, one in found.alone.items() if name != found.cause)
         return f"all of it may be {main.along} ({main.causes}), {say_odds(lead)} against any other single cause"
+    if found.rivals:
+        return f"whether it is {join_words([KINDS[name].along for name in found.rivals], 'or')} the data do not tell"
     text = f"the largest part is {main.along} ({main.causes})"
     several = found.alone and max(found.alone.values()) < -CLEAR
     return f"{text}, but no single cause explains all of it" if several else text

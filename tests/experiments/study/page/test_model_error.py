@@ -107,6 +107,32 @@ def test_the_advice_follows_the_largest_term_that_is_seen(make_results, sizes, m
     assert statement.level == level
 
 
+ALONE = {"none": -60.0, "linear": -4.0, "own": 5.5, "smooth": -17.0, "drift": -68.0}
+
+
+@pytest.mark.parametrize(
+    ("alone", "said"),
+    [
+        (ALONE, "Check lead … all of it may be linear in the own position … odds of 13,000 to 1 against any other"),
+        (ALONE | {"linear": 4.0}, "Measure more poses … it is linear in the own position or linear in the positions of all"),
+        (ALONE | {"own": -9.0}, "the largest part is linear in the own position … but no single cause explains all"),
+        (ALONE | {"own": 1.0, "none": 3.0}, "Check lead … the largest part is linear in the own position"),
+    ],
+)
+def test_one_cause_is_named_where_it_is_better_than_any_other(make_results, alone, said):
+    more = tabulate(all_unseen(own=SEEN, linear=(4.0, 0.4, 8.0), together=SEEN), LEGS)
+    rows = [("pus/linear", term, value) for term, value in alone.items()]
+    more["model_error_alone"] = pd.DataFrame(rows, columns=["variant", "term", "log_odds"])
+    study = read_study(make_results(None, more=more, draws=False))
+    (statement,) = state_terms(study)
+    places = [statement.text.find(words) for words in said.split(" … ")]
+    assert min(places) >= 0, statement.text
+    table = next(block for block in show_model_error(study).blocks if isinstance(block, Table))
+    shown = {row[0].text: row[2].text for row in table.rows}
+    assert shown["with time, in measuring order"] == "−68.0"
+    assert shown["no systematic error"].startswith("−60" if alone["none"] < 0.0 else "+3")
+
+
 def test_each_term_has_its_size_and_whether_the_data_show_it(make_results):
     section = show_model_error(read(make_results, all_unseen(own=SEEN)))
     table = next(block for block in section.blocks if isinstance(block, Table))
