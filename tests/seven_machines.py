@@ -338,7 +338,8 @@ def write_printer(folder: Path) -> Written:
     shutil.copytree(studies.EXPERIMENTS / "hangprinter", folder)
     known = (folder / "study.toml").read_text().partition("[[variants]]")[0]
     known = known.replace('channels = ["motor"]', UNFORCED)
-    (folder / "study.toml").write_text(known + PRINTER + SAMPLER.format(steps=40))
+    plain = "\n[model_error]\nterms = []\n\n"  # 44 poses and few steps do not do for the default one
+    (folder / "study.toml").write_text(known + plain + PRINTER + SAMPLER.format(steps=40))
     together = TOGETHER.format(own="motor", few='["A_x", "A_y", "A_z"]', scale=0.1, function="scale_deg = 5.0")
     known = re.sub(r"(?ms)^\[(unknown_noise|model_error)\].*?(?=^\[|\Z)", "", known)
     (folder / "together.toml").write_text(known + together + SAMPLER.format(steps=6))

@@ -125,7 +125,6 @@ def check_problems(inputs: SelectionInputs) -> None:
 
 def run_tasks(inputs: SelectionInputs, run: Run) -> list[JudgedPoses]:
     """Return the outcomes of all tasks, in their order."""
-    check_problems(inputs)  # faults of the config show here, once, and not in the middle of a worker
     tasks = {f"{k} {task.label} {task.criterion} {task.n_poses}": task for k, task in enumerate(list_tasks(inputs))}
     longest = dict(sorted(tasks.items(), key=lambda pair: -pair[1].n_poses))
     found = run.map("selections", run_one, inputs, longest, (JudgedPoses,))

@@ -28,8 +28,11 @@ class Selection(Experiment[SelectionConfig, SelectionInputs]):
     digits = 12
 
     def read(self, config: SelectionConfig, folder: Path) -> SelectionInputs:
-        """Return what the experiment computes with."""
-        return read_selection(config, folder)
+        """Return what the experiment computes with; InputError where poses are too few or too many, too."""
+        inputs = read_selection(config, folder)
+        check_memory(self.estimate_memory(inputs), 1)
+        check_problems(inputs)
+        return inputs
 
     def estimate_memory(self, inputs: SelectionInputs) -> Need:
         """Return what the rows of all candidates take."""
@@ -41,12 +44,6 @@ class Selection(Experiment[SelectionConfig, SelectionInputs]):
             (PLACING, n, n_rows, n_rows),
         ]
         return estimate_arrays({"candidates": n, "parameters": n_parameters}, held, "fewer candidates")
-
-    def doubt(self, inputs: SelectionInputs) -> list[str]:
-        """Return no doubt; raise InputError where poses are too few or too many, as computing them would."""
-        check_memory(self.estimate_memory(inputs), 1)
-        check_problems(inputs)
-        return []
 
     def compute(self, inputs: SelectionInputs, run: Run) -> Results:
         """Return the selections and what calibrations with them achieve."""

@@ -279,11 +279,13 @@ def _list_rereads(readings: Readings) -> Iterator[Cause]:
     values, every = readings.values, np.arange(len(readings.values))
     external = [(k, one) for k, one in enumerate(readings.channels) if one.external]
     lengths, turned = ([k for k, one in external if one.unit == "mm"], [k for k, one in external if one.rotation])
-    if len(lengths) != 3 or len(turned) != 3:
+    whole = np.isfinite(values[:, lengths + turned]).all(axis=1)
+    if len(lengths) != 3 or len(turned) != 3 or not whole.any():
         return
-    for text, position, rotation in list_rereads(values[:, lengths], matrix_from_rotation_vector(values[:, turned])):
+    seen = values[whole]
+    for text, position, rotation in list_rereads(seen[:, lengths], matrix_from_rotation_vector(seen[:, turned])):
         moved = values.copy()
-        moved[:, lengths], moved[:, turned] = position, rotation_vector_from_matrix(rotation)
+        moved[np.ix_(whole, lengths)], moved[np.ix_(whole, turned)] = position, rotation_vector_from_matrix(rotation)
         yield Cause(POSES, text, Table(moved, every))
     for words, factor in ANGLES.items():
         text = f"rotations of the poses seem to be {'inverted' if factor < 0.0 else words}"

@@ -299,7 +299,7 @@ def propose_few(inputs):
 @pytest.mark.parametrize("design", ["telescope_six_pus_none", "camera_hexapod"])
 def test_audit_gains_by_i_optimal_poses(design):
     folder = studies.EXPERIMENTS / "audit"
-    inputs = read_inputs(load_audit(folder / f"{design}.toml"), folder)
+    inputs = read_inputs(load_audit(folder / f"{design}.toml"), folder).bare()
     chosen = select_i_optimal(inputs, n_candidates=64)
     plan = propose_few(inputs)
     np.testing.assert_array_equal(plan.actuators, chosen.actuators)  # and so it is deterministic
@@ -317,6 +317,24 @@ def test_audit_gains_by_i_optimal_poses(design):
     assert after.predicted[2] < 0.9 * before.predicted[2]
     assert after.predicted[2] ** 2 == pytest.approx(-chosen.value, rel=1e-6)
     assert np.mean(after.simulated[:, 2] ** 2) < np.mean(before.simulated[:, 2] ** 2)
+
+
+def test_proposed_poses_tell_of_systematic_errors(monkeypatch):
+    """Those that noise alone asks for, at the ends of the actuators' range, make the tool worse than the plan does."""
+    folder = studies.EXPERIMENTS / "audit"
+    inputs = read_inputs(load_audit(folder / "m2_hexapod.toml"), folder)
+    assert inputs.sizes
+
+    def judge(plan):
+        found = evaluate_plan("", plan, plan.forecast()).required_sd
+        return max(found[one.name] / one.limit for one in inputs.requirements)
+
+    blind = select_i_optimal(inputs.bare(), n_candidates=64)
+    monkeypatch.setattr("bayescal.experiments.audit.legs.select_i_optimal", lambda of: blind)
+    _, worse = inputs.propose()
+    monkeypatch.undo()
+    _, better = inputs.propose()
+    assert judge(better) < judge(inputs) < judge(worse)
 
 
 def refuse(inputs):

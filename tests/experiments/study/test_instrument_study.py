@@ -135,8 +135,8 @@ def test_poses_of_the_telescope_fed_back_give_its_evidence(tmp_path):
     one, other = studies.load_study(config), studies.load_study(tmp_path / "poses.toml")
     for variant in other.config.variants:
         first, second = (run_task(inputs, Task(variant.name, True)) for inputs in (one, other))
-        assert abs(first["importance"][0] - second["importance"][0]) < 0.02
-        assert np.abs((first["mean"] - second["mean"]) / first["sd"]).max() < 0.02
+        assert abs(first.importance.log_evidence - second.importance.log_evidence) < 0.02
+        assert np.abs((first.mean - second.mean) / first.sd).max() < 0.02
 
 
 def test_points_of_two_stations_find_the_machine_and_their_frames(pointed):

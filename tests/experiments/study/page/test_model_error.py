@@ -114,7 +114,10 @@ ALONE = {"none": -60.0, "linear": -4.0, "own": 5.5, "smooth": -17.0, "drift": -6
     ("alone", "said"),
     [
         (ALONE, "Check lead … all of it may be linear in the own position … odds of 13,000 to 1 against any other"),
-        (ALONE | {"linear": 4.0}, "Measure more poses … it is linear in the own position or linear in the positions of all"),
+        (
+            ALONE | {"linear": 4.0},
+            "Measure more poses … it is linear in the own position or linear in the positions of all",
+        ),
         (ALONE | {"own": -9.0}, "the largest part is linear in the own position … but no single cause explains all"),
         (ALONE | {"own": 1.0, "none": 3.0}, "Check lead … the largest part is linear in the own position"),
     ],
