@@ -15,7 +15,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from bayescal.calibrated.functions import KnownFunctions
+from bayescal.calibrated.functions import KnownFunctions, read_known
 from bayescal.calibrated.machine import CalibratedMachine, Errors, LegErrors, Source, find_hindrance
 from bayescal.calibrated.tables import read_given, read_quantities
 from bayescal.config.classes import CLASS
@@ -380,9 +380,7 @@ def _read_functions(path: Path, names: tuple[str, ...]) -> KnownFunctions:
     if not path.is_file():
         raise InputError(f"{path}: no such file, expected systematic errors as netCDF")
     try:
-        found = read_netcdf(path)
-        channels, sorts, beside = ([str(one) for one in found[key].values] for key in ("channel", "sort", "parameter"))
-        known = KnownFunctions.of_arrays({str(key): one for key, one in found.items()}, channels, sorts)
+        known, beside = read_known(path)
     except (OSError, ValueError, KeyError) as error:
         raise InputError(f"{path}: cannot be read as systematic errors ({' '.join(str(error).split())})") from error
     if tuple(beside) != names or known.n_geometry != len(names):

@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -31,6 +32,7 @@ from bayescal.density.calibration.model_error import (
 from bayescal.density.calibration.terms import Errors
 from bayescal.density.sessions import ReadingRows
 from bayescal.density.sorts import DRIFT, SORTS, Place, PoseFunctions
+from bayescal.files.netcdf import read_netcdf
 from bayescal.machines.readings import ReadingModel
 from bayescal.numerics.geometry import Array
 
@@ -229,6 +231,19 @@ class KnownFunctions:
 
 
 ARRAYS: Final = ("home", "range", "levers", "travel", "time", "square", "independent", "mean", "covariance")
+
+
+def read_known(path: Path, group: str | None = None) -> tuple[KnownFunctions, list[str]]:
+    """Return what a file, or a group of it, has of them, and names of the parameters beside.
+
+    Raises
+    ------
+    OSError, ValueError, KeyError
+        As `read_netcdf`, and where one of the arrays is missing.
+    """
+    found = read_netcdf(path, group)
+    channels, sorts, beside = ([str(one) for one in found[key].values] for key in ("channel", "sort", "parameter"))
+    return KnownFunctions.of_arrays({str(key): one for key, one in found.items()}, channels, sorts), beside
 
 
 def _thin(posterior: CalibrationPosterior) -> CalibrationPosterior:

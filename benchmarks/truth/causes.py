@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from bayescal.experiments.frame.load import load, read_inputs
+from bayescal.experiments.study.page.model_error import name_cause
 from bayescal.inference.causes import weigh_causes
 from bayescal.inference.mode import find_modes
 from benchmarks.truth.errors import ROWS
@@ -25,12 +26,6 @@ from benchmarks.truth.projects import write_project, write_tables
 from benchmarks.truth.scores import draw_twin
 
 NOTHING = "-"
-
-
-def name_cause(weights: dict[str, float]) -> str:
-    """Return what a page names; a dash for nothing."""
-    first, second = sorted(weights, key=lambda name: -weights[name])[:2]
-    return first if weights[first] > -1.0 and weights[first] - weights[second] >= 3.0 else NOTHING
 
 
 def weigh_twin(name: str, row: str, size: float, seed: int, folder: Path) -> dict[str, float]:
@@ -59,7 +54,7 @@ def main() -> None:
             named: Counter[str] = Counter()
             for k in range(arguments.twins):
                 weights = weigh_twin(arguments.machine, row, arguments.size, 1000 * arguments.seed + k, path)
-                named[name_cause(weights)] += 1
+                named[name_cause(weights) or NOTHING] += 1
                 print(f"{row} {k}: " + ", ".join(f"{name} {value:+.1f}" for name, value in weights.items()), flush=True)
             print(f"{arguments.machine} {row} ×{arguments.size:g}: {dict(named)}", flush=True)
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayescal.calibrated.functions import KnownFunctions
+from bayescal.calibrated.functions import KnownFunctions, read_known
 from bayescal.errors import InputError
 from bayescal.files.netcdf import read_netcdf
 from bayescal.numerics.geometry import Array
@@ -173,11 +173,9 @@ def group_functions(functions: KnownFunctions | None, names: Sequence[str]) -> d
 def read_functions(path: Path) -> tuple[KnownFunctions, list[str]] | None:
     """Return what is known of such errors, and names of the parameters beside, of a tree's file; None without any."""
     try:
-        found = read_netcdf(path, FUNCTIONS)
-        names, sorts, parameters = ([str(one) for one in found[key].values] for key in ("channel", "sort", "parameter"))
+        return read_known(path, FUNCTIONS)
     except (OSError, ValueError, KeyError):  # none is there
         return None
-    return KnownFunctions.of_arrays({str(key): one for key, one in found.items()}, names, sorts), parameters
 
 
 def write_packed(packed: np.ndarray, path: Path) -> None:

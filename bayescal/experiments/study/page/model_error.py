@@ -151,6 +151,12 @@ def _list_described(study: StudyResults) -> list[str]:
     return [] if alone and "zero" in study.settings else names
 
 
+def name_cause(alone: Mapping[str, float]) -> str:
+    """Return which one alone is as good as all together, to a nat, and clearly better than any other; empty: none."""
+    first, *others = sorted(alone, key=lambda name: -alone[name]) or [""]
+    return first if others and alone[first] > -1.0 and alone[first] - alone[others[0]] >= CLEAR else ""
+
+
 class _Found(NamedTuple):
     """What was found of one variant's model error.
 
@@ -181,9 +187,8 @@ class _Found(NamedTuple):
     @property
     def cause(self) -> str:
         """The term that alone is as good as all together and better than any other alone; empty where none is."""
-        first, *others = sorted(self.alone, key=lambda name: -self.alone[name]) or [""]
-        suffices = others and self.alone[first] > -1.0 and self.alone[first] - self.alone[others[0]] >= CLEAR
-        return first if suffices and first in self.functions else ""
+        first = name_cause(self.alone)
+        return first if first in self.functions else ""
 
     @property
     def rivals(self) -> list[str]:
