@@ -49,6 +49,8 @@ from bayescal.density.sorts import (
 from bayescal.errors import InputError
 from bayescal.numerics.geometry import Array
 
+AT_ONCE, FEWEST = 2**16, 16
+"""Poses of vectors that are taken together, and vectors however many poses there are."""
 COVARIANCES = 3.0
 """Of all rows, for each amplitude: itself, products with an inverse."""
 
@@ -248,12 +250,16 @@ class FunctionLikelihood(Likelihood):
     def __call__(self, theta: Array, model_error: Array) -> Array:
         """Return the log-likelihood, shape (B,), for vectors (B, D) and amplitudes (B, N + C) or (N + C,)."""
         model_error = np.broadcast_to(model_error, (len(theta), model_error.shape[-1]))
-        rows = self.base.errors(theta)
-        good = np.isfinite(rows).all(axis=(1, 2))
-        seen, unseen = self._split(np.where(good[:, None, None], rows, 0.0))
-        density = self._constant.sum() - 0.5 * np.einsum("bpk,bpk->b", unseen, unseen)
-        density += self.components.weigh(model_error**2, seen)
-        return np.where(good & np.isfinite(density), density, -np.inf)
+        density = np.empty(len(theta))
+        most = max(FEWEST, AT_ONCE // self.n_poses)
+        for part in (slice(k, k + most) for k in range(0, len(theta), most)):
+            rows = self.base.errors(theta[part])
+            good = np.isfinite(rows).all(axis=(1, 2))
+            seen, unseen = self._split(np.where(good[:, None, None], rows, 0.0))
+            density[part] = self._constant.sum() - 0.5 * np.einsum("bpk,bpk->b", unseen, unseen)
+            density[part] += self.components.weigh(model_error[part] ** 2, seen)
+            density[part][~good] = -np.inf
+        return np.where(np.isfinite(density), density, -np.inf)
 
     @np.errstate(all="ignore")
     def _evaluate(self, theta: Array, model_error: Array) -> tuple[Array, Array]:

@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.density.errors import NO_MODEL_ERROR, LegErrors, LegTerm, ModelError
@@ -476,6 +475,7 @@ class Likelihood(Elimination[LegSampling, LegErrors]):
 
     def fit_geometry(self, sampling: LegSampling, start: Array, whiten: Callable[[Array], Array]) -> Array:
         """Return the geometry's coordinates of least squares, (m,); ``whiten`` takes rows (P, K, n) to white (R, n)."""
+        from scipy.optimize import least_squares  # a tenth of a second to import
 
         def residual(y: Array) -> Array:
             theta = sampling.theta_from_y(y[None])

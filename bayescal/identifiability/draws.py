@@ -9,9 +9,9 @@ import numpy as np
 
 from bayescal.density.legs import LegPosterior
 from bayescal.inference.diagnostics import Diagnostics
-from bayescal.inference.exploration import count_walkers, explore
+from bayescal.inference.exploration import explore
 from bayescal.inference.sampling import sample_posterior
-from bayescal.inference.schema import DrawsConfig
+from bayescal.inference.schema import DrawsConfig, count_walkers
 from bayescal.numerics.geometry import Array
 
 LEAST_STEPS = 4  # R-hat splits an ensemble in time

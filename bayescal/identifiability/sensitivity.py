@@ -20,9 +20,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 
 from bayescal.density.sorts import DRIFT, Place, PoseFunctions
 from bayescal.density.structured import factor_kernel
@@ -32,6 +32,9 @@ from bayescal.identifiability.information import Information, information_of_row
 from bayescal.machines.frames import N_FRAME_PARAMETERS, frame_slopes, move_frames
 from bayescal.machines.kinematics import SINGULAR_CONDITION, ForwardKinematics, Machine, solve_forward_kinematics
 from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
 UNSEEN = 1e-13  # of a scaled matrix: what rounding leaves of a pose's coordinate that no sensor sees
@@ -363,6 +366,8 @@ def tabulate_jacobian(
     InputError
         Where forward kinematics finds no pose.
     """
+    import pandas as pd  # a third of a second, for those who have tables
+
     layout = machine.layout
     names = list(layout.names if parameters is None else parameters)
     values = layout.nominal if theta is None else theta

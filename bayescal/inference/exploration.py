@@ -18,7 +18,7 @@ from bayescal.inference.mode import Mode, find_modes, revisit_modes
 from bayescal.inference.peaks import Peak, bend_at, curve_at, proposal_from_peaks, refine_peak
 from bayescal.inference.proposal import MixtureProposal, fit_mixture, proposal_from_draws
 from bayescal.inference.ridges import trace_ridges
-from bayescal.inference.schema import EvidenceConfig
+from bayescal.inference.schema import EvidenceConfig, count_walkers
 from bayescal.inference.stages import stage
 from bayescal.inference.straightening import Straightening, straighten
 from bayescal.inference.target import Target
@@ -62,11 +62,6 @@ class Exploration:
     proposal: MixtureProposal
     modes: list[Mode]
     efficiency: float
-
-
-def count_walkers(n_parameters: int, n_walkers: int) -> int:
-    """Return an even number of walkers, at least as many as asked for and as the moves need."""
-    return max(n_walkers, 2 * n_parameters + 2) // 2 * 2
 
 
 def explore(

@@ -16,8 +16,9 @@ from scipy.special import logsumexp
 from bayescal.errors import NumericalError
 from bayescal.inference.correction import Correction, CostlyDensity, correct, draw_to_correct, pull_back
 from bayescal.inference.ensemble import run_ensemble
-from bayescal.inference.exploration import Exploration, count_walkers
+from bayescal.inference.exploration import Exploration
 from bayescal.inference.proposal import MixtureProposal
+from bayescal.inference.schema import count_walkers
 from bayescal.inference.target import Fittable
 from bayescal.limits import PARETO_K_LIMIT
 from bayescal.numerics.geometry import Array

@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebder, chebfit, chebpts1, chebval
-from scipy.interpolate import CubicSpline
 
 from bayescal.inference.importance import difference_many
 from bayescal.inference.mode import Mode
@@ -76,6 +75,8 @@ def _trace_all(posterior: Target, modes: Sequence[Mode], ridges: Mapping[int, np
 
 def _is_known(found: Sequence[_Points], mode: Mode, base: int, others: np.ndarray) -> bool:
     """Return whether a mode lies on a ridge that was traced from another."""
+    from scipy.interpolate import CubicSpline  # an eighth of a second, for those who sample
+
     precision = np.linalg.inv(mode.covariance)[np.ix_(others, others)]
     for points in found:
         if points.along[0] <= mode.y[base] <= points.along[-1]:
@@ -208,6 +209,8 @@ def _fit(mode: Mode, traced: Sequence[tuple[int, np.ndarray, _Points]]) -> Ridge
 
 def _fit_series(place: Array, following: Array, inner: Array, origin: float) -> Array:
     """Return the shortest Chebyshev series (D, k) that is the cubic spline through points within a small error."""
+    from scipy.interpolate import CubicSpline  # an eighth of a second, for those who sample
+
     through = CubicSpline(place, following)
     fine = np.linspace(-1.0, 1.0, FINE)
     for degree in DEGREES:

@@ -10,7 +10,8 @@ import numpy as np
 
 from bayescal.inference.diagnostics import Diagnostics, diagnose
 from bayescal.inference.ensemble import JUMP_SHARE, Ensemble, run_ensembles
-from bayescal.inference.exploration import GOOD_ENOUGH, Exploration, count_walkers
+from bayescal.inference.exploration import GOOD_ENOUGH, Exploration
+from bayescal.inference.schema import count_walkers
 from bayescal.inference.stages import stage
 from bayescal.inference.straightening import Straightening
 from bayescal.numerics.geometry import Array

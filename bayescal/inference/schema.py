@@ -22,6 +22,11 @@ class SamplerConfig(Section):
     """Steps that are kept; more of them lower R-hat."""
 
 
+def count_walkers(n_parameters: int, n_walkers: int) -> int:
+    """Return an even number of walkers, at least as many as asked for and as the moves need."""
+    return max(n_walkers, 2 * n_parameters + 2) // 2 * 2
+
+
 class EvidenceConfig(Section):
     """Effort of the evidence estimators; importance sampling goes on until its standard error is small enough.
 

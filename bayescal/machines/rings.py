@@ -18,12 +18,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 from scipy.special import ndtr, ndtri
 
 from bayescal.numerics.geometry import Array
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicHermiteSpline
 
 CLEARANCE = 3.0  # prior sds between a direction and its leg, below which the azimuth means nothing
 
@@ -264,6 +267,8 @@ class DirectionRing:
 
 def _interpolate_quantiles(grid: Array, density: Array) -> CubicHermiteSpline:
     """Return x by y, where Φ(y) is the share of a density on a grid that lies below x."""
+    from scipy.interpolate import CubicHermiteSpline, PchipInterpolator  # an eighth of a second to import
+
     steps = np.diff(grid)
     # the slopes of a monotone interpolant make the share of each step exact to the fourth order
     slope = PchipInterpolator(grid, density).derivative()(grid)

@@ -13,10 +13,11 @@ from bayescal.density.errors import ModelError
 from bayescal.density.priors import NormalPrior
 from bayescal.inference.bridge import estimate_by_bridge
 from bayescal.inference.ensemble import run_ensemble
-from bayescal.inference.exploration import Exploration, _is_fine, add_clusters, count_walkers, explore
+from bayescal.inference.exploration import Exploration, _is_fine, add_clusters, explore
 from bayescal.inference.importance import estimate_by_importance
 from bayescal.inference.mode import find_mode
 from bayescal.inference.proposal import MixtureProposal
+from bayescal.inference.schema import count_walkers
 
 SEED, NAMES = 1, ("none", "linear", "matrix")
 

@@ -8,7 +8,7 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtr, ndtri
 
 from bayescal.calibrated.machine import CalibratedMachine
 from bayescal.calibrated.predict import bound_workspace
@@ -244,7 +244,7 @@ class _Choice:
         """Return whether the worst parameter's own statistic might pass the lowest threshold that there can be."""
         demand, gram = self.demand, self.knowledge.total(chosen)
         _, information = self.knowledge.score(demand.sessions * gram)
-        passed = norm.sf(norm.isf(demand.false_alarm / 2.0) - np.sqrt(np.diag(information).min()))
+        passed = ndtr(np.sqrt(np.diag(information).min()) + ndtri(demand.false_alarm / 2.0))
         return bool(passed > demand.power - HOPEFUL)
 
     def judge(self, chosen: list[int]) -> tuple[ShiftTest, Array]:

@@ -24,8 +24,7 @@ from functools import cached_property
 
 import numpy as np
 from scipy.linalg import solve_triangular
-from scipy.special import softmax
-from scipy.stats import chi2
+from scipy.special import chdtrc, softmax
 
 from bayescal.calibrated.functions import KnownFunctions
 from bayescal.calibrated.machine import CalibratedMachine
@@ -521,7 +520,7 @@ def judge_recheck(
     square = knowledge.left_over(pooled[-1])
     n_rows = sum(one.n_rows for one in parts)
     explained = 0.0 if holds else float((statistic[-1] ** 2).max())
-    odd = chi2.sf(square - explained, n_rows - (not holds))
+    odd = chdtrc(n_rows - (not holds), square - explained)
     return Recheck(
         suspects,
         holds,

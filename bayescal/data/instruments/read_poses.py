@@ -71,7 +71,8 @@ def read_taken(table: Table, path: Path | None, n_legs: int) -> Taken:
         return Taken(tuple(names), uses, table.numbers(columns))
     known, verification, positions = read_actuators(path, n_legs)
     check_same_poses(table, names, known, path)
-    order = [known.index(name) for name in names]
+    places = {name: k for k, name in enumerate(known)}
+    order = [places[name] for name in names]
     for row, k in enumerate(order):
         if uses is not None and uses[row] != verification[k]:
             raise InputError(f"{table.where(row)}: use: found another than in {path}, expected the same")
@@ -81,10 +82,10 @@ def read_taken(table: Table, path: Path | None, n_legs: int) -> Taken:
 
 def check_same_poses(table: Table, names: Sequence[str], known: Sequence[str], path: Path) -> None:
     """Raise InputError where a table has a pose that the actuators' has not, or lacks one."""
+    there, listed = set(names), set(known)
     for row, name in enumerate(names):
-        if name not in known:
+        if name not in listed:
             raise InputError(f"{table.where(row)}: pose {name!r} is not in {path}, expected it there")
-    there = set(names)
     for name in known:
         if name not in there:
             raise InputError(f"{table.path}: found nothing of pose {name!r}, which {path} lists")

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.data.photogrammetry.line_fit import fit_line
@@ -182,6 +181,8 @@ def _check_pads(platform: BodyTargets) -> None:
     legs = [int(leg) for leg in np.unique(platform.leg) if leg > 0]
     if len(legs) < 2:
         return
+    from scipy.optimize import linear_sum_assignment  # a tenth of a second to import
+
     places = np.array([platform.reference[platform.leg == leg].mean(axis=0) for leg in legs])
     rigid = platform.leg == 0
     votes = np.zeros((len(legs), len(legs)))

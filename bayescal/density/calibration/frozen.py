@@ -27,6 +27,7 @@ import numpy as np
 from scipy.linalg import cholesky
 
 from bayescal.density.calibration.model_error import IndependentErrors, ThinFunctionsOfPose
+from bayescal.density.calibration.poses import MANY_ROWS
 from bayescal.density.calibration.terms import Errors
 from bayescal.density.components import (
     MOST_ROWS,
@@ -179,18 +180,20 @@ class FrozenRows:
         beyond = FrozenRows.build(other, errors, self.anchor, whole=True)
         if beyond is None:
             return None
-        rows, rest = self._find_rows(likelihood, theta)
         there, found = beyond._find_rows(other, theta)
-        found[~np.isfinite(rest).all(axis=1)] = -np.inf
         if self.few is not None and beyond.few is not None:
-            for k, row in enumerate(rows):
+            for k, one in enumerate(theta):
+                (row,), rest = self._find_rows(likelihood, one[None])
                 white = self._factorise(self.few, likelihood, errors, zeta[k])
                 expected, spread = white.predict(row, beyond.few.shown, beyond.few.basis)
                 own = beyond._blocks(other, errors, zeta[k : k + 1])[0] + spread
                 left = there[k].reshape(expected.shape) - expected
                 square = np.einsum("pi,pi->p", left, np.linalg.solve(own, left[..., None])[..., 0])
                 found[k] -= 0.5 * (np.linalg.slogdet(own)[1] + square)
+                found[k] += np.where(np.isfinite(rest).all(), 0.0, -np.inf)
             return np.where(np.isfinite(found), found, -np.inf)
+        rows, rest = self._find_rows(likelihood, theta)
+        found[~np.isfinite(rest).all(axis=1)] = -np.inf
         n_poses, m = other.data.n_poses, beyond.left.shape[-1]
         across = np.stack([one @ two.T for one, two in zip(beyond.shown, self.shown, strict=True)])
         by_pose = [one.reshape(n_poses, m, -1) for one in beyond.shown]
@@ -218,9 +221,11 @@ class FrozenRows:
         rng: np.random.Generator,
     ) -> Array:
         """Return draws of the coefficients of all errors given the rows, one for each machine, shape (B, N)."""
-        rows, _ = self._find_rows(likelihood, theta)
         if self.few is not None:
-            return self._draw_few(self.few, likelihood, errors, zeta, rows, rng)
+            parts = likelihood.batches(len(theta), MANY_ROWS)
+            every = ((zeta[part], self._find_rows(likelihood, theta[part])[0]) for part in parts)
+            return np.concatenate([self._draw_few(self.few, likelihood, errors, *one, rng) for one in every])
+        rows, _ = self._find_rows(likelihood, theta)
         ends = np.cumsum([one.shape[1] for one in self.shown])
         n_poses, _, m = self.left.shape
         drawn, noise = rng.standard_normal((len(theta), ends[-1])), rng.standard_normal((len(theta), n_poses, m, 1))

@@ -10,7 +10,7 @@ from typing import Self
 import numpy as np
 
 from bayescal.density.calibration.frozen import FrozenRows
-from bayescal.density.calibration.poses import PoseElimination, Stand
+from bayescal.density.calibration.poses import MANY_ROWS, PoseElimination, Stand
 from bayescal.density.calibration.terms import CommonDraws, Errors
 from bayescal.density.components import LinearRows
 from bayescal.density.elimination import Whitening, half_log_volume, invert, left_of, orthonormalise, project_out
@@ -68,9 +68,11 @@ class CalibrationLikelihood(PoseElimination, Elimination[AffineSampling, Errors]
         """Return the log-likelihood, shape (B,); see `Elimination.density`."""
         if not errors.has_columns:
             return np.asarray(self.density_by_row(theta, errors, zeta).sum(axis=1))
-        if self.frozen is not None:
-            return self.frozen.density(self, theta, errors, zeta)
         total = np.empty(len(theta))
+        if self.frozen is not None:
+            for part in self.batches(len(theta), MANY_ROWS):
+                total[part] = self.frozen.density(self, theta[part], errors, zeta[part])
+            return total
         for part, white, at in self._explain_in_parts(theta, errors, zeta):
             rest = self.offset(white, at)
             for some, found in self._absorb(errors, zeta[part], white, at):
@@ -80,9 +82,11 @@ class CalibrationLikelihood(PoseElimination, Elimination[AffineSampling, Errors]
 
     def density_by_row(self, theta: Array, errors: Errors, zeta: Array) -> Array:
         """Return the log-likelihood of each pose's readings given all others, shape (B, P)."""
-        if self.frozen is not None:
-            return self.frozen.density_by_row(self, theta, errors, zeta)
         result = np.empty((len(theta), self.data.n_poses))
+        if self.frozen is not None:
+            for part in self.batches(len(theta), MANY_ROWS):
+                result[part] = self.frozen.density_by_row(self, theta[part], errors, zeta[part])
+            return result
 
         def weigh(part: slice) -> None:
             white, at = self.explain(theta[part], errors, zeta[part])

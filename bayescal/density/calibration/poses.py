@@ -90,7 +90,7 @@ class Expansion:
         return replace(self, pose=self.pose[which], slope=self.slope[:, which], moves=self.moves[:, which], bends=bends)
 
 
-ROWS = 4096  # poses of machines that are looked at together
+ROWS, MANY_ROWS = 4096, 2**14  # poses of machines that are looked at together; without a derivative of the readings
 CLOSE = 0.03  # deviations of a reading, below which a step is taken to first order: what that leaves enters squared
 NEAR = 0.3  # deviations of a reading, within which H is taken for constant
 CHORD, ASTRAY = 0.1, 1.0  # length of white readings that a chord moves by, where chords end and where they are lost
@@ -436,9 +436,9 @@ class PoseElimination:
 
     # --- density -------------------------------------------------------------------------------------------------
 
-    def batches(self, n: int) -> Iterator[slice]:
-        """Yield slices of n machines that are looked at together."""
-        count = -(-n // max(1, ROWS // self.data.n_poses))
+    def batches(self, n: int, rows: int = ROWS) -> Iterator[slice]:
+        """Yield slices of n machines that are looked at together, at so many poses of all of them."""
+        count = -(-n // max(1, rows // self.data.n_poses))
         ends = np.arange(count + 1) * n // max(1, count)
         yield from (slice(int(one), int(other)) for one, other in pairwise(ends))
 

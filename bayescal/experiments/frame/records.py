@@ -9,13 +9,15 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Mapping
 from dataclasses import fields, is_dataclass
-from typing import Any, get_args, get_type_hints
+from typing import TYPE_CHECKING, Any, get_args, get_type_hints
 
 import numpy as np
-import pandas as pd
 
 from bayescal.files.plain_text import add_article
 from bayescal.numerics.geometry import Array
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 TREE = "tree"
 TAG = "#"
@@ -43,6 +45,8 @@ def encode(value: Any) -> Record:
 
 
 def _encode(value: Any, arrays: Record) -> Any:
+    import pandas as pd  # a third of a second, for those who have tables
+
     if value is None or isinstance(value, bool | str) or type(value) in (int, float):
         return value
     if isinstance(value, np.ndarray | np.generic):
@@ -74,6 +78,8 @@ def _name(kind: type) -> str:
 
 
 def _encode_column(column: pd.Series, arrays: Record) -> Any:
+    import pandas as pd  # a third of a second, for those who have tables
+
     if isinstance(column.dtype, np.dtype) and column.dtype != object:
         return _encode(column.to_numpy(), arrays)
     return [None if pd.isna(one) else _encode(one, arrays) for one in column]
@@ -99,6 +105,8 @@ def decode(record: Mapping[str, Array], classes: Iterable[type] = ()) -> Any:
 
 
 def _decode(tree: Any, record: Mapping[str, Array], known: Mapping[str, type]) -> Any:
+    import pandas as pd  # a third of a second, for those who have tables
+
     if isinstance(tree, list):
         return [_decode(one, record, known) for one in tree]
     if not isinstance(tree, dict):

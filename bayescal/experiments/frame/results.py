@@ -9,12 +9,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-import pandas as pd
-
 from bayescal.errors import InputError
 from bayescal.files import manifest
 from bayescal.files.atomic import read_json
 from bayescal.files.plain_text import add_article, guard_cell, release_cell
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 SUMMARY_FILE = "summary.json"
 PROVENANCE_FILE = "provenance.json"
@@ -77,6 +78,8 @@ class Results:
 
     def table(self, name: str) -> pd.DataFrame:
         """Return a table; one without rows where there is none."""
+        import pandas as pd  # a third of a second, for those who have tables
+
         return self.tables.get(name, pd.DataFrame())
 
 
@@ -141,6 +144,8 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
 
 def find_kind(column: pd.Series) -> ColumnKind:
     """Return what a column holds."""
+    import pandas as pd  # a third of a second, for those who have tables
+
     if pd.api.types.is_bool_dtype(column):
         return "flag"
     if pd.api.types.is_integer_dtype(column):
@@ -173,6 +178,8 @@ def read_results(folder: Path, only: Collection[str] | None = None, checked: boo
     InputError
         Where it is none, a file was edited, is missing or was added, or a cell is not what its column holds.
     """
+    import pandas as pd  # a third of a second, for those who have tables
+
     if checked:
         check_results(folder)
     provenance = read_json(folder / PROVENANCE_FILE)
@@ -197,6 +204,8 @@ def read_results(folder: Path, only: Collection[str] | None = None, checked: boo
 
 
 def _read_table(path: Path, kinds: Mapping[str, str]) -> pd.DataFrame:
+    import pandas as pd  # a third of a second, for those who have tables
+
     try:
         table = pd.read_csv(path, dtype=str, keep_default_na=False)
     except FileNotFoundError as error:
@@ -209,6 +218,8 @@ def _read_table(path: Path, kinds: Mapping[str, str]) -> pd.DataFrame:
 
 
 def _read_column(path: Path, cells: pd.Series, kind: str) -> pd.Series:
+    import pandas as pd  # a third of a second, for those who have tables
+
     if not isinstance(kind, str) or kind not in KINDS:
         raise InputError(f"{path}: {cells.name}: found kind {kind!r} in {PROVENANCE_FILE}, expected {', '.join(KINDS)}")
     if kind == "text":
@@ -223,9 +234,6 @@ def _read_column(path: Path, cells: pd.Series, kind: str) -> pd.Series:
             ) from error
     return pd.Series(values, name=cells.name)
 
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 type Kinds = type | tuple[type, ...]
 type Row = dict[str, Any]

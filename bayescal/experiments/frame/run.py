@@ -7,10 +7,9 @@ from dataclasses import dataclass, replace
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 from joblib import cpu_count
 from rich.console import Console
 from threadpoolctl import threadpool_limits
@@ -44,6 +43,9 @@ from bayescal.files.atomic import read_json
 from bayescal.files.manifest import MANIFEST, renew_manifest, write_manifest
 from bayescal.report.blocks import Page
 from bayescal.report.page import PAGE, is_of_page, show_provenance, write_page
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 LATE = "which showed only when it was computed"
 """Said of what is at fault with inputs that passed the gate."""

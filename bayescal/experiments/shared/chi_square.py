@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from scipy import stats
+from scipy.special import chdtr, chdtrc
 
 from bayescal.report.numbers import format_significant
 
@@ -32,7 +32,7 @@ class ChiSquare:
         """Probability of as large a deviation to either side."""
         if not self.dof > 0:
             return 1.0
-        return float(2 * min(stats.chi2.sf(self.value, self.dof), stats.chi2.cdf(self.value, self.dof), 0.5))
+        return float(2 * min(chdtrc(self.dof, self.value), chdtr(self.dof, self.value), 0.5))
 
     @property
     def is_off(self) -> bool:

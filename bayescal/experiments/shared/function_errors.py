@@ -8,10 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 
 from bayescal.density.calibration.functions import FunctionErrors
 from bayescal.density.calibration.likelihood import CalibrationPosterior
@@ -24,9 +23,11 @@ from bayescal.density.schema import TERMS, TermsConfig
 from bayescal.experiments.frame.memory import Need, check_memory
 from bayescal.experiments.shared.hidden import tabulate_hidden
 from bayescal.identifiability.hidden import choose_unseen, hide_in_posterior
-from bayescal.inference.causes import weigh_causes
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import ARCSECOND, MICROMETRE
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 CURVE = 25
 SHOWN = {"mm": (1.0 / MICROMETRE, "um"), "rad": (1.0 / ARCSECOND, "arcsec")}
@@ -120,6 +121,8 @@ def _describe_scale(term: FunctionErrors, factor: float, group: int, scale: Arra
 
 def tabulate_functions(found: Sequence[tuple[str, FoundFunctions | None]]) -> dict[str, pd.DataFrame]:
     """Return the tables of all variants with such errors; none where none has."""
+    import pandas as pd  # a third of a second, for those who have tables
+
     there = [(name, one) for name, one in found if one is not None]
     if not there:
         return {}
@@ -167,6 +170,10 @@ def tabulate_model_error(
     rng : Generator
         For evidences.
     """
+    import pandas as pd  # a third of a second, for those who have tables
+
+    from bayescal.inference.causes import weigh_causes  # with all of inference, for those who sample
+
     sizes, functions, tau = dict[str, Array](), dict[str, Array](), list[Array]()
     names, terms = list[str](), posterior.errors.of(posterior.zeta(y))
     common = draws.by_term(data) or [None] * len(terms)
@@ -218,5 +225,7 @@ def tabulate_model_error(
 
 def tabulate_causes(variant: str, weights: Mapping[str, float]) -> pd.DataFrame:
     """Return by how many nats one sort of functions alone, or none, explains the data better than all together."""
+    import pandas as pd  # a third of a second, for those who have tables
+
     rows = [{"variant": variant, "term": name, "log_odds": value} for name, value in weights.items()]
     return pd.DataFrame(rows, columns=["variant", "term", "log_odds"])

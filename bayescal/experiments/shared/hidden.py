@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Final
-
-import pandas as pd
+from typing import TYPE_CHECKING, Any, Final
 
 from bayescal.numerics.geometry import Array
 from bayescal.report.blocks import Block, Column, Fold, Statement, make_table
 from bayescal.report.numbers import format_fixed, format_significant
 from bayescal.report.symbols import split_name
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 FEW: Final = 12  # parameters that are shown one by one
 ALLOWED: Final = (
@@ -27,6 +28,8 @@ BESIDE: Final = (
 
 def tabulate_hidden(variant: str, names: Sequence[str], units: Sequence[str], hidden: Array, sd: Array) -> pd.DataFrame:
     """Return by how much unseen errors put n parameters off (n,), and their standard deviations (n,), a row each."""
+    import pandas as pd  # a third of a second, for those who have tables
+
     return pd.DataFrame({"variant": variant, "parameter": names, "unit": units, "hidden": hidden, "sd": sd})
 
 

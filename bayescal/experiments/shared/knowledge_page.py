@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-
-import pandas as pd
+from typing import TYPE_CHECKING
 
 from bayescal.experiments.frame.results import list_rows
 from bayescal.report.blocks import Cell, Column, Level, Section, Statement, make_section, make_table
 from bayescal.report.numbers import NOTHING, format_fixed, format_percent, format_significant
 from bayescal.report.symbols import Asked, format_place, name_unit, shown_in
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 VERDICT_LEVELS: dict[str, Level] = {"identifiable": "good", "weak": "warning", "not": "bad", "noise": "plain"}
 """How good the news of a parameter's verdict is."""
@@ -24,6 +26,8 @@ SENSORS = {"all": "all", "own": "the machine's own"}
 
 def name_titles(tables: Mapping[str, pd.DataFrame]) -> dict[str, str]:
     """Return what the variants are called by their names."""
+    import pandas as pd  # a third of a second, for those who have tables
+
     return {str(row["variant"]): str(row["title"]) for row in list_rows(tables.get("variants", pd.DataFrame()))}
 
 
@@ -70,6 +74,8 @@ def _say_gain(gain: float) -> str:
 
 def _read_next(tables: Mapping[str, pd.DataFrame], variant: str) -> pd.DataFrame:
     """Return a variant's candidate poses whose gain is known, and the columns of its coordinates; no rows without."""
+    import pandas as pd  # a third of a second, for those who have tables
+
     rows = tables.get("next", pd.DataFrame(columns=["variant", "sensors", "gain"]))
     return rows[(rows["variant"] == variant) & rows["gain"].notna()].dropna(axis=1, how="all")
 

@@ -95,7 +95,7 @@ def place_legs(
     noise : ndarray, shape (P, N), or float
         Of the actuators, mm.
     """
-    from bayescal.calibrated.recheck.plan import place_poses  # half a second to import, of statistics
+    from bayescal.calibrated.recheck.plan import place_poses
 
     turned = np.isfinite(poses.rotation).all(axis=(1, 2))
     rotation = rotation_vector_from_matrix(np.where(turned[:, None, None], poses.rotation, np.eye(3)))

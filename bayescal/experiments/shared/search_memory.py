@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from bayescal.density.functions import FunctionLikelihood, list_arrays
-from bayescal.density.legs import BATCH, POSES, LegPosterior
-from bayescal.experiments.frame.memory import check_arrays
-from bayescal.inference.exploration import count_walkers
-from bayescal.inference.schema import EvidenceConfig, SamplerConfig
+from bayescal.density.legs import BATCH, POSES, LegPosterior, Likelihood
+from bayescal.experiments.frame.memory import Need, check_arrays, estimate_arrays
+from bayescal.experiments.shared.trees import PRIOR_DRAWS, SAVED_DRAWS, limit_draws
+from bayescal.inference.schema import EvidenceConfig, SamplerConfig, count_walkers
 
 DERIVATIVES = 8
 """Arrays of all rows by all parameters in a mode search."""
@@ -18,6 +18,14 @@ VECTORS = 64  # of readings' hot loop at a time
 KEPT, DRAWN, SAVED = 1300, 4, 1
 """Draws of posterior and prior that a file of readings keeps, arrays of them while they are made, and what stays:
 readings in single precision and the poses' densities."""
+KEPT_DRAWS = 1920
+"""Of each ensemble of a posterior of poses, for everything after the diagnostics."""
+DEPENDENT_DRAWS = 250
+"""The same where poses depend on each other, whose densities given the others take long."""
+POSE_NUMBERS = 6
+SINGLE = 0.5  # numbers of four bytes, in doubles
+COPIES = 3
+"""Of what is saved of poses: as it is computed, as a record, as it is written."""
 ARRAYS, OF_POSES = 40, 28
 """Of the hot loop of an instrument's readings, components of vectors counted one by one, and of poses', as measured."""
 
@@ -33,6 +41,31 @@ def list_search(posterior: LegPosterior) -> list[Sequence[float]]:
         (hot, BATCH, min(rows, POSES * likelihood.n_legs)),
         *(list_arrays(likelihood.n_poses, likelihood.n_legs) if dependent else []),
     ]
+
+
+def choose_kept(likelihood: Likelihood, n_ensembles: int, n_poses: int) -> int:
+    """Return how many draws of each ensemble are kept of a posterior of poses, fewer where these are very many."""
+    wanted = DEPENDENT_DRAWS if isinstance(likelihood, FunctionLikelihood) else KEPT_DRAWS
+    return limit_draws(wanted, n_ensembles * n_poses)
+
+
+def estimate_legs(
+    posterior: LegPosterior, sampler: SamplerConfig, effort: EvidenceConfig, n_poses: int, n_fits: int
+) -> Need:
+    """Return what so many posteriors like one take, with what they predict of so many poses."""
+    n = posterior.n_parameters
+    steps = sampler.steps * count_walkers(n, sampler.walkers)
+    kept = sampler.ensembles * min(choose_kept(posterior.likelihood, sampler.ensembles, n_poses), steps)
+    numbers = POSE_NUMBERS * n_poses
+    made = min(kept, limit_draws(SAVED_DRAWS, numbers)) * numbers
+    prior = limit_draws(PRIOR_DRAWS, numbers) * numbers
+    one = [(n_poses, kept), (SINGLE, made + prior)]
+    return estimate_arrays(
+        {"poses": n_poses, "parameters": n, "posteriors": n_fits},
+        [*((COPIES, *size) for size in one), *list_search(posterior), *list_sampling(sampler, effort, n)],
+        "fewer poses or variants",
+        kept=[(n_fits + COPIES, *size) for size in one],
+    )
 
 
 def list_sampling(sampler: SamplerConfig, effort: EvidenceConfig, n_parameters: int) -> list[Sequence[float]]:

@@ -33,6 +33,7 @@ SIZES = np.geomspace(1.0, 1e5, 11)
 WIDER = np.array([2.0, 3.0, 5.0, 8.0, 12.0, 20.0, 40.0, 100.0])
 """Factors on a tolerance."""
 VAGUE = 1e5
+AT_ONCE = 2048  # rows that are made white together where all are looked at once
 LOST = float(np.log(1e3))  # nats per reading of a row that is left out
 OUTLYING = 10.0
 """Rms of a row in units of the median, beyond which the others are fitted without it."""
@@ -328,18 +329,41 @@ class Readings:
         """
         n_spare = self.posterior.likelihood.n_spare
         nowhere = np.where(n_spare > 0, np.inf, 0.0)
-        seen = self.see(self.table, np.zeros(self.posterior.n_geometry), None, n_starts)
-        if seen is None or not seen.stands.any():
+        moves, rest, stands = self._whiten(n_starts)
+        if not stands.any():
             return nowhere
-        white = seen.whiten(np.zeros(self.posterior.errors.n_parameters))
-        rest, moves, spare = white.rows[..., -1], white.rows[..., : white.known], np.maximum(n_spare, 1)
-        left, there = rest, np.flatnonzero(seen.stands)
+        left, spare, there = rest, np.maximum(n_spare, 1), np.flatnonzero(stands)
         for _ in range(2):
             off = np.sqrt(np.sum(left[there] ** 2, axis=1) / spare[there])
-            used = there[off <= OUTLYING * np.median(off)]
-            flat, along = moves[used].reshape(-1, white.known), rest[used].ravel()
-            left = rest - moves @ np.linalg.solve(np.eye(white.known) + flat.T @ flat, flat.T @ along)
-        return np.where(seen.stands, np.sqrt(np.sum(left**2, axis=1) / spare), nowhere)
+            left = rest - moves @ _solve(moves, rest, there[off <= OUTLYING * np.median(off)])
+        return np.where(stands, np.sqrt(np.sum(left**2, axis=1) / spare), nowhere)
+
+    def measure_misfit(self) -> float:
+        """Return the rms of all rows in noise and errors as stated that the best machine leaves, to first order.
+
+        About the machine as expected; infinite where that has no pose of some row.
+        """
+        n_spare, (moves, rest, stands) = self.posterior.likelihood.n_spare, self._whiten(0)
+        if not stands.any() or (n_spare[~stands] > 0).any():
+            return np.inf
+        square = float(np.sum(rest * (rest - moves @ _solve(moves, rest, np.flatnonzero(stands)))))
+        return float(np.sqrt(square / n_spare[stands].sum()))
+
+    def _whiten(self, n_starts: int) -> tuple[Array, Array, np.ndarray]:
+        """Return slopes (P, R, n) and errors (P, R) of rows, white by noise as stated, and where they stand (P,).
+
+        About the machine as expected, by what is standard normal; zero where it has no pose.
+        """
+        n_rows, parts = len(self.values), list[tuple[Array, Array, np.ndarray]]()
+        for part in np.array_split(np.arange(n_rows), -(-n_rows // AT_ONCE)):
+            some = self if len(part) == n_rows else self.pick(part)
+            seen = some.see(some.table, np.zeros(self.posterior.n_geometry), None, n_starts)
+            if seen is None:  # of none of them
+                return np.zeros((n_rows, 1, 1)), np.zeros((n_rows, 1)), np.zeros(n_rows, dtype=bool)
+            white = seen.whiten(np.zeros(self.posterior.errors.n_parameters))
+            parts.append((white.rows[..., : white.known].copy(), white.rows[..., -1].copy(), seen.stands))
+        moves, rest, stands = zip(*parts, strict=True)
+        return np.concatenate(moves), np.concatenate(rest), np.concatenate(stands)
 
     def _with(self, table: Table) -> CalibrationLikelihood:
         """Return the density of a table's readings."""
@@ -379,6 +403,14 @@ class Readings:
         found, off = search_poses(likelihood, theta, white, starts)
         best = np.where(np.isfinite(off), off, np.inf).argmin(axis=0)
         return np.asarray(found[best, np.arange(len(best))])
+
+
+def _solve(moves: Array, rest: Array, used: np.ndarray) -> Array:
+    """Return what explains some of the rows best, (n,), for slopes (P, R, n), errors (P, R) and prior N(0, 1)."""
+    if len(used) < len(moves):
+        moves, rest = moves[used], rest[used]
+    flat = moves.reshape(-1, moves.shape[-1])
+    return np.asarray(np.linalg.solve(np.eye(flat.shape[1]) + flat.T @ flat, flat.T @ rest.ravel()))
 
 
 type Weigh = Callable[[Array], float]

@@ -6,11 +6,12 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 
 from bayescal.numerics.geometry import Array
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from bayescal.experiments.shared.estimate import Fit
 
 FREE, ZERO = "free", "zero"
@@ -62,6 +63,8 @@ def tabulate_parameters(
     setting : str
         Of the model error.
     """
+    import pandas as pd  # a third of a second, for those who have tables
+
     contraction = compute_contraction(fit.sd, fit.prior_sd)
     return pd.DataFrame(
         {
@@ -105,6 +108,7 @@ def tabulate_left_out(
     setting : str
         Of the model error.
     """
+    import pandas as pd  # a third of a second, for those who have tables
 
     def spread(values: Array, elsewhere: Any) -> Array:
         every = np.full(len(held), np.nan)

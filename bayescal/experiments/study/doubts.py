@@ -35,12 +35,15 @@ def list_outlooks(inputs: StudyInputs) -> list[str]:
     for variant in inputs.config.variants:
         posterior = inputs.posterior(variant, with_model_error=False)
         likelihood, known = posterior.likelihood, posterior.sampling.coordinates
-        errors, slope = likelihood.error_jacobian(known.start)
         tau = np.full(likelihood.n_model_errors, inputs.config.leg_error.scales(inputs.actuator_noise)[0])
-        rows = likelihood.whiten(tau)(slope[..., known.free]) * known.scale
-        names, counted = posterior.names[: posterior.n_geometry], np.count_nonzero(errors)
-        of = f"{counted} equations of legs at {len(errors)} poses for {len(names)} unknowns"
-        found[variant.name] = tell_outlook(of, np.nan_to_num(rows), names)
+        names, counted, roots = posterior.names[: posterior.n_geometry], 0, list[Array]()
+        for _, part in likelihood.parts():  # of many poses not all rows are needed at once
+            errors, slope = part.error_jacobian(known.start)
+            rows = np.nan_to_num(part.whiten(tau)(slope[..., known.free]) * known.scale)
+            roots.append(np.linalg.qr(rows.reshape(-1, len(names)), mode="r"))
+            counted += np.count_nonzero(errors)
+        of = f"{counted} equations of legs at {likelihood.n_poses} poses for {len(names)} unknowns"
+        found[variant.name] = tell_outlook(of, np.concatenate(roots), names)
     return [*join_outlooks(found), *filter(None, [inputs.unused])]
 
 

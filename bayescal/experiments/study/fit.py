@@ -13,10 +13,9 @@ from bayescal.density.exact import ExactDensity
 from bayescal.density.functions import FunctionLikelihood
 from bayescal.density.legs import LegPosterior, Likelihood
 from bayescal.density.prediction import Prediction, replicate
-from bayescal.experiments.frame.memory import Need, estimate_arrays
 from bayescal.experiments.shared.chi_square import ChiSquare
 from bayescal.experiments.shared.estimate import Arrays, Fit, Subject, fit_posterior
-from bayescal.experiments.shared.search_memory import list_sampling, list_search
+from bayescal.experiments.shared.search_memory import POSE_NUMBERS, choose_kept
 from bayescal.experiments.shared.soundness import find_misfit
 from bayescal.experiments.shared.study_inputs import Task
 from bayescal.experiments.shared.trees import (
@@ -36,7 +35,7 @@ from bayescal.experiments.study.model_error import evaluate_functions
 from bayescal.experiments.study.structured import evaluate_structured
 from bayescal.identifiability.hidden import choose_unseen
 from bayescal.inference.correction import CostlyDensity, pull_back
-from bayescal.inference.exploration import Exploration, count_walkers
+from bayescal.inference.exploration import Exploration
 from bayescal.inference.target import Fittable
 from bayescal.limits import BLUNDER
 from bayescal.numerics.geometry import (
@@ -49,17 +48,11 @@ from bayescal.numerics.geometry import (
 if TYPE_CHECKING:
     import xarray as xr
 
-KEPT_DRAWS = 1920  # of each ensemble, for everything after the diagnostics
-DEPENDENT_DRAWS = 250  # where poses depend on each other, whose densities given the others take long
-POSE_NUMBERS = 6
 ONLY_SAVED = ("prior", "prior_misfit")
 """Arrays of a posterior that nothing but its tree has."""
 TRIES = 4  # draws of the prior for each that is wanted: some are no machine
 CHANNELS, UNITS = ("x", "y", "z", "rx", "ry", "rz"), ("mm",) * 3 + ("rad",) * 3
 MEANING = "measured pose, base frame: position and rotation vector"
-SINGLE = 0.5  # numbers of four bytes, in doubles
-COPIES = 3
-"""Of what is saved: as it is computed, as a record, as it is written."""
 
 
 def run_task(inputs: StudyInputs, task: Task) -> Fit:
@@ -97,9 +90,7 @@ class Legs(Subject):
 
     def choose(self, shape: tuple[int, int, int]) -> np.ndarray:
         """Thin in time: the same steps of every walker, in order walker by walker."""
-        dependent = isinstance(self.posterior.likelihood, FunctionLikelihood)
-        wanted = DEPENDENT_DRAWS if dependent else KEPT_DRAWS
-        most = limit_draws(wanted, shape[0] * len(self.inputs.verification))
+        most = choose_kept(self.posterior.likelihood, shape[0], len(self.inputs.verification))
         keep = max(1, -(-shape[1] * shape[2] // most))
         return np.arange(np.prod(shape)).reshape(shape)[:, :, ::keep].reshape(shape[0], -1)
 
@@ -329,30 +320,3 @@ def _list_groups(inputs: StudyInputs, readings: Array, made: Array, log_likeliho
         groups["predictions"] = Group(predicted, own)
         groups["predictions_constant_data"] = Group({"readings": (both, readings[held], unit, MEANING)}, own)
     return groups
-
-
-# --- memory ------------------------------------------------------------------------------------------------------
-
-
-def estimate_study(inputs: StudyInputs) -> Need:
-    """Return what a study needs."""
-    sampler, n_poses = inputs.config.sampler, len(inputs.verification)
-    largest = max(
-        (inputs.posterior(variant, with_model_error=True) for variant in inputs.config.variants),
-        key=lambda posterior: posterior.n_parameters,
-    )
-    n = largest.n_parameters
-    kept = sampler.ensembles * min(
-        limit_draws(KEPT_DRAWS, sampler.ensembles * n_poses), sampler.steps * count_walkers(n, sampler.walkers)
-    )
-    numbers = POSE_NUMBERS * n_poses
-    made = min(kept, limit_draws(SAVED_DRAWS, numbers)) * numbers
-    prior = limit_draws(PRIOR_DRAWS, numbers) * numbers
-    sampling = list_sampling(sampler, inputs.config.evidence, n)
-    n_fits, one = len(inputs.list_tasks()), [(n_poses, kept), (SINGLE, made + prior)]
-    return estimate_arrays(
-        {"poses": n_poses, "parameters": n, "posteriors": n_fits},
-        [*((COPIES, *size) for size in one), *list_search(largest), *sampling],
-        "fewer poses or variants",
-        kept=[(n_fits + COPIES, *size) for size in one],
-    )

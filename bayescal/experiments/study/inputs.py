@@ -6,7 +6,7 @@ Every fault of its files is found as they are read, before any long computation.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -36,7 +36,7 @@ from bayescal.experiments.shared.origin import name_origin
 from bayescal.experiments.shared.readings.errors import check_floors
 from bayescal.experiments.shared.readings.instruments import keep_files
 from bayescal.experiments.shared.readings.priors import choose_priors, widen
-from bayescal.experiments.shared.search_memory import check_poses
+from bayescal.experiments.shared.search_memory import check_poses, estimate_legs
 from bayescal.experiments.shared.slips import FoundSlip
 from bayescal.experiments.shared.study_inputs import Described, Inputs, Task
 from bayescal.experiments.shared.study_schema import StudyConfig, TargetDataConfig, VariantConfig, stem_of
@@ -392,20 +392,22 @@ class StudyInputs(Inputs):
     @property
     def claims(self) -> Claims | None:
         """What a publication claims of the study; InputError for a class that is none, or without targets."""
-        from bayescal.experiments.study.claims import Claims
-
-        name, kind = self.config.claims, Claims
+        name = self.config.claims
         if name is None:
             return None
         if self.targets is None:
             raise InputError(f"{self.folder}: claims: found {name!r} without targets, expected measured targets")
+        from bayescal.experiments.study.claims import Claims
+
+        kind = Claims
         return find_class("CLAIMS", name, kind, "claims", self.folder, self.folder)()  # type: ignore[type-abstract]
 
     def estimate_memory(self) -> Need:
         """Return what the posteriors of all poses take."""
-        from bayescal.experiments.study.fit import estimate_study
-
-        return estimate_study(self)
+        posteriors = (self.posterior(variant, with_model_error=True) for variant in self.config.variants)
+        largest = max(posteriors, key=lambda posterior: posterior.n_parameters)
+        config = self.config
+        return estimate_legs(largest, config.sampler, config.evidence, len(self.verification), len(self.list_tasks()))
 
     def outlook(self) -> list[str]:
         """Return what each variant's poses can determine."""
@@ -494,10 +496,10 @@ def load_inputs(config: StudyConfig, folder: Path) -> StudyInputs:
             posterior = inputs.posterior(variant, with_model_error=True)
             check_machine(posterior)
             _check_terms(inputs, variant, posterior)
-            del posterior  # of many poses one is enough at a time
             for factor in config.sensitivity.factor:
                 with name_faults(f"sensitivity.factor {factor:g}"):
-                    check_machine(inputs.posterior(variant, True, factor))
+                    check_machine(replace(posterior, priors=inputs.priors(variant, factor)[0]))
+            del posterior  # of many poses one is enough at a time
         if variant.published is not None:
             read_published(folder / variant.published, mechanism.n_legs)
     known = {block.symbol for variant in config.variants for block in inputs.machine(variant).layout.blocks}

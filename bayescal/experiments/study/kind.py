@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import pandas as pd
 from rich.console import Console
 
 from bayescal.calibrated.machine import CalibratedMachine
@@ -28,6 +27,9 @@ from bayescal.experiments.study.inputs import load_inputs
 from bayescal.experiments.study.measurement import list_file_faults
 from bayescal.experiments.study.terminal import show_comparison, show_ranking
 from bayescal.report.blocks import Page
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 class Study(MachineExperiment[StudyConfig, Inputs], Measuring, Calibrating):
@@ -111,6 +113,8 @@ class Study(MachineExperiment[StudyConfig, Inputs], Measuring, Calibrating):
 
     def compare(self, results: Mapping[str, Results]) -> pd.DataFrame:
         """Return the variants of several studies of the same data, the largest log-evidence first, if converged."""
+        import pandas as pd  # a third of a second, for those who have tables
+
         rows, data = [], {}
         for name, one in results.items():
             try:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import pandas as pd
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from bayescal.calibrated.functions import KnownFunctions
 from bayescal.density.calibration.likelihood import CalibrationPosterior
@@ -84,7 +84,7 @@ class Residuals:
     @property
     def chance(self) -> Array:
         """With which probability the noise alone makes r² as large, shape (P,)."""
-        return np.asarray(chi2.sf(self.square, np.maximum(self.freedom, 1)))
+        return np.asarray(chdtrc(np.maximum(self.freedom, 1), self.square))
 
     def find_contradicting(self, robust: bool) -> np.ndarray:
         """Return which poses the others contradict, shape (P,); in 99 of 100 clean studies none.

@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from pathlib import PurePath
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import pandas as pd
 from rich.console import Console
 
 from bayescal.experiments.frame.terminal import Shown, print_table, print_text
@@ -19,6 +18,9 @@ from bayescal.experiments.shared.headline import (
 )
 from bayescal.experiments.shared.origin import name_origin
 from bayescal.report.numbers import MICROMETRES, format_estimate, format_fixed
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 RANKING = (
     Shown("rank"),

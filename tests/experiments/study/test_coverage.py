@@ -11,7 +11,8 @@ from bayescal.experiments.simulation.compute import build_twin, survey_twin
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.measurement import TargetMeasurement
 from bayescal.inference.ensemble import run_ensemble
-from bayescal.inference.exploration import count_walkers, explore
+from bayescal.inference.exploration import explore
+from bayescal.inference.schema import count_walkers
 
 TELESCOPE = Path(__file__).parents[3] / "experiments" / "telescope"
 N_SURVEYS = 50

@@ -21,7 +21,8 @@ from bayescal.experiments.simulation.compute import Twin, build_twin, survey_twi
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.measurement import TargetMeasurement
 from bayescal.inference.ensemble import run_ensemble
-from bayescal.inference.exploration import count_walkers, explore
+from bayescal.inference.exploration import explore
+from bayescal.inference.schema import count_walkers
 from bayescal.machines.kinematics import solve_forward_kinematics
 
 FOLDER = studies.EXPERIMENTS / "m2_hexapod"

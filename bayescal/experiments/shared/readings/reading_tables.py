@@ -104,7 +104,7 @@ def read_tables(
     known = _list_columns(channels, given)
     tables = [_check(read_table(folder / one.file, None), known, channels, one) for one in sections]
     poses = list(dict.fromkeys(name for table in tables for name in table.text("pose")))
-    n, k = len(poses), len(channels)
+    places, n, k = {name: row for row, name in enumerate(poses)}, len(poses), len(channels)
     found = PoseReadings(
         tuple(poses),
         np.zeros(n, dtype=bool),
@@ -115,7 +115,7 @@ def read_tables(
         {name: np.full(n, np.nan) for name in given},
     )
     for table, one in zip(tables, sections, strict=True):
-        _fill(found, table, known, channels, [poses.index(name) for name in pose_names(table)], one)
+        _fill(found, table, known, channels, [places[name] for name in pose_names(table)], one)
     _check_poses(found, folder / sections[0].file)
     return found
 
@@ -167,9 +167,9 @@ def _check(table: Table, known: Mapping[str, _Column], channels: Sequence[Channe
 
 def pose_names(table: Table) -> list[str]:
     """Return the names of a table's poses; InputError where one stands there twice."""
-    names = table.text("pose")
+    names, known = table.text("pose"), dict[str, int]()
     for row, name in enumerate(names):
-        if (first := names.index(name)) != row:
+        if (first := known.setdefault(name, row)) != row:
             raise InputError(
                 f"{table.where(row)}: pose {name!r} stands already on line {table.lines[first]}, expected it once"
             )
