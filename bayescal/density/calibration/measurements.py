@@ -11,6 +11,7 @@ import numpy as np
 from bayescal.machines.readings import Channel
 from bayescal.numerics.geometry import Array, compute_left_inverse_jacobian, compute_left_jacobian
 
+AT_ONCE = 2048  # poses of which many draws are looked at together
 SMALL = 1e-150  # of the sine of half a turn, whose square is no number
 CONSTRAINT = 1e-4
 """Noise of a reading that is stated to have none, in units of the smallest other one of its unit, or of any: its square
@@ -70,6 +71,11 @@ class Measurements:
         commanded = None if self.commanded is None else self.commanded[which]
         order = self.order[which]
         return Measurements(names, self.values[which], self.sd[which], given, correlation, commanded, order)
+
+    def split(self) -> list[tuple[np.ndarray, Measurements]]:
+        """Return some of the poses at a time, (R,), with their measurements: for what many draws make of each."""
+        parts = np.array_split(np.arange(self.n_poses), max(1, -(-self.n_poses // AT_ONCE)))
+        return [(parts[0], self)] if len(parts) == 1 else [(part, self.pick(part)) for part in parts]
 
     def only(self, channels: np.ndarray) -> Measurements:
         """Return the measurements with the readings of other channels, given by a mask (K,) or (P, K), left out.

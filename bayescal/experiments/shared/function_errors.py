@@ -16,7 +16,7 @@ from bayescal.density.calibration.functions import FunctionErrors
 from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.density.calibration.measurements import Measurements
 from bayescal.density.calibration.model_error import FunctionsOfPose, IndependentErrors
-from bayescal.density.calibration.terms import CommonDraws
+from bayescal.density.calibration.terms import CommonDraws, Errors
 from bayescal.density.low_rank import BUDGET
 from bayescal.density.priors import BORDER
 from bayescal.density.schema import TERMS, TermsConfig
@@ -174,26 +174,21 @@ def tabulate_model_error(
 
     from bayescal.inference.causes import weigh_causes  # with all of inference, for those who sample
 
-    sizes, functions, tau = dict[str, Array](), dict[str, Array](), list[Array]()
-    names, terms = list[str](), posterior.errors.of(posterior.zeta(y))
-    common = draws.by_term(data) or [None] * len(terms)
-    for (term, zeta), errors in zip(terms, common, strict=True):
-        if isinstance(term, IndependentErrors):
-            tau.append(term.natural(zeta)[:, 0] ** 2 + term.floor**2)
-        elif isinstance(term, FunctionsOfPose) and errors is not None:
-            names = list(term.own.names)
-            functions[term.sort] = errors[..., term.own.places] * (term.own.levers / MICROMETRE)
-    if tau:
-        sizes[TERMS[0]] = np.sqrt(np.mean(tau, axis=0)) / MICROMETRE
-    together = np.asarray(sum(functions.values()))  # (T, M, N)
-    every = functions | ({TOGETHER: together} if functions else {})
-    sizes |= {name: np.sqrt(np.mean(one[:, ~held] ** 2, axis=(1, 2))) for name, one in every.items()}
+    terms = posterior.errors.of(posterior.zeta(y))
+    tau = [one.natural(zeta)[:, 0] ** 2 + one.floor**2 for one, zeta in terms if isinstance(one, IndependentErrors)]
+    sizes = {TERMS[0]: np.sqrt(np.mean(tau, axis=0)) / MICROMETRE} if tau else {}
+    found = [_summarise(part, ~held[rows], posterior.errors, draws) for rows, part in data.split()]
+    names, functions = found[0].names, [name for name in found[0].square if name != TOGETHER]
+    for name in found[0].square:
+        square, n_numbers = sum(one.square[name] for one in found), len(names) * int((~held).sum())
+        sizes[name] = np.sqrt(square / n_numbers)
     quantiles = {name: np.quantile(one, [0.5, *INTERVAL]) for name, one in sizes.items()}
     rows = [(variant, name, *one) for name, one in quantiles.items()]
     tables = {"model_error": pd.DataFrame(rows, columns=["variant", "term", "median_um", "q05_um", "q95_um"])}
     if functions:
-        mean, (low, high) = together.mean(axis=0), np.quantile(together, INTERVAL, axis=0)
-        by_member = {name: np.sqrt(np.mean(one.mean(axis=0)[~held] ** 2, axis=0)) for name, one in functions.items()}
+        means = {name: np.concatenate([one.mean[name] for one in found]) for name in found[0].mean}
+        mean, (low, high) = means[TOGETHER], np.concatenate([one.interval for one in found], axis=1)
+        by_member = {name: np.sqrt(np.mean(means[name][~held] ** 2, axis=0)) for name in functions}
         tables["model_error_members"] = pd.DataFrame(
             [
                 {"variant": variant, "member": member, "term": name, "rms_um": rms[k]}
@@ -213,7 +208,7 @@ def tabulate_model_error(
             }
         )
         hidden, n = (
-            hide_in_posterior(posterior, y, choose_unseen(error.lengths(), list(functions))),
+            hide_in_posterior(posterior, y, choose_unseen(error.lengths(), functions)),
             posterior.n_geometry,
         )
         sd = posterior.natural(y)[:, :n].std(axis=0)
@@ -221,6 +216,30 @@ def tabulate_model_error(
         tables["model_error_hidden"] = tabulate_hidden(variant, *known, hidden, sd)
         tables["model_error_alone"] = tabulate_causes(variant, weigh_causes(posterior, y.mean(axis=0), rng))
     return {name: one for name, one in tables.items() if len(one)}
+
+
+@dataclass(frozen=True, eq=False)
+class _Functions:
+    """Functions of the pose of N own channels at P rows, µm at the tool, by sort and together."""
+
+    names: list[str]  # of the channels
+    square: dict[str, Array]  # (T,): of each draw, the sum over calibration rows and channels
+    mean: dict[str, Array]  # (P, N)
+    interval: Array  # (2, P, N): of all together
+
+
+def _summarise(data: Measurements, used: np.ndarray, errors: Errors, draws: CommonDraws) -> _Functions:
+    """Return what draws have of the functions at rows, of which some are for calibration."""
+    names, functions = list[str](), dict[str, Array]()
+    for term, found in zip(errors.terms, draws.by_term(data) or [None] * len(errors.terms), strict=True):
+        if isinstance(term, FunctionsOfPose) and found is not None:
+            names = list(term.own.names)
+            functions[term.sort] = found[..., term.own.places] * (term.own.levers / MICROMETRE)
+    if functions:
+        functions[TOGETHER] = np.asarray(sum(functions.values()))
+    square = {name: np.sum(one[:, used] ** 2, axis=(1, 2)) for name, one in functions.items()}
+    interval = np.quantile(functions[TOGETHER], INTERVAL, axis=0) if functions else np.zeros((2, 0, 0))
+    return _Functions(names, square, {name: one.mean(axis=0) for name, one in functions.items()}, interval)
 
 
 def tabulate_causes(variant: str, weights: Mapping[str, float]) -> pd.DataFrame:

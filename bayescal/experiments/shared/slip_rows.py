@@ -33,7 +33,6 @@ SIZES = np.geomspace(1.0, 1e5, 11)
 WIDER = np.array([2.0, 3.0, 5.0, 8.0, 12.0, 20.0, 40.0, 100.0])
 """Factors on a tolerance."""
 VAGUE = 1e5
-AT_ONCE = 2048  # rows that are made white together where all are looked at once
 LOST = float(np.log(1e3))  # nats per reading of a row that is left out
 OUTLYING = 10.0
 """Rms of a row in units of the median, beyond which the others are fitted without it."""
@@ -355,7 +354,7 @@ class Readings:
         About the machine as expected, by what is standard normal; zero where it has no pose.
         """
         n_rows, parts = len(self.values), list[tuple[Array, Array, np.ndarray]]()
-        for part in np.array_split(np.arange(n_rows), -(-n_rows // AT_ONCE)):
+        for part, _ in self.posterior.likelihood.data.split():
             some = self if len(part) == n_rows else self.pick(part)
             seen = some.see(some.table, np.zeros(self.posterior.n_geometry), None, n_starts)
             if seen is None:  # of none of them

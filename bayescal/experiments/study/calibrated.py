@@ -150,18 +150,23 @@ def tabulate_errors(
     draws : CommonDraws
         Of the errors common to all rows, one for each.
     """
-    whole, names = variant.whole, variant.model.names
-    own, beside = posterior.likelihood.noise(posterior.errors, posterior.zeta(y))
-    square = np.broadcast_to(beside**2, own.shape)
-    if posterior.errors.has_columns:
-        square = square + draws.at(posterior.likelihood.data) ** 2
+    whole, names, zeta = variant.whole, variant.model.names, posterior.zeta(y)
+    commanded = [names.index(whole.names[k]) for k in whole.select(whole.commanded) if whole.names[k] in names]
+    parts = list[tuple[Array, Array]]()
+    for some, data in posterior.likelihood.data.split():
+        own, beside = posterior.errors.noise(zeta, data, posterior.likelihood.sd[some])
+        square = np.broadcast_to(beside**2, own.shape)
+        if posterior.errors.has_columns:
+            square = square + draws.at(data) ** 2
+        parts.append((own[..., commanded], square[..., commanded]))
+    own, square = (np.concatenate(one, axis=1) for one in zip(*parts, strict=True))  # of the commanded channels
     present = posterior.likelihood.data.present
     stated = np.nan_to_num(noise_of_channels(config.sensors, whole))
     rows: list[dict[str, Any]] = []
     for k in whole.select(whole.commanded):
         channel, noise, model_error = whole.channels[k], float(stated[k]), 0.0
         if channel.name in names:
-            own_k, there = names.index(channel.name), present[:, names.index(channel.name)]
+            own_k, there = commanded.index(names.index(channel.name)), present[:, names.index(channel.name)]
             noise = float(np.sqrt((np.median(own[:, there, own_k], axis=1) ** 2).mean()))
             model_error = float(np.sqrt(square[:, there, own_k].mean()))
         named = {"variant": variant.name, "channel": channel.name, "unit": channel.unit}
