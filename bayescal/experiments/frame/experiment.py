@@ -91,6 +91,14 @@ class Experiment[C: ExperimentConfig, I](ABC):
         del inputs
         return Need()
 
+    def estimate_seconds(self, inputs: I, workers: int) -> float | None:
+        """Return about how long computing with these inputs takes, s; None, as by default, where nothing is known.
+
+        It may take some per cent of that itself, and is asked of runs that are followed alone.
+        """
+        del inputs, workers
+        return None
+
     def outlook(self, inputs: I) -> list[str]:
         """Return what the inputs can determine, in lines; it takes a second or two. By default nothing is said."""
         del inputs

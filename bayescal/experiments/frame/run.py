@@ -24,7 +24,7 @@ from bayescal.experiments.frame.engine import Processes, call_side_by_side, impo
 from bayescal.experiments.frame.identity import describe_provenance, identify
 from bayescal.experiments.frame.interrupts import hold_lock
 from bayescal.experiments.frame.load import AnyExperiment, find_kind, load, read_inputs
-from bayescal.experiments.frame.memory import Need, check_memory
+from bayescal.experiments.frame.memory import GIB, Need, check_memory
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import (
     MANIFEST_KEY,
@@ -49,6 +49,7 @@ if TYPE_CHECKING:
 
 LATE = "which showed only when it was computed"
 """Said of what is at fault with inputs that passed the gate."""
+LONG, LARGE = 60.0, 1.0  # s and GiB, from which on a run says beforehand what it takes
 MANY_PICTURES = 10  # fewer are drawn before other processes have started
 
 
@@ -190,12 +191,29 @@ def run_experiment(
             store = store.begin(identity, resume)
             with start_ahead(workers if scheduler is None else 1, experiment.imports):
                 import_all(experiment.imports[:1])
-            results = _compute(admitted, Run(engine, store, Progress(quiet)), store.discard)
+            progress = Progress(quiet)
+            if not (quiet or resume) and scheduler is None:
+                progress.say(_tell_effort(admitted, workers))
+            results = _compute(admitted, Run(engine, store, progress), store.discard)
             provenance = describe_provenance(config, identity)
             results = replace(results, files={**results.files, **admitted.code}, provenance=provenance)
             page = _write(experiment, admitted.blocks, results, store.stage(), workers)
             store.publish()
     return Finished(out, experiment, read_results(out), page)
+
+
+def _tell_effort(admitted: Admitted, workers: int) -> str:
+    """Return how long a run takes and how much memory, where either is much; otherwise nothing."""
+    with np.errstate(all="ignore"):
+        try:
+            seconds = admitted.experiment.estimate_seconds(admitted.inputs, workers)
+        except BayescalError:  # said where it is computed
+            seconds = None
+    need = admitted.need.sum_up(workers) / GIB if admitted.need.sizes else 0.0
+    said = [f"about {max(1, round(seconds / 60.0))} min"] if seconds is not None and seconds >= LONG else []
+    said += [f"at most {need:.1f} GiB of memory"] if need >= LARGE else []
+    by = f" with {workers} workers" if workers > 1 else ""
+    return f"this takes {' and '.join(said)}{by}" if said else ""
 
 
 def _compute(admitted: Admitted, run: Run, discard: Callable[[], None] = lambda: None) -> Results:

@@ -148,6 +148,11 @@ class Progress:
         """Return what follows tasks; None where nothing is to be said of them."""
         return None if self.quiet or not names else Watch(names)
 
+    def say(self, line: str) -> None:
+        """Print a line, unless it is empty or nothing is to be said."""
+        if line and not self.quiet:
+            print(make_plain(line), file=self.console.file, flush=True)
+
     @contextmanager
     def follow(self, name: str, total: int, done: int, watch: Watch | None = None) -> Iterator[Stage]:
         """Follow a stage of so many tasks, some of them done before."""
@@ -158,9 +163,9 @@ class Progress:
             with self._draw(stage):
                 yield stage
         else:
-            with _repeat(lambda: self._say(stage.describe()), EVERY):
+            with _repeat(lambda: self.say(stage.describe()), EVERY):
                 yield stage
-            self._say(stage.describe())
+            self.say(stage.describe())
 
     @contextmanager
     def _draw(self, stage: Stage) -> Iterator[None]:
@@ -178,9 +183,6 @@ class Progress:
 
             with _repeat(draw, REDRAWN):
                 yield
-
-    def _say(self, line: str) -> None:
-        print(make_plain(line), file=self.console.file, flush=True)
 
 
 @contextmanager

@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 import zlib
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Self, cast
 
@@ -42,7 +42,7 @@ from bayescal.inference.overdispersed import (
     widen_tails,
 )
 from bayescal.inference.sampling import Sample, sample_posterior
-from bayescal.inference.schema import EvidenceConfig, SamplerConfig
+from bayescal.inference.schema import EvidenceConfig, SamplerConfig, count_walkers
 from bayescal.inference.stages import expect
 from bayescal.inference.target import Fittable, Target
 from bayescal.inference.tempered import estimate_by_tempering
@@ -54,6 +54,10 @@ if TYPE_CHECKING:
 
 KEPT_DRAWS = 1000
 TREE = "tree"
+TIMED = 16  # densities by which the time of a fit is estimated
+SEARCHED, JUDGED = 1.8, 1.3
+"""Time of a fit in that of its planned densities, search and correction among it, and in that of its rows' densities at
+all draws that are kept, predictions among it: as measured."""
 
 type Arrays = dict[str, Array]
 
@@ -282,6 +286,23 @@ class Fit(Estimate):
         return replace(self, evaluated=evaluated | {TREE: pack_tree(tree)})
 
 
+def time_fit(subject: Subject, sampler: SamplerConfig, effort: EvidenceConfig) -> float:
+    """Return about how many seconds of one core `fit_posterior` takes, within a factor of two, from some densities."""
+    posterior = subject.posterior
+    y = np.tile(posterior.approach(), (TIMED, 1))
+
+    def time_call(call: Callable[[Array], Array], y: Array) -> float:
+        call(y[:1])  # what is found once
+        began = time.perf_counter()
+        call(y)
+        return (time.perf_counter() - began) / len(y)
+
+    with np.errstate(all="ignore"):
+        density, by_row = time_call(posterior.log_density, y), time_call(posterior.pointwise, y[:1])
+    kept = subject.choose((sampler.ensembles, count_walkers(posterior.n_parameters, sampler.walkers), sampler.steps))
+    return SEARCHED * density * sum(_plan(sampler, effort).values()) + JUDGED * by_row * kept.size
+
+
 def estimate_posterior(
     posterior: Target, seed: int, name: str, sampler: SamplerConfig, effort: EvidenceConfig
 ) -> Estimate:
@@ -324,6 +345,12 @@ def _seed_for(seed: int, name: str, purpose: str) -> np.random.SeedSequence:
     return np.random.SeedSequence([seed, zlib.crc32(f"{name}-{purpose}".encode())])
 
 
+def _plan(sampler: SamplerConfig, effort: EvidenceConfig) -> dict[str, int]:
+    """Return how many densities stages are expected to compute."""
+    walks = sampler.ensembles * sampler.walkers * (sampler.burn_in + sampler.steps)
+    return {"evidence": effort.draws, "tails": N_DRAWS, "sampling": walks, "bridge": effort.draws}
+
+
 def _estimate(
     posterior: Target,
     seed: int,
@@ -333,8 +360,7 @@ def _estimate(
     subject: Subject | None = None,
 ) -> tuple[Estimate, Exploration]:
     explore_seed, importance_seed, ensemble_seed, bridge_seed, _, correct_seed, *_ = _spawn(seed, name)
-    walks = sampler.ensembles * sampler.walkers * (sampler.burn_in + sampler.steps)
-    expect({"evidence": effort.draws, "tails": N_DRAWS, "sampling": walks, "bridge": effort.draws})
+    expect(_plan(sampler, effort))
     found, importance = integrate_posterior(posterior, explore_seed, importance_seed, sampler.walkers, effort)
     far = draw_far_out(found, _seed_for(seed, name, "tails"))
     found, importance = widen_tails(found, importance, far, importance_seed, effort)

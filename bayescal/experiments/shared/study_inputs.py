@@ -23,6 +23,10 @@ if TYPE_CHECKING:
     from bayescal.experiments.shared.estimate import Fit, Subject
 
 
+PAGE, ROW = 8.0, 2e-3  # s, of tables and a page, and for each row
+WIDTHS = 0.15  # of a fit's time, for each factor on the widths of priors
+
+
 @dataclass(frozen=True)
 class Task:
     """A unit of work: a posterior of a variant, with its model error or without."""
@@ -112,6 +116,15 @@ class Inputs(ABC):
     @abstractmethod
     def estimate_memory(self) -> Need:
         """Return what the posteriors take."""
+
+    def estimate_seconds(self, workers: int) -> float:
+        """Return about how long posteriors and pages take with so many processes, s."""
+        from bayescal.experiments.shared.estimate import time_fit
+
+        config = self.config
+        widths = 1.0 + WIDTHS * sum(factor != 1.0 for factor in config.sensitivity.factor)
+        each = [widths * time_fit(self.subject(task), config.sampler, config.evidence) for task in self.list_tasks()]
+        return PAGE + ROW * len(self.verification) + max(max(each), sum(each) / workers)
 
     @abstractmethod
     def outlook(self) -> list[str]:

@@ -284,10 +284,12 @@ def _read_poses(inputs: StudyInputs) -> Array:
 
 def _replicate(measured: Array, misfit: Array) -> Array:
     """Return replicated poses (..., P, 6) from the measured ones (P, 6) and measured minus replicated (..., P, 6)."""
-    rotation = matrix_from_rotation_vector(np.nan_to_num(measured[:, 3:]))
-    turn = rotation_vector_of_turn(matrix_from_rotation_vector(-np.nan_to_num(misfit[..., 3:])) @ rotation)
-    turn = np.where(np.isfinite(measured[:, 3:] - misfit[..., 3:]), turn, np.nan)
-    return np.concatenate([measured[:, :3] - misfit[..., :3], turn], axis=-1).astype(np.float32)
+    rotation, found = matrix_from_rotation_vector(np.nan_to_num(measured[:, 3:])), np.empty(misfit.shape, np.float32)
+    found[..., :3] = measured[:, :3] - misfit[..., :3]
+    for k in np.ndindex(misfit.shape[:-2]):  # draw by draw: rotation matrices of all would take gigabytes
+        turn = rotation_vector_of_turn(matrix_from_rotation_vector(-np.nan_to_num(misfit[k][:, 3:])) @ rotation)
+        found[k][:, 3:] = np.where(np.isfinite(measured[:, 3:] - misfit[k][:, 3:]), turn, np.nan)
+    return found
 
 
 def _group_functions(inputs: StudyInputs, task: Task, fit: Fit) -> dict[str, Group]:

@@ -61,6 +61,10 @@ class Study(MachineExperiment[StudyConfig, Inputs], Measuring, Calibrating):
         """Return what the posteriors take."""
         return inputs.estimate_memory()
 
+    def estimate_seconds(self, inputs: Inputs, workers: int) -> float:
+        """Return what the posteriors take, from the time of some of their densities."""
+        return inputs.estimate_seconds(workers)
+
     def outlook(self, inputs: Inputs) -> list[str]:
         """Return what the data can determine of each variant."""
         return inputs.outlook()
