@@ -20,6 +20,7 @@ import tempfile
 import time
 import traceback
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -38,6 +39,12 @@ WRITES = {"os.rename", "os.remove", "os.mkdir", "os.rmdir", "shutil.rmtree", "os
 PATIENCE = 600  # s
 TRIES = 5
 MINE = "notes of somebody's own.txt"
+
+
+def die_with_parent() -> None:
+    """Be killed when the process that forked this one ends: pipes of its pool are open here, too, and hide its end."""
+    with suppress(AttributeError):  # a system that has no such call
+        ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
 
 
 class Child:
@@ -70,6 +77,7 @@ class Child:
         """Be the child: never return."""
         code = 99
         try:
+            die_with_parent()
             os.dup2(self.said.fileno(), 2)
             os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
             signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -289,6 +297,7 @@ def fill_disk(stage: Stage, quiet: Undisturbed, rng: np.random.Generator) -> lis
     if pid == 0:
         found = ["the process that mounts a file system failed"]
         try:
+            die_with_parent()
             mount_small(stage.out.parent, room)
             found = _end_without_room_mounted(stage)
             found += compare(stage, quiet)

@@ -19,6 +19,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -46,6 +47,7 @@ from bayescal.files.manifest import MANIFEST, write_manifest
 from bayescal.numerics.geometry import rotation_vector_from_matrix
 
 ROOT = Path(__file__).parents[2]
+UNDER_WAY = "under_way.txt"
 CUT = "cut: what was read would be computed now"
 WORDS = {"audit": ["audit"], "sweep": ["sweep"], "table": ["table"], "study": ["check", "next", "poses-from-targets"]}
 WORDS["simulation"] = ["show"]
@@ -359,7 +361,10 @@ SORTS = {
 def try_share(sort: str, numbers: range) -> tuple[str, Counter[int], list[str], float]:
     """Return exit codes and faults of some cases of a sort."""
     begun = time.monotonic()
+    under_way = _ground.folder / UNDER_WAY  # who dies leaves it
+    under_way.write_text(f"{sort} {numbers[0]} to {numbers[-1]}")
     trials = [SORTS[sort].attempt(_ground, number) for number in numbers]
+    under_way.unlink()
     faults = [one.faults for one in trials if one.faults]
     return sort, Counter(one.code for one in trials), faults, time.monotonic() - begun
 
@@ -406,14 +411,21 @@ def run(share: float, workers: int, minutes: float) -> tuple[dict[str, Counter[i
         tempfile.TemporaryDirectory() as folder,
         ProcessPoolExecutor(workers, context, _begin, (folder,)) as pool,
     ):
-        for done in as_completed([pool.submit(try_share, *case) for case in list_shares(share)]):
-            keep(done.result())
-        while time.monotonic() - begun < 60.0 * minutes:
-            last = first + n_ways * workers
-            cases = [("disturbed", range(k, k + n_ways)) for k in range(first, last, n_ways)]
-            for done in as_completed([pool.submit(try_share, *case) for case in cases]):
+        try:
+            for done in as_completed([pool.submit(try_share, *case) for case in list_shares(share)]):
                 keep(done.result())
-            first = last
+            while time.monotonic() - begun < 60.0 * minutes:
+                last = first + n_ways * workers
+                cases = [("disturbed", range(k, k + n_ways)) for k in range(first, last, n_ways)]
+                for done in as_completed([pool.submit(try_share, *case) for case in cases]):
+                    keep(done.result())
+                first = last
+        except BrokenProcessPool:  # the pool only asks the others to end, which a case may be deaf to, and waits
+            for one in multiprocessing.active_children():
+                one.kill()
+            cases = " or ".join(sorted(path.read_text() for path in Path(folder).glob(f"*/{UNDER_WAY}")))
+            faults.append(f"{cases}: the process died")
+            print(f"FAULT {faults[-1]}", flush=True)
     return codes, faults, time.monotonic() - begun
 
 

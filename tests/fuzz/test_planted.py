@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import shutil
+import signal
 import sys
+import time
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -129,6 +133,27 @@ def test_numbers_that_hang_on_what_went_before_are_found(stage, monkeypatch):
 
     monkeypatch.setattr(Simulation, "compute", forget)
     assert disturb(stage, "killed while writing")
+
+
+@pytest.mark.parametrize("left", ["a run of its own", "a worker that nothing ends"])
+def test_a_dead_process_ends_the_suite_and_names_the_case(left, monkeypatch):
+    def die(ground: suite.Ground, number: int) -> suite.Trial:
+        if left == "a run of its own":
+            disturbed.Child(["list"], lambda: time.sleep(600.0))
+        elif number >= 25:
+            signal.signal(signal.SIGTERM, signal.SIG_IGN)
+            time.sleep(600.0)
+        time.sleep(1.0)
+        os.kill(os.getpid(), signal.SIGKILL)
+        raise AssertionError
+
+    monkeypatch.setattr(suite, "SORTS", {name: replace(one, n=0) for name, one in suite.SORTS.items()})
+    monkeypatch.setitem(suite.SORTS, "inputs", suite.Sort("of no use", 50, die))
+    _, faults, seconds = suite.run(1.0, 2, 0.0)
+    assert len(faults) == 1
+    assert "inputs 0 to 24" in faults[0]
+    assert "the process died" in faults[0]
+    assert seconds < 60.0
 
 
 def test_a_lock_that_is_none_is_found(stage, monkeypatch):
