@@ -1,7 +1,11 @@
 """How time and memory grow with poses, legs, parameters and candidates: each point a process of its own.
 
-    python benchmarks/growth.py [--what poses audit legs parameters candidates calibration sliding_platform]
-                                [--most 10000] [--write FILE]
+    python benchmarks/growth.py [--what hexapod own poses audit legs parameters candidates calibration sliding_platform]
+                                [--most 10000] [--write benchmarks/results/growth.json]
+
+- ``hexapod``, ``own``: the study that `bayescal init` writes, of legs by poses and of a machine of one function, with
+  its effort and so many simulated rows, a tenth of them held back; beside them what the run says beforehand that it
+  takes (``said_s``, ``said_mib``), and what `validate` takes, Python's modules among it;
 
 - ``poses``: a study of six struts (42 parameters, poses by a tracker, one model error), from reading to its page;
 - ``audit``: the audit of as many planned poses of that machine;
@@ -22,6 +26,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -33,6 +38,8 @@ for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 import numpy as np  # noqa: E402 - after the number of threads is set
 
 SIZES = {
+    "hexapod": (1000, 3000, 10_000),
+    "own": (1000, 3000, 10_000),
     "poses": (100, 316, 1000, 3162, 10_000),
     "audit": (100, 316, 1000, 3162, 10_000),
     "legs": (6, 12, 24, 60),
@@ -66,6 +73,25 @@ config = load_experiment(path)
 run_experiment(config, path.parent, out)
 after = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 print(time.process_time() - begun, before / 1024, after / 1024)
+"""
+SAY = """
+import sys
+from pathlib import Path
+from bayescal import load_experiment
+from bayescal.experiments.frame.run import admit
+path = Path(sys.argv[1])
+admitted = admit(load_experiment(path), path.parent, 1)
+print(admitted.experiment.estimate_seconds(admitted.inputs, 1), admitted.need.sum_up(1) / 2**20)
+"""
+VALIDATE = """
+import os, resource, sys
+sys.argv = ["bayescal", "validate", sys.argv[1]]
+from bayescal.cli import main
+try:
+    main()
+finally:
+    used = resource.getrusage(resource.RUSAGE_SELF)
+    print(used.ru_utime + used.ru_stime, used.ru_maxrss / 1024)
 """
 
 
@@ -196,10 +222,33 @@ def write_selection(folder: Path, n_candidates: int) -> Path:
     return path
 
 
+def write_project(folder: Path, machine: str, n_rows: int) -> Path:
+    """Write the project of `bayescal init` with so many rows, simulated; return the config of its study."""
+    import memory
+
+    from bayescal.projects.start import start_project
+
+    start_project(folder, machine, None if machine == "own" else "poses")
+    n_held, simulation = n_rows // 10, folder / "simulate.toml"
+    if machine == "own":
+        text = simulation.read_text().replace("\nn_poses = 25", f"\nn_poses = {n_rows - n_held}")
+        simulation.write_text(text.replace("verification_poses = 5", f"verification_poses = {n_held}"))
+    else:
+        rng, columns = np.random.default_rng(n_rows), ",".join(f"drho_{k}" for k in range(1, 7))
+        for use, n in (("calibration", n_rows - n_held), ("verification", n_held)):
+            rows = [",".join(f"{x:.3f}" for x in row) for row in rng.uniform(-15.0, 15.0, size=(n, 6))]
+            (folder / f"{use}_configurations.csv").write_text("\n".join([columns, *rows]) + "\n")
+    shutil.rmtree(folder / "data")
+    memory.simulate(simulation, folder / "data")
+    return folder / "study.toml"
+
+
 def write_point(folder: Path, what: str, size: int) -> Path:
     """Write the experiment of one point; return its config."""
     import memory  # which has machines of this file for other kinds
 
+    if what in ("hexapod", "own"):
+        return write_project(folder / "project", what, size)
     if what == "poses":
         return write_study(folder, 6, size, SYMBOLS)
     if what == "audit":
@@ -220,15 +269,20 @@ def measure(what: str, size: int, limit: float) -> dict[str, float | str]:
     """Return CPU seconds and MiB of one point, in a process of its own; what it said where it failed."""
     with tempfile.TemporaryDirectory() as name:
         path = write_point(Path(name), what, size)
-        command = [sys.executable, "-c", RUN, str(path), str(Path(name) / "out")]
-        try:
-            done = subprocess.run(command, capture_output=True, text=True, timeout=limit, check=False)
-        except subprocess.TimeoutExpired:
-            return {"size": size, "failed": f"more than {limit:.0f} s"}
-    if done.returncode:
-        return {"size": size, "failed": (done.stderr.strip().splitlines() or [f"exit {done.returncode}"])[-1]}
-    seconds, before, peak = map(float, done.stdout.split()[-3:])
-    return {"size": size, "cpu_s": seconds, "peak_mib": peak, "own_mib": peak - before}
+        programs = {("cpu_s", "before_mib", "peak_mib"): RUN}
+        if what in ("hexapod", "own"):
+            programs |= {("said_s", "said_mib"): SAY, ("validate_s", "validate_mib"): VALIDATE}
+        found: dict[str, float | str] = {"size": size}
+        for names, program in programs.items():
+            command = [sys.executable, "-c", program, str(path), str(Path(name) / "out")]
+            try:
+                done = subprocess.run(command, capture_output=True, text=True, timeout=limit, check=False)
+            except subprocess.TimeoutExpired:
+                return {"size": size, "failed": f"more than {limit:.0f} s"}
+            if done.returncode:
+                return {"size": size, "failed": (done.stderr.strip().splitlines() or [f"exit {done.returncode}"])[-1]}
+            found |= dict(zip(names, map(float, done.stdout.split()[-len(names) :]), strict=True))
+    return found | {"own_mib": float(found["peak_mib"]) - float(found.pop("before_mib"))}
 
 
 def fit_exponents(points: list[dict]) -> dict[str, float]:
@@ -260,7 +314,8 @@ def main() -> None:
         for size in (s for s in SIZES[what] if options.least <= s <= options.most):
             points.append(point := measure(what, size, options.limit))
             said = point.get("failed") or f"{point['cpu_s']:9.1f}{point['peak_mib']:8.0f}{point['own_mib']:8.0f}"
-            print(f"{size:12d}{said}", flush=True)
+            more = ", ".join(f"{name} {value:.1f}" for name, value in point.items() if name.startswith(("said", "val")))
+            print(f"{size:12d}{said}  {more}", flush=True)
         exponents = fit_exponents(points)
         print("   exponents: " + ", ".join(f"{name} {value:.2f}" for name, value in exponents.items()))
         if options.write is not None:

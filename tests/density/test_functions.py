@@ -6,6 +6,7 @@ import telescope_machines as machines
 from scipy.stats import multivariate_normal
 
 from bayescal.data.instruments.readings import PoseReadings
+from bayescal.density import functions
 from bayescal.density.errors import FunctionScales, LegErrors, ModelError
 from bayescal.density.functions import FunctionLikelihood
 from bayescal.density.instruments import InstrumentLikelihood
@@ -101,6 +102,19 @@ def test_density_is_that_of_all_rows_together(two):
     assert likelihood(theta[None], AMPLITUDES)[0] == pytest.approx(expected + constant, abs=1e-6)
     without = likelihood(theta[None], np.zeros(10))[0]
     assert without == pytest.approx(alone, abs=1e-6)
+
+
+def test_vectors_some_at_a_time_have_the_densities_of_all_together(two, monkeypatch):
+    calibration, held, theta = two
+    likelihood = build(calibration, held)
+    vectors = theta + 1e-4 * np.random.default_rng(4).standard_normal((7, len(theta)))
+    vectors[3, 0] = np.nan  # no machine
+    amplitudes = AMPLITUDES * np.linspace(0.5, 2.0, 7)[:, None]
+    whole = likelihood(vectors, amplitudes)
+    assert np.isneginf(whole[3])
+    monkeypatch.setattr(functions, "AT_ONCE", 1)
+    monkeypatch.setattr(functions, "FEWEST", 2)
+    assert likelihood(vectors, amplitudes) == pytest.approx(whole, rel=1e-12)
 
 
 def test_each_pose_given_all_others(two):

@@ -354,12 +354,15 @@ class Readings:
         About the machine as expected, by what is standard normal; zero where it has no pose.
         """
         n_rows, parts = len(self.values), list[tuple[Array, Array, np.ndarray]]()
+        zeta = np.zeros(self.posterior.errors.n_parameters)
         for part, _ in self.posterior.likelihood.data.split():
-            some = self if len(part) == n_rows else self.pick(part)
+            some, common = (self if len(part) == n_rows else self.pick(part)), None
             seen = some.see(some.table, np.zeros(self.posterior.n_geometry), None, n_starts)
             if seen is None:  # of none of them
                 return np.zeros((n_rows, 1, 1)), np.zeros((n_rows, 1)), np.zeros(n_rows, dtype=bool)
-            white = seen.whiten(np.zeros(self.posterior.errors.n_parameters))
+            if some is not self:  # the fewest columns are of all rows together
+                common = seen.common(zeta)
+            white = seen.whiten(zeta, common=common)
             parts.append((white.rows[..., : white.known].copy(), white.rows[..., -1].copy(), seen.stands))
         moves, rest, stands = zip(*parts, strict=True)
         return np.concatenate(moves), np.concatenate(rest), np.concatenate(stands)

@@ -1,0 +1,180 @@
+"""What thousands of rows take: some rows and machines at a time, with the same numbers, and said beforehand."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import calibrations
+import numpy as np
+import pandas as pd
+import pytest
+
+from bayescal.density.calibration import frozen, likelihood, measurements
+from bayescal.experiments.frame import run as frame
+from bayescal.experiments.frame.load import load_experiment
+from bayescal.experiments.frame.memory import GIB, Need
+from bayescal.experiments.shared import estimate
+from bayescal.experiments.shared.estimate import Subject, time_fit
+from bayescal.experiments.shared.function_errors import tabulate_model_error
+from bayescal.experiments.shared.slip_search import STATED, search_cause
+from bayescal.experiments.study.by_tables import ReadingStudy
+from bayescal.experiments.study.calibrated import tabulate_errors
+from bayescal.inference.schema import EvidenceConfig, SamplerConfig
+from bayescal.projects.start import start_project
+
+SOME = 7
+LOADED = """
+import sys
+from pathlib import Path
+from bayescal.experiments.frame.run import check_file
+check_file(Path("study.toml"))
+print(*{NEEDLESS} & {*sys.modules})
+"""
+NEEDLESS = {"pandas", "xarray", "matplotlib", "arviz_stats", "scipy.stats", "scipy.interpolate", "scipy.optimize"}
+
+
+@pytest.fixture(scope="module")
+def study() -> ReadingStudy:
+    path = calibrations.OWN_MACHINE / "study.toml"
+    return ReadingStudy.load(load_experiment(path), path.parent)
+
+
+@pytest.fixture(scope="module")
+def drawn(study) -> tuple[Any, np.ndarray, Any]:
+    """Return a posterior whose functions are of few columns, machines near its mode, and errors drawn for them."""
+    posterior = study.variants["all"].posterior().anchored()
+    y = posterior.approach() + 0.05 * np.random.default_rng(1).normal(size=(20, posterior.n_parameters))
+    return posterior, y, posterior.likelihood.draw_common(*posterior.at(y), np.random.default_rng(2))
+
+
+def test_tables_of_model_errors_are_those_of_some_rows_at_a_time(study, drawn, monkeypatch):
+    posterior, y, common = drawn
+    variant, config = study.variants["all"], study.config
+
+    def tabulate() -> dict[str, pd.DataFrame]:
+        rng = np.random.default_rng(3)
+        own = variant.data, variant.verification, posterior, y, common, config.leg_error, rng
+        return tabulate_model_error("all", *own) | {"errors": tabulate_errors(config, variant, posterior, y, common)}
+
+    whole = tabulate()
+    monkeypatch.setattr(measurements, "AT_ONCE", SOME)
+    assert len(variant.data.split()) > 3
+    parts = tabulate()
+    assert {"model_error", "model_error_members", "model_error_poses", "errors"} <= set(whole)
+    for name, table in whole.items():
+        pd.testing.assert_frame_equal(parts[name], table, rtol=1e-9)
+
+
+def test_densities_are_those_of_some_machines_at_a_time(drawn, monkeypatch):
+    posterior, y, _ = drawn
+    whole = posterior.log_density(y), posterior.pointwise(y)
+    assert posterior.likelihood.frozen is not None
+    for module in (likelihood, frozen):
+        monkeypatch.setattr(module, "MANY_ROWS", 3 * posterior.likelihood.data.n_poses)
+    assert posterior.log_density(y) == pytest.approx(whole[0], rel=1e-10)
+    assert posterior.pointwise(y) == pytest.approx(whole[1], rel=1e-8)
+
+
+# --- slips -----------------------------------------------------------------------------------------------------------
+
+
+def test_a_first_look_says_as_the_search_what_data_that_fit_leave(study, monkeypatch):
+    readings = study.variants["all"].list_readings()
+    found = readings.measure_misfit()
+    assert found == pytest.approx(search_cause(readings).misfit, rel=0.02)
+    assert found < STATED
+    monkeypatch.setattr(measurements, "AT_ONCE", SOME)
+    assert readings.measure_misfit() == pytest.approx(found, rel=1e-9)
+
+
+@pytest.mark.parametrize("far", ["one reading", "a row that no pose has"])
+def test_a_first_look_does_not_pass_one_row_that_is_wrong(far, study):
+    readings = study.variants["all"].list_readings()
+    values = readings.values.copy()
+    values[4, 0] += 2.0 if far == "one reading" else 1e4
+    moved = readings.with_table(replace(readings.table, values=values))
+    assert moved.measure_misfit() > STATED
+
+
+# --- what is loaded and said -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("machine", "instrument"), [("hexapod", "poses"), ("own", None)])
+def test_validate_loads_nothing_that_only_runs_need(machine, instrument, tmp_path):
+    start_project(tmp_path / "project", machine, instrument)
+    command = [sys.executable, "-c", LOADED.replace("{NEEDLESS}", repr(NEEDLESS))]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=tmp_path / "project")
+    assert done.stdout.split() == []
+
+
+@dataclass(frozen=True, eq=False)
+class Slow(Subject):
+    """A posterior whose densities take as long as is said, s."""
+
+    each: float
+    by_row: float
+    n_parameters: int = 3
+
+    @property
+    def posterior(self) -> Any:
+        return self
+
+    def approach(self) -> np.ndarray:
+        return np.zeros(self.n_parameters)
+
+    def log_density(self, y: np.ndarray) -> np.ndarray:
+        return self._burn(self.each, y)
+
+    def pointwise(self, y: np.ndarray) -> np.ndarray:
+        return self._burn(self.by_row, y)
+
+    def _burn(self, seconds: float, y: np.ndarray) -> np.ndarray:
+        until = time.process_time() + seconds * len(y)
+        while time.process_time() < until:
+            pass
+        return np.zeros(len(y))
+
+    evaluate = replicate_prior = measure_misfit = None  # type: ignore[assignment]
+
+
+def test_the_time_of_a_fit_is_that_of_its_densities():
+    sampler, effort = SamplerConfig(walkers=20, burn_in=10, steps=40), EvidenceConfig(draws=1000)
+    planned = 4 * 20 * 50 + 2 * 1000 + estimate.N_DRAWS
+    kept = Slow(0.0, 0.0).choose((4, 20, 40)).size
+    expected = estimate.SEARCHED * planned * 2e-3 + estimate.JUDGED * kept * 2e-2
+    assert time_fit(Slow(2e-3, 2e-2), sampler, effort) == pytest.approx(expected, rel=0.2)
+
+
+@pytest.mark.parametrize(
+    ("seconds", "gibibytes", "expected"),
+    [
+        (None, 0.5, ""),
+        (59.0, 0.5, ""),
+        (150.0, 0.5, "this takes about 2 min with 2 workers"),
+        (None, 2.0, "this takes at most 2.0 GiB of memory with 2 workers"),
+        (3600.0, 2.0, "this takes about 60 min and at most 2.0 GiB of memory with 2 workers"),
+    ],
+)
+def test_what_a_run_takes_is_said_where_it_is_much(seconds, gibibytes, expected):
+    class Long:
+        def estimate_seconds(self, inputs: object, workers: int) -> float | None:
+            assert workers == 2
+            return seconds
+
+    need = Need(gibibytes * GIB - Need().sum_up(2), sizes="rows")
+    assert frame._tell_effort(frame.Admitted(Long(), None, need, [], {}, {}), 2) == expected  # type: ignore[arg-type]
+
+
+@pytest.mark.runs
+@pytest.mark.parametrize("quiet", [True, False])
+def test_a_run_says_it_once_and_keeps_nothing_of_it(quiet, monkeypatch, tmp_path, capsys):
+    path: Path = calibrations.write_delta(tmp_path)
+    monkeypatch.setattr(frame, "LONG", 0.0)
+    out = frame.run_experiment(load_experiment(path), path.parent, tmp_path / "out", quiet=quiet).out
+    assert capsys.readouterr().err.count("this takes about") == (0 if quiet else 1)
+    assert not [one for one in out.rglob("*") if one.is_file() and b"this takes about" in one.read_bytes()]
