@@ -17,6 +17,7 @@ import numpy as np
 
 from bayescal.experiments.shared.chi_square import ChiSquare
 from bayescal.experiments.shared.packing import pack_tree
+from bayescal.experiments.shared.search_memory import KEPT_READINGS
 from bayescal.experiments.shared.soundness import measure_pulls
 from bayescal.experiments.shared.trees import choose_draws
 from bayescal.inference.bridge import BridgeEvidence, estimate_by_bridge
@@ -52,7 +53,6 @@ from bayescal.numerics.geometry import Array
 if TYPE_CHECKING:
     import xarray as xr
 
-KEPT_DRAWS = 1000
 TREE = "tree"
 TIMED = 16  # densities by which the time of a fit is estimated
 SEARCHED, JUDGED = 1.8, 1.3
@@ -89,7 +89,7 @@ class Subject(ABC):
 
     def choose(self, shape: tuple[int, int, int]) -> np.ndarray:
         """Return which of the draws of ensembles, walkers and steps are kept, by places in all of them, (E, S)."""
-        return choose_draws(shape[0], shape[1] * shape[2], KEPT_DRAWS)
+        return choose_draws(shape[0], shape[1] * shape[2], KEPT_READINGS)
 
     def is_used(self, n_rows: int) -> np.ndarray:
         """Return which of the rows evaluated the posterior has seen, shape (P,)."""
@@ -389,7 +389,7 @@ def _estimate(
             sample = sample_exactly(costly, found, sample, correction.move, seeds)
     moved = shift_evidence(importance, correction)
     shape, n = sample.log_density.shape, posterior.n_parameters
-    places = choose_draws(shape[0], shape[1] * shape[2], KEPT_DRAWS) if subject is None else subject.choose(shape)
+    places = choose_draws(shape[0], shape[1] * shape[2], KEPT_READINGS) if subject is None else subject.choose(shape)
     low, high = np.quantile(sample.natural, (0.05, 0.95), axis=(0, 1, 2))
     estimate = Estimate(
         y=sample.y.reshape(-1, n)[places],

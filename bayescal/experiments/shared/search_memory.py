@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from bayescal.density.calibration.poses import MANY_ROWS
 from bayescal.density.functions import FunctionLikelihood, list_arrays
 from bayescal.density.legs import BATCH, POSES, LegPosterior, Likelihood
 from bayescal.experiments.frame.memory import Need, check_arrays, estimate_arrays
@@ -15,9 +16,11 @@ DERIVATIVES = 8
 CHAINS, PROPOSED, WEIGHTS = 4, 6, 4
 """Arrays of all chains, of draws of a proposal, and of their weights."""
 VECTORS = 64  # of readings' hot loop at a time
-KEPT, DRAWN, SAVED = 1300, 4, 1
-"""Draws of posterior and prior that a file of readings keeps, arrays of them while they are made, and what stays:
-readings in single precision and the poses' densities."""
+DRAWN, DENSITIES, SAVED = 4, 4, 1
+"""Arrays of what draws of posterior and prior read, and of the rows' densities by draws, while they are made; and what
+stays of the former: readings in single precision."""
+KEPT_READINGS, PRIOR_READINGS = 1000, 300
+"""Of a posterior of readings, all ensembles together, and of its prior."""
 KEPT_DRAWS = 1920
 """Of each ensemble of a posterior of poses, for everything after the diagnostics."""
 DEPENDENT_DRAWS = 250
@@ -83,14 +86,20 @@ def list_readings(n_poses: int, n_channels: int, n_parameters: int, n_coordinate
     width = n_parameters + n_coordinates + n_channels
     return [
         (DERIVATIVES, n_poses, n_channels, width),
-        (DERIVATIVES, VECTORS, n_poses, n_channels, 1 + n_coordinates),
-        (DRAWN, KEPT, n_poses, n_channels),
+        (DERIVATIVES, min(VECTORS, max(1, MANY_ROWS // n_poses)), n_poses, n_channels, 1 + n_coordinates),
+        (DRAWN, _count_saved(n_poses, n_channels), n_poses, n_channels),
+        (DENSITIES, KEPT_READINGS, n_poses),
     ]
 
 
 def list_saved(n_variants: int, n_poses: int, n_channels: int) -> list[Sequence[float]]:
     """Return the arrays that posteriors of readings leave until they are written; as `list_search`."""
-    return [(n_variants, SAVED, KEPT, n_poses, n_channels)]
+    return [(n_variants, SAVED, _count_saved(n_poses, n_channels), n_poses, n_channels)]
+
+
+def _count_saved(n_poses: int, n_channels: int) -> int:
+    """Return how many draws of posterior and prior a file of readings keeps."""
+    return limit_draws(KEPT_READINGS, n_poses * n_channels) + limit_draws(PRIOR_READINGS, n_poses * n_channels)
 
 
 def check_poses(n_poses: int, n_legs: int, n_parameters: int) -> None:

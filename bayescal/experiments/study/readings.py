@@ -34,6 +34,7 @@ from bayescal.experiments.shared.readings.knowledge import (
     plain,
     tabulate_accuracy,
 )
+from bayescal.experiments.shared.search_memory import PRIOR_READINGS
 from bayescal.experiments.shared.soundness import fit_rows
 from bayescal.experiments.shared.stacking import tabulate_comparison
 from bayescal.experiments.shared.study_inputs import Described, Task
@@ -49,7 +50,6 @@ from bayescal.numerics.geometry import Array
 if TYPE_CHECKING:
     import xarray as xr
 
-PRIOR_DRAWS = 300
 ONLY_SAVED = ("log_likelihood", "replicated", "prior", "prior_replicated")
 ERROR_DRAWS = 200  # of the posterior, from which errors common to all rows are drawn for tables
 PROPOSED = 8  # draws of the proposal for each that is used
@@ -216,7 +216,7 @@ class ReadingSubject(Subject):
     def replicate_prior(self, posterior: Fittable, seed: np.random.SeedSequence) -> Arrays:
         """Return draws of the prior that are machines, (T, n), and their readings at the expected poses (T, P, K)."""
         own, rng = cast("CalibrationPosterior", posterior), np.random.default_rng(seed)
-        y = own.draw_prior(limit_draws(PRIOR_DRAWS, own.likelihood.data.values.size), rng)
+        y = own.draw_prior(limit_draws(PRIOR_READINGS, own.likelihood.data.values.size), rng)
         with np.errstate(all="ignore"):
             made = replicate_readings(own, y, rng, own.likelihood.start)
         there = np.isfinite(made).all(axis=(1, 2), where=own.likelihood.data.present)

@@ -7,10 +7,9 @@ from pathlib import Path
 from bayescal.experiments.frame.memory import Need, estimate_arrays
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
-from bayescal.experiments.shared.estimate import KEPT_DRAWS
 from bayescal.experiments.shared.of_another import OfAnother
 from bayescal.experiments.shared.readings.memory import list_variant
-from bayescal.experiments.shared.search_memory import list_sampling
+from bayescal.experiments.shared.search_memory import KEPT_READINGS, list_sampling
 from bayescal.experiments.shared.slip_search import find_slip
 from bayescal.experiments.table.compute import compute_table
 from bayescal.experiments.table.inputs import TableInputs, read_table
@@ -39,7 +38,7 @@ class LookUpTable(OfAnother[TableConfig, TableInputs]):
         return estimate_arrays(
             {"places": n_places, "parameters": n_parameters, "poses": len(variant.start)},
             [
-                (RESPONSES, KEPT_DRAWS, n_places, width),
+                (RESPONSES, KEPT_READINGS, n_places, width),
                 (RESPONSES, ELSEWHERE, n_places, width),
                 (SLOPES, n_places, width, variant.whole.layout.size),
                 *list_variant(variant),
