@@ -81,7 +81,8 @@ def test_directions_are_those_of_dense_elimination(truth, rng):
             by_pose[6 * k : 6 * k + 6, 3 * k + q] = change[0] / 2e-4 / machine.noise
     covariance = np.eye(30) + 1e8 * by_pose @ by_pose.T  # tolerances of 10 m
     information = by_theta.T @ np.linalg.solve(covariance, by_theta)
-    assert np.allclose(machine.information(theta, v), information, rtol=1e-4, atol=1e-4 * np.abs(information).max())
+    found = machine.reduce(theta, v)[1].reshape(-1, 14)
+    assert np.allclose(found.T @ found, information, rtol=1e-4, atol=1e-4 * np.abs(information).max())
     directions = truth.machines.find_determined(machine.right_posterior(theta, v))
     spread = directions @ np.linalg.inv(information + np.eye(14)) @ directions.T
     assert np.all(np.diag(spread) < 0.1001)
