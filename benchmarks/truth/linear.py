@@ -1,7 +1,7 @@
 """The default model error in linear-Gaussian code of its own: what intervals should hold, many twins a row.
 
     python -m benchmarks.truth.linear ROW... --machine hexapod [--sizes 1] [--twins 40] [--seed 7]
-                                             [--out benchmarks/truth/linear.csv]
+                                             [--at-least-um 0] [--out benchmarks/truth/linear.csv]
 
 About the truth, readings and parameters are normal given the sizes of errors:
 
@@ -31,7 +31,8 @@ STEPS, WARM, EVERY, EACH = 300, 0.2, 20, 25  # steps a size; share left out; dra
 STRIDES = (0.3, 1.0, 2.0)
 START = 0.02  # of a drift
 RANDOM = "independent"
-ALL = (RANDOM, "linear", "own", "smooth", "drift")
+LASTING = ("linear", "own", "smooth")
+ALL = (RANDOM, *LASTING, "drift")
 
 
 def build_kernels(sorts: tuple[str, ...], z: Array, time: Array) -> list[Array]:
@@ -52,7 +53,16 @@ def build_kernels(sorts: tuple[str, ...], z: Array, time: Array) -> list[Array]:
 class Problem:
     """A twin about its truth: rows (N,), their slopes (N, D), covariances (N, N) by errors of each sort."""
 
-    def __init__(self, machine: Simulated, theta: Array, v: Array, values: Array, time: Array, sorts: tuple[str, ...]):
+    def __init__(
+        self,
+        machine: Simulated,
+        theta: Array,
+        v: Array,
+        values: Array,
+        time: Array,
+        sorts: tuple[str, ...],
+        least: float = 0.0,
+    ) -> None:
         across, slope = machine.reduce(theta, v)
         n, q = machine.n_actuators, slope.shape[1]
         self.slope = slope.reshape(-1, theta.size)
@@ -69,10 +79,12 @@ class Problem:
         sensors = float(np.median(machine.noise[:n] * machine.lever))
         self.scales = np.array([max(TAU, sensors) if one == RANDOM else max(FUNCTIONS, 2.0 * sensors) for one in sorts])
         self.random = np.array([one == RANDOM for one in sorts])
+        lasting = np.array([one in LASTING for one in sorts])
+        self.floors = 1e-3 * least * lasting / np.sqrt(max(1, lasting.sum()))
 
     def spread(self, sizes: Array) -> Array:
         """Return the covariance of the rows given the machine."""
-        return np.eye(len(self.rows)) + np.tensordot(sizes**2, self.errors, axes=1)
+        return np.eye(len(self.rows)) + np.tensordot(self.floors**2 + sizes**2, self.errors, axes=1)
 
     def log_density(self, logarithm: Array) -> float:
         """Return that of the logarithms of the sizes."""
@@ -105,8 +117,11 @@ class Problem:
         return mean + rng.standard_normal((EACH, len(mean))) @ np.linalg.cholesky(covariance).T
 
 
-def judge(name: str, row: str, size: float, twins: int, seed: int) -> dict[str, object]:
-    """Return what intervals hold of a row's twins, by all sorts of errors and by random ones alone."""
+def judge(name: str, row: str, size: float, twins: int, seed: int, least: float) -> dict[str, object]:
+    """Return what intervals hold of a row's twins, by all sorts of errors and by random ones alone.
+
+    Functions of the pose together are ``least`` µm large at least.
+    """
     found = []
     for k in range(twins):
         machine, twin = draw_twin(name, row, size, 1000 * seed + k)
@@ -114,7 +129,8 @@ def judge(name: str, row: str, size: float, twins: int, seed: int) -> dict[str, 
         right = machine.right_posterior(twin.theta, twin.v[kept])
         directions, scores = find_determined(right), []
         for sorts in (ALL, (RANDOM,)):
-            problem = Problem(machine, twin.theta, twin.v[kept], twin.values[kept], kept / len(twin.v), sorts)
+            rows = twin.v[kept], twin.values[kept], kept / len(twin.v)
+            problem = Problem(machine, twin.theta, *rows, sorts, least)
             draws = problem.draw(np.random.default_rng([seed, k]))
             nothing = np.zeros(draws.shape[1])
             scores += [hold(draws, nothing), hold(draws @ directions.T, directions @ nothing)]
@@ -147,12 +163,13 @@ def main() -> None:
     parser.add_argument("--sizes", type=float, nargs="+", default=[1.0])
     parser.add_argument("--twins", type=int, default=40)
     parser.add_argument("--seed", type=int, default=7)
+    parser.add_argument("--at-least-um", type=float, default=0.0)
     parser.add_argument("--out", type=Path)
     given = parser.parse_args()
     rows = given.rows or [one for one in ROWS if one != MATRIX or given.machine.startswith("telescope")]
     for row in rows:
         for size in [0.0] if row == NONE else given.sizes:
-            found = judge(given.machine, row, size, given.twins, given.seed)
+            found = judge(given.machine, row, size, given.twins, given.seed, given.at_least_um)
             print(", ".join(f"{key} {value}" for key, value in found.items()), flush=True)
             if given.out is not None:
                 write(given.out, found)
@@ -160,11 +177,11 @@ def main() -> None:
 
 def write(path: Path, found: dict[str, object]) -> None:
     """Write one line into a table, in place of what stands there of the same row."""
-    keys = ["machine", "row", "size"]
+    keys = ["machine", "row", "size", "at_least_um"]
     table = pd.DataFrame([found])
     if path.exists():
         table = pd.concat([pd.read_csv(path), table]).drop_duplicates(keys, keep="last")
-    places = {"machine": list(MACHINES).index, "row": ROWS.index, "size": float}
+    places = {"machine": list(MACHINES).index, "row": ROWS.index, "size": float, "at_least_um": float}
     table.sort_values(keys, key=lambda one: one.map(places[str(one.name)])).to_csv(path, index=False)
 
 
