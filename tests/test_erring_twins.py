@@ -31,10 +31,10 @@ REACHED = [("hexapod", "lead"), ("hexapod", "cross"), ("carriages", "cross"), ("
 def truth(monkeypatch):
     """The benchmark's modules, which are no part of the package."""
     monkeypatch.syspath_prepend(str(ROOT))
-    from benchmarks.truth import __main__, errors, machines, projects, recheck, scores
+    from benchmarks.truth import __main__, errors, linear, machines, projects, recheck, scores
 
     modules = {"errors": errors, "machines": machines, "projects": projects, "recheck": recheck, "scores": scores}
-    return SimpleNamespace(command=__main__, **modules)
+    return SimpleNamespace(command=__main__, linear=linear, **modules)
 
 
 def read_by_package(truth, name, machine, folder, theta, v):
@@ -51,6 +51,38 @@ def read_by_package(truth, name, machine, folder, theta, v):
     nominal = full[places].copy()
     full[places] = theta
     return model.read(full, v, {})[:, : machine.n_actuators], nominal
+
+
+def test_linear_problems_are_those_of_errors_written_out(truth, rng):
+    """Rows are normal with the covariance of errors that are drawn; without errors draws are of the right posterior."""
+    machine, twin = truth.scores.draw_twin("delta", "cross", 1.0, 7000)
+    kept = np.flatnonzero(~twin.held)[:12]
+    v, values, time = twin.v[kept], twin.values[kept], kept / len(twin.v)
+    problem = truth.linear.Problem(machine, twin.theta, v, values, time, truth.linear.ALL, 10.0)
+    sizes = np.array([5e-3, 8e-3, 6e-3, 9e-3, 4e-3])
+    across, _ = machine.reduce(twin.theta, v)
+    kernels = truth.linear.build_kernels(truth.linear.ALL, 0.5 * machine.travel(v), time)
+    root = np.zeros((3, 12, 0))
+    for kernel, size, least in zip(kernels, sizes, [0.0, *[10e-3 / np.sqrt(3.0)] * 3, 0.0], strict=True):
+        value, vector = np.linalg.eigh(kernel)
+        root = np.concatenate([root, vector * np.sqrt(np.maximum(value, 0.0)[:, None] * (size**2 + least**2))], -1)
+    drawn = np.einsum("nps,tns->tpn", root, rng.standard_normal((40_000, 3, root.shape[-1])))  # mm, of the carriages
+    shown = np.einsum("pnr,tpn->tpr", across[:, :3] / machine.noise[:3, None], drawn).reshape(len(drawn), -1)
+    spread = problem.spread(sizes)
+    found = np.cov(shown, rowvar=False) + np.eye(len(spread))
+    level = np.sqrt((spread**2 + np.outer(np.diag(spread), np.diag(spread))) / len(drawn))
+    assert np.abs((found - spread) / level).max() < 5.5
+    draws = np.concatenate(
+        [replace_floors(problem).draw_given(np.zeros(5), rng) for _ in range(200)]  # 25 at a time
+    )
+    right = machine.right_posterior(twin.theta, v)
+    assert np.allclose(np.cov(draws, rowvar=False), right, atol=5.0 * np.sqrt(2.0 / len(draws)))
+
+
+def replace_floors(problem):
+    """Return a problem whose errors may be as small as they like."""
+    problem.floors = np.zeros_like(problem.floors)
+    return problem
 
 
 @pytest.mark.parametrize("name", [*LEGS, "delta", "arm", "cables", "coupled"])
@@ -81,7 +113,8 @@ def test_directions_are_those_of_dense_elimination(truth, rng):
             by_pose[6 * k : 6 * k + 6, 3 * k + q] = change[0] / 2e-4 / machine.noise
     covariance = np.eye(30) + 1e8 * by_pose @ by_pose.T  # tolerances of 10 m
     information = by_theta.T @ np.linalg.solve(covariance, by_theta)
-    assert np.allclose(machine.information(theta, v), information, rtol=1e-4, atol=1e-4 * np.abs(information).max())
+    found = machine.reduce(theta, v)[1].reshape(-1, 14)
+    assert np.allclose(found.T @ found, information, rtol=1e-4, atol=1e-4 * np.abs(information).max())
     directions = truth.machines.find_determined(machine.right_posterior(theta, v))
     spread = directions @ np.linalg.inv(information + np.eye(14)) @ directions.T
     assert np.all(np.diag(spread) < 0.1001)

@@ -1,6 +1,7 @@
 """A manifest of a directory that a command wrote: the SHA-256 of each file, by which it is whole or refused.
 
-It is written last. It tells edits, losses and additions that somebody or a disk has made; it is no signature.
+It is written last. It tells edits, losses and additions that somebody or a disk has made; it is no signature, but one
+of it covers all files.
 """
 
 from __future__ import annotations
@@ -20,6 +21,8 @@ from bayescal.files.atomic import read_json, write_atomically
 MANIFEST = "manifest.json"
 HASHES, OTHERS = "sha256", "others"
 """Keys of the manifest: of files that were written, and names of others that stood there."""
+SIGNATURES = (f"{MANIFEST}.sig", f"{MANIFEST}.asc")
+"""A signature of the manifest beside it, as OpenSSH and OpenPGP write it, which covers all files."""
 SHOWN = 3
 
 _FORCED: ContextVar[bool] = ContextVar("faults of manifests are overlooked", default=False)
@@ -121,9 +124,10 @@ def _refuse(folder: Path, faults: list[str]) -> None:
 
 
 def _list_files(folder: Path) -> list[str]:
-    """Return the names of all files of a directory but the manifest, and those that systems hide there."""
+    """Return the names of all files of a directory but manifest, its signature, and those that systems hide there."""
     names = [path.relative_to(folder) for path in sorted(folder.rglob("*")) if not path.is_dir()]
-    return [one.as_posix() for one in names if one.name != MANIFEST and not any(p.startswith(".") for p in one.parts)]
+    shown = [one for one in names if one.name != MANIFEST and not any(p.startswith(".") for p in one.parts)]
+    return [name for one in shown if (name := one.as_posix()) not in SIGNATURES]
 
 
 def _hash(path: Path) -> str:

@@ -29,7 +29,7 @@ class View:
 
     ``rows`` (W, K, m): white derivative of the readings by the coordinates of the posterior, poses eliminated; ``tool``
     (W, t, m): what the tool's place, as located with these channels, errs by them; ``noise`` (W, t): its variance, that
-    of ``located`` (W, t, K), how white readings move it.
+    of ``located`` (W, t, K), how white readings move it; ``alignment`` as of `Slopes`.
     """
 
     pose: Array
@@ -37,6 +37,7 @@ class View:
     tool: Array
     noise: Array
     located: Array
+    alignment: Alignment | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +116,7 @@ class Slopes:
         tool = self.mislocate(located, seen)
         unknown = ~told[:, None]
         noise = np.where(unknown, np.nan, (located**2).sum(axis=-1))
-        return View(self.pose, rows, np.where(unknown[..., None], np.nan, tool), noise, located)
+        return View(self.pose, rows, np.where(unknown[..., None], np.nan, tool), noise, located, self.alignment)
 
 
 def differentiate_poses(
@@ -211,16 +212,17 @@ def typical_covariance(posterior: CalibrationPosterior, y: Array) -> Array:
     return covariance
 
 
-def typical_noise(posterior: CalibrationPosterior, y: Array) -> Array:
+def typical_noise(posterior: CalibrationPosterior, y: Array, own: bool = False) -> Array:
     """Return the noise of each channel, the median of its readings, (S, n) to (S, K); NaN where it has none.
 
-    Errors that are functions count as large as they are at the rows, root mean square.
+    Errors that are functions count as large as they are at the rows, root mean square. With ``own`` only the sensors'.
     """
-    own, tau = posterior.likelihood.noise(posterior.errors, posterior.zeta(y))
+    stated, tau = posterior.likelihood.noise(posterior.errors, posterior.zeta(y))
     present, tau = posterior.likelihood.data.present, np.sqrt(tau**2 + _spread_common(posterior, y)[:, None])
     result = np.full((len(y), present.shape[1]), np.nan)
     for k in np.flatnonzero(present.any(axis=0)):
-        result[:, k] = np.median(np.sqrt(own[..., k] ** 2 + tau[..., k] ** 2)[:, present[:, k]], axis=1)
+        every = np.sqrt(stated[..., k] ** 2 + (0.0 if own else tau[..., k] ** 2))
+        result[:, k] = np.median(every[:, present[:, k]], axis=1)
     return result
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from bayescal.density.calibration.measurements import Comparison
 from bayescal.errors import NumericalError
 from bayescal.identifiability.information import Information
-from bayescal.identifiability.reading_rows import linearise_near, turn_tool
+from bayescal.identifiability.reading_rows import Alignment, linearise_near, turn_tool
 from bayescal.identifiability.sensitivity import root_of
 from bayescal.machines.readings import Given, ReadingModel, Readings
 from bayescal.numerics.geometry import Array
@@ -235,7 +235,7 @@ class Forecast:
         return shares[worst], worst
 
 
-def forecast_tool(tool: Array, located: Array, errors: ErrorsInUse) -> Forecast:
+def forecast_tool(tool: Array, located: Array, errors: ErrorsInUse, alignment: Alignment | None = None) -> Forecast:
     """Return how a tool errs that is located by readings.
 
     Parameters
@@ -245,9 +245,12 @@ def forecast_tool(tool: Array, located: Array, errors: ErrorsInUse) -> Forecast:
     located : ndarray, shape (W, c, K)
         How readings move the place where it is taken to be.
     errors : ErrorsInUse
+    alignment : Alignment, optional
+        Of base and tool, which mends errors that are functions of the pose as it has mended those by parameters.
     """
     noise = located * errors.variance[:, None, :] @ np.swapaxes(located, -1, -2)
-    return Forecast(tool, noise, None if errors.shown is None else -located @ errors.shown)
+    moved = None if errors.shown is None else -located @ errors.shown
+    return Forecast(tool, noise, moved if moved is None or alignment is None else alignment.remove(moved))
 
 
 def draw_errors(slope: Array, noise_root: Array, rng: np.random.Generator) -> Iterator[Array]:

@@ -12,6 +12,9 @@ NOTHING = "–"
 MINUS = "−"
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
+MOST_DECIMALS = 12
+"""What is smaller is shown as zero: rounding of a cosine, say."""
+
 
 def format_fixed(value: float | None, decimals: int, sign: bool = False) -> str:
     """Return a number with fixed decimals and a true minus sign; a dash where there is none."""
@@ -34,9 +37,9 @@ def format_significant(value: float | None, digits: int = 3) -> str:
 
 def count_decimals(value: float, digits: int = 2) -> int:
     """Return how many decimals show that many significant digits of a value; none for zero or infinite ones."""
-    if value == 0.0 or not math.isfinite(value):
+    if abs(value) < 0.5 * 10.0**-MOST_DECIMALS or not math.isfinite(value):
         return 0
-    return min(12, max(0, digits - 1 - math.floor(math.log10(abs(float(f"{value:.{digits - 1}e}"))))))
+    return min(MOST_DECIMALS, max(0, digits - 1 - math.floor(math.log10(abs(float(f"{value:.{digits - 1}e}"))))))
 
 
 def format_estimate(mean: float | None, sd: float | None, decimals: int | None = None, sign: bool = False) -> str:

@@ -16,6 +16,7 @@ from bayescal.experiments.check.inputs import Subject
 from bayescal.numerics.geometry import Array
 
 SHIFT_MM, TURN_DEG = 1.0, 0.3  # of a frame
+BEYOND = 2.0  # tolerances of the machine's places, where these are coarser: a frame within them is no slip
 NOISE = 5.0
 TOLERANCES = 8.0
 DRIFT = 25.0  # in the stated noise, from the first to the last row
@@ -59,8 +60,11 @@ def frame(subject: Subject, rng: np.random.Generator) -> Planted:
     places = [k for k in np.flatnonzero(~internal) if units[k] == "mm"]
     turned = [k for k in np.flatnonzero(~internal) if units[k] == "rad"]
     move, axis = rng.standard_normal(3), rng.standard_normal(3)
-    move *= SHIFT_MM / np.linalg.norm(move)
-    turn = Rotation.from_rotvec(np.radians(TURN_DEG) * axis / np.linalg.norm(axis))
+    posterior = subject.posterior
+    lengths = np.array(posterior.units[: posterior.n_geometry]) == "mm"
+    times = max(1.0, BEYOND * float(np.median(posterior.prior_sd[: posterior.n_geometry][lengths])) / SHIFT_MM)
+    move *= times * SHIFT_MM / np.linalg.norm(move)
+    turn = Rotation.from_rotvec(np.radians(times * TURN_DEG) * axis / np.linalg.norm(axis))
     position = values[:, places]
     moved = values.copy()
     if len(turned) == 3 and rng.random() < 0.5:  # the tool's

@@ -117,24 +117,21 @@ class Simulated(ABC):
         """Return channels (P, m) with the stated noise."""
         return exact + self.noise * rng.standard_normal(exact.shape)
 
-    def information(self, theta: Array, v: Array) -> Array:
-        """Return what rows at poses (P, q) tell of parameters in units of their tolerances, shape (D, D).
+    def reduce(self, theta: Array, v: Array) -> tuple[Array, Array]:
+        """Return what no pose explains of white readings at poses (P, q): its directions (P, m, r), slopes (P, r, D).
 
-        Poses are unknown with flat priors: each row's weighted slopes are projected across those by its pose.
+        Poses are unknown with flat priors; slopes are by parameters in units of their tolerances.
         """
         by_theta = difference(lambda one: self.read(one, v), theta, STEP * self.sd) * self.sd / self.noise[:, None]
         flat = np.zeros(v.shape[1])
         by_pose = difference(lambda move: self.read(theta, v + move), flat, STEP * self.size) / self.noise[:, None]
-        found = np.zeros((theta.size, theta.size))
-        for rows, slopes in zip(by_theta, by_pose, strict=True):
-            basis = np.linalg.qr(slopes)[0]
-            left = rows - basis @ (basis.T @ rows)
-            found += left.T @ left
-        return found
+        across = np.linalg.qr(by_pose, mode="complete")[0][:, :, v.shape[1] :]
+        return across, np.swapaxes(across, 1, 2) @ by_theta
 
     def right_posterior(self, theta: Array, v: Array) -> Array:
         """Return the covariance (D, D) of parameters over their tolerances, by the model without errors."""
-        return np.linalg.inv(self.information(theta, v) + np.eye(theta.size))
+        rows = self.reduce(theta, v)[1].reshape(-1, theta.size)
+        return np.linalg.inv(rows.T @ rows + np.eye(theta.size))
 
 
 def find_determined(covariance: Array) -> Array:
@@ -325,7 +322,8 @@ class Delta(Simulated):
         """Return carriages, camera and probe."""
         x, y, rod, zero = theta[:12].reshape(4, 3)
         across = (v[:, :1] - x) ** 2 + (v[:, 1:2] - y) ** 2
-        carriages = v[:, 2:] + np.sqrt(rod**2 - across) - zero
+        with np.errstate(invalid="ignore"):
+            carriages = v[:, 2:] + np.sqrt(rod**2 - across) - zero
         height = v[:, 2] - theta[12] * v[:, 0] - theta[13] * v[:, 1]
         return np.column_stack([carriages, v[:, :2], height])
 
@@ -335,8 +333,11 @@ class Delta(Simulated):
         return 60.0
 
     def draw_poses(self, theta: Array, n: int, rng: np.random.Generator) -> Array:
-        """Return poses of the workspace."""
-        return self.home + self.size * rng.uniform(-1.0, 1.0, (n, 3))
+        """Return poses of the workspace, whose corners are not all within reach."""
+        found = self.home + self.size * rng.uniform(-1.0, 1.0, (n, 3))
+        while (beyond := ~np.isfinite(self.read(theta, found)).all(axis=1)).any():
+            found[beyond] = self.home + self.size * rng.uniform(-1.0, 1.0, (int(beyond.sum()), 3))
+        return found
 
 
 class Arm(Simulated):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import calibrated_readings as made_up
 import numpy as np
@@ -21,6 +22,8 @@ from bayescal.density.calibration.model_error import OwnChannels, build_model_er
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior
 from bayescal.errors import InputError
+from bayescal.experiments.shared.readings.knowledge import learn_posterior
+from bayescal.identifiability.reading_rows import differentiate_poses
 from bayescal.inference.mode import find_mode
 
 NOISE = {"s": 1e-3, "cam_x": 2e-3, "cam_y": 2e-3, "height": 2e-3}
@@ -75,6 +78,7 @@ class Erring:
         given = self.posterior.linear_geometry(mode.y).given(mode.y[m:])
         y = np.tile(mode.y, (N_DRAWS, 1))
         y[:, :m] = self.rng.multivariate_normal(given.mean, given.covariance, N_DRAWS)
+        self.draws = y
         return replace(self.build(y, 0.0), functions=KnownFunctions.find(self.posterior, y))
 
     def calibrate_by_random_errors(self) -> CalibratedMachine:
@@ -190,6 +194,20 @@ def test_poses_are_predicted_with_what_is_known_of_the_errors(erring, calibrated
     assert np.mean(np.abs(scores) < 1.645) > 0.85
     assert np.sqrt(np.mean(blind**2)) > 2.0
     assert np.mean(apart**2) < 0.2 * np.mean(more**2)
+
+
+def test_a_page_states_the_accuracy_that_the_machine_predicts(erring, calibrated):
+    """By other code: derivatives of white readings by coordinates of the posterior, not of commands by parameters."""
+    model, posterior, pose = erring.planned.model, erring.posterior, erring.draw(8)
+    half, own = 0.5 * (erring.planned.high - erring.planned.low), np.arange(6) < 3
+    variant = SimpleNamespace(model=model, data=posterior.likelihood.data, internal=own)
+    at = differentiate_poses(posterior, half, erring.draws.mean(axis=0), pose, {}).seen_by(own)
+    forecast, both = learn_posterior(variant, posterior, erring.draws, calibrated.functions)(at)
+    found = predict_poses(calibrated, model.read(calibrated.theta, pose)[:, :3])
+    np.testing.assert_allclose(forecast.covariance(both), found.of_geometry, rtol=0.02, atol=1e-7)
+    np.testing.assert_allclose(forecast.covariance(both) + forecast.noise, found.covariance, rtol=0.02, atol=1e-7)
+    blind = forecast.covariance(both[: posterior.n_geometry, : posterior.n_geometry])
+    assert not np.allclose(blind, found.of_geometry, rtol=0.2)
 
 
 def test_draws_spread_as_predicted(erring, calibrated):

@@ -92,8 +92,8 @@ class Prospect:
 
 def _compute_variant(plans: Mapping[str, ChannelPlan], name: str) -> Prospect:
     plan = plans[name]
-    covariance = plan.inform().covariance
-    knowledge = assess(plan.config, plan.variant, plan.posterior, plan.expected, covariance)
+    known = plan.forecast(), plan.inform().joint
+    knowledge = assess(plan.config, plan.variant, plan.posterior, plan.expected, lambda _: known)
     return Prospect(knowledge, select_poses(plan.config, plan.variant, plan.posterior, plan.expected))
 
 

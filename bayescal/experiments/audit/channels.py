@@ -30,7 +30,7 @@ from bayescal.experiments.audit.sensor_sets import SensorChoice, list_choices
 from bayescal.experiments.shared.readings.errors import build_terms_of_model
 from bayescal.experiments.shared.readings.inputs import Variant
 from bayescal.experiments.shared.readings.instruments import read_instruments, read_model
-from bayescal.experiments.shared.readings.knowledge import inform, look_around, name_data, name_place
+from bayescal.experiments.shared.readings.knowledge import foresee, inform, look_around, name_data, name_place
 from bayescal.experiments.shared.readings.noise import noise_of_channels
 from bayescal.experiments.shared.readings.priors import choose_priors
 from bayescal.experiments.shared.readings.schema import ChannelConfig, FreeConfig
@@ -53,9 +53,8 @@ from bayescal.identifiability.reading_rows import (
     see,
     typical_covariance,
     typical_given,
-    whiten,
 )
-from bayescal.identifiability.requirements import ErrorsInUse, Forecast, Requirement, forecast_tool
+from bayescal.identifiability.requirements import ErrorsInUse, Forecast, Requirement
 from bayescal.identifiability.ridges import Ridge, describe_reading_ridges
 from bayescal.identifiability.structure import EPSILON, OFF, TWIN_SHIFT, TWINS, Structure, find_structure
 from bayescal.machines.readings import ReadingModel, place
@@ -309,10 +308,7 @@ class ChannelPlan(Planned):
 
     def forecast(self) -> Forecast:
         """Return how the tool errs over the workspace, located by the machine's own sensors."""
-        at, typical = self.around, typical_covariance(self.posterior, self.expected)
-        located = at.located @ whiten(typical, self.variant.internal)
-        found = forecast_tool(at.tool, located, self.see_errors(at.pose))
-        return replace(found, noise=np.where(np.isfinite(at.noise)[..., None], found.noise, np.nan))
+        return foresee(self.variant, self.posterior, self.expected, self.around, self.see_errors(self.around.pose))
 
     def see_errors(self, pose: Array) -> ErrorsInUse:
         """Return what channels err by at W poses (W, q) of the machine in use.

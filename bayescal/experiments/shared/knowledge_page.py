@@ -48,8 +48,9 @@ def show_accuracy(tables: Mapping[str, pd.DataFrame], asked: Asked = None) -> Se
         rows.append([titles[row["variant"]], str(row["coordinate"]), unit, *numbers, worst, at])
     text = (
         "Standard uncertainty (k = 1) of the tool as located by the machine's own sensors alone: before the "
-        "calibration by the tolerances (prior), after it by the posterior; the noise of one set of readings comes on "
-        "top. A dash: its own sensors do not determine it.",
+        "calibration by the tolerances (prior), after it by what is unknown of parameters and systematic errors "
+        "together (posterior); the noise of one set of readings comes on top. A dash: its own sensors do not "
+        "determine it.",
     )
     table = make_table("Predicted standard uncertainty.", columns, rows)
     return make_section("How accurate the machine is", text, (table,))

@@ -424,7 +424,7 @@ def _say_scale(channel: Channel, size: Array) -> str:
 def _say_drift(channel: Channel, size: Array) -> str:
     return (
         f"readings of {channel.name} drift by {_in_unit(size[0], channel.unit)} from the first row to the last: "
-        "correct them, or give the error a function of time"
+        "correct them, or keep drift among the terms of [model_error]"
     )
 
 

@@ -18,16 +18,22 @@ from functools import cached_property
 
 import numpy as np
 
+from bayescal.density.calibration.model_error import FunctionsOfPose
+from bayescal.density.sorts import DRIFT
 from bayescal.experiments.shared.slip_causes import FACTORS, Cause, list_effects, list_tables
 from bayescal.experiments.shared.slip_rows import LOST, OUTLYING, STARTS, Readings, Sight, Table, White, profile
 from bayescal.experiments.shared.slips import CHANNEL, FRAME, LEGS, POSES, ROWS, UNIT, FoundSlip
 from bayescal.numerics.geometry import Array
 from bayescal.report.numbers import join_words
 
-SURE = 10.0
-"""Nats by which a cause has to explain the readings better, all that were tried counted."""
+SURE = 6.0
+"""Nats by which a cause has to explain the readings better, all of its kind that were tried counted."""
+UNSEEN = 10.0
+"""Nats by which a slip planted in data that fit lowers the log-density at most, where the data do not show it."""
 ALIKE = 3.0
 """Nats below the best cause within which another is named with it."""
+MOST_ALIKE = 4
+"""Causes that are named together: a leg's length, its actuator's zero and heights of its joints do the same."""
 SLOPS = np.array([1.0, 2.5, 10.0, 100.0, 1e3, 1e4])
 """Factors on all noise about the machine as expected, for what the first order leaves."""
 BESIDE = 2  # how many factors on either side of the best one are tried as errors change
@@ -107,8 +113,14 @@ class Search:
 
 
 def search_cause(readings: Readings, denied: Collection[str] = ()) -> Search:
-    """Return what explains readings better than they are explained as they stand."""
-    return _Search(_leave_out_outliers(readings), denied).run()
+    """Return what explains readings better than they are explained as they stand.
+
+    What drifts in measuring order is none of the machine's errors here, but a cause among the others.
+    """
+    errors = readings.posterior.errors
+    steady = tuple(one for one in errors.terms if not (isinstance(one, FunctionsOfPose) and one.sort == DRIFT))
+    posterior = replace(readings.posterior, errors=replace(errors, terms=steady))
+    return _Search(_leave_out_outliers(replace(readings, posterior=posterior)), denied).run()
 
 
 def find_slip(variants: Iterable[Readings], denied: Collection[str] = ()) -> FoundSlip | None:
@@ -237,7 +249,7 @@ class _Search:
             for cause, one in fitted
         ]
         weighed.sort(key=lambda one: -one.gain)
-        unnoticed = [cause.text for cause, value in tables if self.fits and value > -SURE]
+        unnoticed = [cause.text for cause, value in tables if self.fits and value > -UNSEEN]
         return Search(self.misfit, self._name(weighed), weighed, len(effects) + len(tables), self.is_late, unnoticed)
 
     def _name(self, weighed: list[Weighed]) -> Named | None:
@@ -248,8 +260,8 @@ class _Search:
         others = [one for one in weighed if one not in alike]
         rival = max(others[0].gain, 0.0) if others else 0.0
         first, *also = dict.fromkeys(one.text for one in alike)
-        text = first + "".join(f" (or: {one})" for one in also[:2])
-        faults = tuple(dict.fromkeys(one.cause.fault for one in alike[:3]))
+        text = first + "".join(f" (or: {one})" for one in also[: MOST_ALIKE - 1])
+        faults = tuple(dict.fromkeys(one.cause.fault for one in alike[:MOST_ALIKE]))
         said = others[0].text if others and others[0].gain > 0.0 else "the data as they are"
         return Named(best[0].cause.fault, faults, text, best[0].gain, alike[-1].gain - rival, said, best[0].misfit)
 

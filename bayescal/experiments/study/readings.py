@@ -28,6 +28,7 @@ from bayescal.experiments.shared.readings.inputs import ReadingInputs, Variant
 from bayescal.experiments.shared.readings.knowledge import (
     Knowledge,
     assess,
+    learn_posterior,
     list_next,
     list_ridges,
     name_data,
@@ -165,8 +166,9 @@ def fit_variant(inputs: ReadingInputs, name: str) -> ReadingFit:
     found = tabulate_model_error(
         name, variant.data, variant.verification, posterior, some, drawn, config.leg_error, own
     )
-    packed = fit.pack(subject.build_tree(fit, name, KnownFunctions.find(posterior, fit.kept)), ONLY_SAVED)
-    covariance = np.atleast_2d(np.cov(fit.kept[:, : posterior.n_geometry], rowvar=False))
+    known = KnownFunctions.find(posterior, fit.kept)
+    packed = fit.pack(subject.build_tree(fit, name, known), ONLY_SAVED)
+    learn = learn_posterior(variant, posterior, fit.kept, known)
     with stage("held-back poses"):
         held = [hold_back(inputs, (name, 0), fit.kept)] if variant.verification.any() else []
     with stage("accuracy"):
@@ -174,7 +176,7 @@ def fit_variant(inputs: ReadingInputs, name: str) -> ReadingFit:
             **vars(packed),
             functions=functions,
             residuals=_explain(posterior, fit),
-            knowledge=assess(config, variant, posterior, fit.kept.mean(axis=0), covariance),
+            knowledge=assess(config, variant, posterior, fit.kept.mean(axis=0), learn),
             beside=[one.evaluate(variant.whole, posterior.theta(fit.kept)) for one in inputs.beside],
             held=held,
             errors=tabulate_errors(config, variant, posterior, some, drawn),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import subprocess
 import time
 from pathlib import Path
 
@@ -66,6 +67,37 @@ def test_what_is_not_as_it_was_written_is_named(command, named, results, call, m
     assert (results / "report.html").read_bytes() == page
     with pytest.raises(bc.InputError, match=named):
         bc.load_results(results)
+
+
+@pytest.mark.skipif(shutil.which("ssh-keygen") is None, reason="signs with OpenSSH")
+def test_a_signature_of_the_manifest_covers_all_files(results, tmp_path):
+    """It may stand beside it; a manifest that was sealed again is another one."""
+    key, signers = tmp_path / "key", tmp_path / "signers"
+
+    def call_openssh(*arguments, **more):
+        return subprocess.run(["ssh-keygen", *map(str, arguments)], capture_output=True, check=False, **more).returncode
+
+    assert call_openssh("-q", "-t", "ed25519", "-N", "", "-f", key) == 0
+    signers.write_text(f"you@example.org {key.with_suffix('.pub').read_text()}")
+    assert call_openssh("-Y", "sign", "-n", "bayescal", "-f", key, results / MANIFEST) == 0
+    signature = results / f"{MANIFEST}.sig"
+    check_whole(results, expected=True)
+    bc.load_results(results)
+    verify = ("-Y", "verify", "-n", "bayescal", "-f", signers, "-I", "you@example.org", "-s", signature)
+    assert call_openssh(*verify, input=(results / MANIFEST).read_bytes()) == 0
+    edit(results / "squares.csv", "1", "-1")
+    write_manifest(results)
+    check_whole(results, expected=True)
+    assert call_openssh(*verify, input=(results / MANIFEST).read_bytes()) != 0
+
+
+def test_nothing_else_may_stand_beside_a_manifest(results):
+    for name in (f"{MANIFEST}.sig", f"{MANIFEST}.asc"):
+        add(results / name)
+    check_whole(results, expected=True)
+    add(results / "notes" / f"{MANIFEST}.sig")
+    with pytest.raises(bc.InputError, match=f"notes/{MANIFEST}.sig added"):
+        check_whole(results, expected=True)
 
 
 def test_force_says_what_it_overlooks(results, call):

@@ -2,20 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
 import pandas as pd
 
+from bayescal.calibrated.functions import KnownFunctions
 from bayescal.density.calibration.likelihood import CalibrationPosterior
+from bayescal.density.calibration.measurements import Measurements
 from bayescal.experiments.shared.readings.inputs import Variant
 from bayescal.experiments.shared.readings.schema import NextConfig
 from bayescal.experiments.shared.schema import UnitsConfig
 from bayescal.identifiability.directions import find_directions, judge_parameters
 from bayescal.identifiability.information import Information, information_of_rows, marginalise
-from bayescal.identifiability.reading_rows import Slopes, View, differentiate_poses, name_tool, rms, see, typical_given
+from bayescal.identifiability.reading_rows import (
+    Slopes,
+    View,
+    differentiate_poses,
+    name_tool,
+    see,
+    typical_covariance,
+    typical_given,
+    typical_noise,
+    whiten,
+)
+from bayescal.identifiability.requirements import ErrorsInUse, Forecast, forecast_tool
 from bayescal.identifiability.ridges import describe_reading_ridges
 from bayescal.machines.readings import Given
 from bayescal.numerics.geometry import Array
@@ -38,10 +51,11 @@ class Knowledge:
     coordinates, units : tuple of str
         What has to be accurate, m of them.
     before, after, noise : ndarray, shape (m,)
-        Root mean square error over the workspace by what is unknown of the parameters beforehand and now, and by the
-        noise of one pose's own readings; NaN where the machine's own sensors do not tell it.
+        Root mean square error over the workspace by what is unknown of the parameters beforehand, by what is unknown of
+        them and of systematic errors now, and by the noise of one pose's own readings; NaN where the machine's own
+        sensors do not tell it.
     worst, worst_pose : ndarray, shapes (m,) and (m, q)
-        The largest standard uncertainty over the workspace by what is unknown of the parameters now, and where.
+        The largest standard uncertainty over the workspace by what is unknown of both now, and where.
     next_pose : ndarray, shape (c, q)
         Poses to measure next, the best first for each set of sensors.
     next_sensors : tuple of str
@@ -80,7 +94,11 @@ class Asked(Protocol):
         """How many poses are tried, how many shown."""
 
 
-def assess(asked: Asked, variant: Variant, posterior: CalibrationPosterior, y: Array, covariance: Array) -> Knowledge:
+Learnt = Callable[[View], tuple[Forecast, Array]]
+"""From poses of the workspace to how the tool errs there, and the covariance of what it errs by."""
+
+
+def assess(asked: Asked, variant: Variant, posterior: CalibrationPosterior, y: Array, learn: Learnt) -> Knowledge:
     """Return what the readings of a variant tell, to first order about one machine.
 
     Parameters
@@ -90,35 +108,88 @@ def assess(asked: Asked, variant: Variant, posterior: CalibrationPosterior, y: A
     posterior : CalibrationPosterior
     y : ndarray, shape (n,)
         The machine, in the posterior's coordinates.
-    covariance : ndarray, shape (m, m)
-        What remains unknown of the parameters, in the same.
+    learn : callable
+        The covariance (m + q, m + q) is of what remains unknown of the parameters, in the same coordinates, and of q
+        systematic errors.
     """
-    rng = np.random.default_rng([asked.seed, 5])
+    rng, m = np.random.default_rng([asked.seed, 5]), posterior.n_geometry
     at = look_around(variant, posterior, y, rng)
+    forecast, covariance = learn(at)
     names, units = name_tool(variant.model)
     every = np.ones(len(variant.model.channels), dtype=bool)
-    candidates = variant.workspace.draw(asked.next.candidates, rng)
+    candidates, geometry = variant.workspace.draw(asked.next.candidates, rng), covariance[:m, :m]
     tried = [
-        (label, *_rank(posterior, variant, y, candidates, at, covariance, some, asked.next.shown))
+        (label, *_rank(posterior, variant, y, candidates, at, geometry, some, asked.next.shown))
         for label, some in (("own", variant.internal), ("all", every))
         if label == "own" or (some != variant.internal).any()
     ]
-    spread = np.sqrt(np.einsum("wti,ij,wtj->wt", at.tool, covariance, at.tool, optimize=True))
+    before, after, noise = (
+        np.sqrt(np.diagonal(one, axis1=-2, axis2=-1))
+        for one in (forecast.covariance(np.eye(m)), forecast.covariance(covariance), forecast.noise)
+    )
     verdicts, ridges = _judge(asked.units, posterior, y)
     return Knowledge(
         verdicts,
         ridges,
         names,
         units,
-        rms(at.tool, np.eye(posterior.n_geometry)),
-        rms(at.tool, covariance),
-        np.sqrt(at.noise.mean(axis=0)),
-        spread.max(axis=0),
-        at.pose[spread.argmax(axis=0)],
+        np.sqrt(np.mean(before**2, axis=0)),
+        np.sqrt(np.mean(after**2, axis=0)),
+        np.sqrt(np.mean(noise**2, axis=0)),
+        after.max(axis=0),
+        at.pose[after.argmax(axis=0)],
         np.concatenate([pose for _, pose, _ in tried]),
         tuple(label for label, pose, _ in tried for _ in pose),
         np.concatenate([gain for *_, gain in tried]),
     )
+
+
+def foresee(variant: Variant, posterior: CalibrationPosterior, y: Array, at: View, errors: ErrorsInUse) -> Forecast:
+    """Return how the tool of a machine (n,) errs at poses, located by its own sensors, when these err as in use."""
+    located = at.located @ whiten(typical_covariance(posterior, y), variant.internal)
+    found = forecast_tool(at.tool, located, errors, at.alignment)
+    return replace(found, noise=np.where(np.isfinite(at.noise)[..., None], found.noise, np.nan))
+
+
+def learn_posterior(
+    variant: Variant, posterior: CalibrationPosterior, y: Array, known: KnownFunctions | None
+) -> Learnt:
+    """Return what draws (T, n) of a posterior say of the tool.
+
+    Systematic errors that were found are known together with the geometry; what is left of errors is noise.
+    """
+    mean, m = y.mean(axis=0), posterior.n_geometry
+    covariance = np.atleast_2d(np.cov(y[:, :m], rowvar=False))
+
+    def learn(at: View) -> tuple[Forecast, Array]:
+        if known is None:
+            return Forecast(at.tool, at.located @ np.swapaxes(at.located, 1, 2)), covariance
+        theta, change = posterior.around(mean)
+        follow, left = known.given_geometry
+        follow = follow @ change[posterior.sampling.free]
+        errors = _err_in_use(variant, posterior, mean, at.pose, theta, known)
+        across = follow @ covariance
+        both = np.block([[covariance, across.T], [across, across @ follow.T + left @ left.T]])
+        return foresee(variant, posterior, mean, at, errors), both
+
+    return learn
+
+
+def _err_in_use(
+    variant: Variant, posterior: CalibrationPosterior, y: Array, pose: Array, theta: Array, known: KnownFunctions
+) -> ErrorsInUse:
+    """Return what channels err by at poses (W, q) of a calibrated machine y (n,), θ (D,)."""
+    model, given = variant.model, typical_given(variant.data.given, len(pose))
+    read = model.read(theta, pose, given)
+    nothing = Measurements(tuple(map(str, range(len(read)))), np.full(read.shape, np.nan), np.ones_like(read), given)
+    shown, left = known.show(model, nothing, read)
+    gain = model.error_gain(theta, pose, given)
+    drifts = np.broadcast_to(known.place(model) * known.drift, (len(read), *known.place(model).shape))
+    random = np.concatenate([np.sqrt(left)[..., None] * np.eye(left.shape[-1]), drifts], axis=-1)
+    if gain is not None:
+        shown, random = gain @ shown, gain @ random
+    own = np.nan_to_num(typical_noise(posterior, y[None], own=True)[0])
+    return ErrorsInUse(own**2 + (random**2).sum(axis=-1), shown)
 
 
 def look_around(variant: Variant, posterior: CalibrationPosterior, y: Array, rng: np.random.Generator) -> View:
