@@ -21,7 +21,7 @@ from bayescal.experiments.frame.memory import GIB, Need
 from bayescal.experiments.shared import estimate
 from bayescal.experiments.shared.estimate import Subject, time_fit
 from bayescal.experiments.shared.function_errors import tabulate_model_error
-from bayescal.experiments.shared.slip_search import STATED, search_cause
+from bayescal.experiments.shared.slip_search import STATED, _Search
 from bayescal.experiments.study.by_tables import ReadingStudy
 from bayescal.experiments.study.calibrated import tabulate_errors
 from bayescal.inference.schema import EvidenceConfig, SamplerConfig
@@ -86,7 +86,7 @@ def test_densities_are_those_of_some_machines_at_a_time(drawn, monkeypatch):
 def test_a_first_look_says_as_the_search_what_data_that_fit_leave(study, monkeypatch):
     readings = study.variants["all"].list_readings()
     found = readings.measure_misfit()
-    assert found == pytest.approx(search_cause(readings).misfit, rel=0.02)
+    assert found == pytest.approx(_Search(readings, ()).misfit, rel=0.02)
     assert found < STATED
     monkeypatch.setattr(measurements, "AT_ONCE", SOME)
     assert readings.measure_misfit() == pytest.approx(found, rel=1e-9)
