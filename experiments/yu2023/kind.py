@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from bayescal.experiments.frame.experiment import Experiment
 from bayescal.experiments.frame.memory import Need, estimate_arrays
 from bayescal.experiments.frame.parallel import Run
@@ -13,18 +15,11 @@ from bayescal.report.blocks import Page
 from yu2023.indices import read_published, run_indices
 from yu2023.pages import build_page
 from yu2023.repeats import read_figures, read_parameters, run_accuracy, run_numbers
-from yu2023.schema import AccuracyStudyConfig, HexapodCalibrationsConfig, IndexStudyConfig, StudyOfConfig
+from yu2023.schema import AccuracyStudyConfig, HexapodCalibrationsConfig, IndexStudyConfig
 from yu2023.setup import Setup, read_setup
 
 CANDIDATES, FITS = 8, 3
 """Arrays of all candidates' derivatives, and of calibrations' poses."""
-
-
-def _list_numbers(study: StudyOfConfig) -> set[int]:
-    """Return how many poses are selected."""
-    if isinstance(study, IndexStudyConfig):
-        return {one.poses for one in study.conditions}
-    return {study.poses} if isinstance(study, AccuracyStudyConfig) else set(study.poses)
 
 
 class HexapodCalibrations(Experiment[HexapodCalibrationsConfig, Setup]):
@@ -33,15 +28,8 @@ class HexapodCalibrations(Experiment[HexapodCalibrationsConfig, Setup]):
     schema = HexapodCalibrationsConfig
 
     def read(self, config: HexapodCalibrationsConfig, folder: Path) -> Setup:
-        """Return machine, workspace and candidates; tables that are needed later are read once, to find faults.
-
-        So are all numbers of poses put to the candidates that they are selected from.
-        """
+        """Return machine, workspace and candidates; tables that are needed later are read once, to find faults."""
         setup, study = read_setup(config, folder), config.study
-        for scale in [1.0, *study.workspace_scales] if isinstance(study, IndexStudyConfig) else [1.0]:
-            scaled = setup if scale == 1.0 else setup.scale_workspace(scale)
-            for n in sorted(_list_numbers(study)):
-                scaled.problem("O1", n)
         if isinstance(study, IndexStudyConfig):
             read_published(setup, study)
         else:
@@ -54,9 +42,10 @@ class HexapodCalibrations(Experiment[HexapodCalibrationsConfig, Setup]):
     def estimate_memory(self, inputs: Setup) -> Need:
         """Return what candidates take, and the calibrations that are fitted together."""
         config, study, n = inputs.config, inputs.config.study, inputs.machine.layout.size
-        several = isinstance(study, IndexStudyConfig)
-        fits = max(study.parameter_sets, study.noise_draws) if several else study.repeats
-        most = max(_list_numbers(study))
+        if isinstance(study, IndexStudyConfig):
+            most, fits = max(one.poses for one in study.conditions), max(study.parameter_sets, study.noise_draws)
+        else:
+            most, fits = int(np.max(study.poses)), study.repeats
         return estimate_arrays(
             {"candidates": config.selection.candidates, "poses": most, "calibrations": fits},
             [

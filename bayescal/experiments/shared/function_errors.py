@@ -176,7 +176,7 @@ def tabulate_model_error(
 
     terms = posterior.errors.of(posterior.zeta(y))
     tau = [one.natural(zeta)[:, 0] ** 2 + one.floor**2 for one, zeta in terms if isinstance(one, IndependentErrors)]
-    sizes = {TERMS[0]: np.sqrt(np.mean(tau, axis=0)) / MICROMETRE} if tau else {}
+    sizes: dict[str, Array] = {TERMS[0]: np.sqrt(np.mean(tau, axis=0)) / MICROMETRE} if tau else {}
     found = [_summarise(part, ~held[rows], posterior.errors, draws) for rows, part in data.split()]
     names, functions = found[0].names, [name for name in found[0].square if name != TOGETHER]
     for name in found[0].square:

@@ -41,7 +41,7 @@ def list_outlooks(inputs: StudyInputs) -> list[str]:
             errors, slope = part.error_jacobian(known.start)
             rows = np.nan_to_num(part.whiten(tau)(slope[..., known.free]) * known.scale)
             roots.append(np.linalg.qr(rows.reshape(-1, len(names)), mode="r"))
-            counted += np.count_nonzero(errors)
+            counted += int(np.count_nonzero(errors))
         of = f"{counted} equations of legs at {likelihood.n_poses} poses for {len(names)} unknowns"
         found[variant.name] = tell_outlook(of, np.concatenate(roots), names)
     return [*join_outlooks(found), *filter(None, [inputs.unused])]

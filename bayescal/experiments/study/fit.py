@@ -50,6 +50,7 @@ if TYPE_CHECKING:
 
 ONLY_SAVED = ("prior", "prior_misfit")
 """Arrays of a posterior that nothing but its tree has."""
+AT_ONCE = 2**16  # poses of draws whose rotation matrices are made together
 TRIES = 4  # draws of the prior for each that is wanted: some are no machine
 CHANNELS, UNITS = ("x", "y", "z", "rx", "ry", "rz"), ("mm",) * 3 + ("rad",) * 3
 MEANING = "measured pose, base frame: position and rotation vector"
@@ -284,12 +285,15 @@ def _read_poses(inputs: StudyInputs) -> Array:
 
 def _replicate(measured: Array, misfit: Array) -> Array:
     """Return replicated poses (..., P, 6) from the measured ones (P, 6) and measured minus replicated (..., P, 6)."""
-    rotation, found = matrix_from_rotation_vector(np.nan_to_num(measured[:, 3:])), np.empty(misfit.shape, np.float32)
-    found[..., :3] = measured[:, :3] - misfit[..., :3]
-    for k in np.ndindex(misfit.shape[:-2]):  # draw by draw: rotation matrices of all would take gigabytes
-        turn = rotation_vector_of_turn(matrix_from_rotation_vector(-np.nan_to_num(misfit[k][:, 3:])) @ rotation)
-        found[k][:, 3:] = np.where(np.isfinite(measured[:, 3:] - misfit[k][:, 3:]), turn, np.nan)
-    return found
+    rotation, flat = matrix_from_rotation_vector(np.nan_to_num(measured[:, 3:])), misfit.reshape(-1, *measured.shape)
+    found, most = np.empty(flat.shape, dtype=np.float32), max(1, AT_ONCE // len(measured))
+    for k in range(0, len(flat), most):
+        some, made = flat[k : k + most], found[k : k + most]
+        turn = rotation_vector_of_turn(matrix_from_rotation_vector(-np.nan_to_num(some[..., 3:])) @ rotation)
+        made[..., :3] = measured[:, :3] - some[..., :3]
+        made[..., 3:] = np.where(np.isfinite(measured[:, 3:] - some[..., 3:]), turn, np.nan)
+    replicated: Array = found.reshape(misfit.shape)  # type: ignore[assignment]  # single precision
+    return replicated
 
 
 def _group_functions(inputs: StudyInputs, task: Task, fit: Fit) -> dict[str, Group]:
