@@ -21,7 +21,7 @@ With more than `MOST_ROWS` rows of all poses together E_t is taken to be of few 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
 
@@ -461,17 +461,16 @@ class FunctionLikelihood(Likelihood):
 
         Shape (B, C, Q, N), mm along the actuators.
         """
-        scales, found = model_error[:, self.n_legs :], []
-        if self.functions.of_few is not None:
-            for k, basis in enumerate(self.functions.list_bases(place)):
-                normal = rng.standard_normal((len(scales), self.n_legs, basis.shape[-1]))
-                values = np.einsum("iqa,bia->bqi", _for_legs(basis, self.n_legs), normal, optimize=True)
-                found.append(scales[:, k, None, None] * values)
-            return np.stack(found, axis=1)
-        for k, kernel in enumerate(self.functions.between(place, place)):
-            root, normal = _root(kernel), rng.standard_normal((len(scales), self.n_legs, kernel.shape[-1]))
-            found.append(scales[:, k, None, None] * np.einsum("iqr,bir->bqi", _for_legs(root, self.n_legs), normal))
-        return np.stack(found, axis=1)
+        return np.stack(list(self.draw_sorts(place, model_error, rng)), axis=1)
+
+    def draw_sorts(self, place: Place, model_error: Array, rng: np.random.Generator) -> Iterator[Array]:
+        """Yield the same sort by sort, (B, Q, N) each."""
+        scales, few = model_error[:, self.n_legs :], self.functions.of_few is not None
+        found = self.functions.list_bases(place) if few else self.functions.between(place, place)
+        for k, one in enumerate(found):
+            root = _for_legs(one if few else _root(one), self.n_legs)
+            normal = rng.standard_normal((len(scales), self.n_legs, root.shape[-1]))
+            yield scales[:, k, None, None] * np.einsum("iqa,bia->bqi", root, normal, optimize=few)
 
     def draw(
         self, others: LegRows | None, theta: Array, model_error: Array, rng: np.random.Generator

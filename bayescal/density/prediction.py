@@ -19,6 +19,7 @@ from bayescal.numerics.geometry import Array
 
 INTERVAL = 0.90
 BOUND = 0.95
+POSES = 512  # that are summarised together
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,9 +101,9 @@ def replicate(likelihood: Likelihood, theta: Array, model_error: Array, rng: np.
     noise = _draw_noise(likelihood, model_error, rng.standard_normal(errors.shape))
     if isinstance(likelihood, FunctionLikelihood):
         base, scales = likelihood.base, np.broadcast_to(model_error, (len(theta), model_error.shape[-1]))
-        drawn = likelihood.draw_prior(likelihood.place, scales, rng).sum(axis=1)
+        drawn = np.asarray(sum(likelihood.draw_sorts(likelihood.place, scales, rng)))
         shown = base.gain @ base.rows_of_legs * np.sqrt(base.actuator_weight)[:, None, :]
-        noise = noise + np.einsum("pij,spj->spi", shown, drawn)
+        noise += np.einsum("pij,spj->spi", shown, drawn)
     return Replicates(errors, noise)
 
 
@@ -112,11 +113,14 @@ def summarise_misfit(mean: Array, misfit: Array) -> Prediction:
 
 
 def _summarise(mean: Array, errors: Array, noise: Array) -> Prediction:
-    spread = noise - (errors - mean)  # measured minus mean prediction, had the draw been the truth
-    low, high = np.quantile(spread, [0.5 - INTERVAL / 2, 0.5 + INTERVAL / 2], axis=0)
-    distance = measure_length(spread[..., :3])
-    angle = measure_length(spread[..., 3:])
-    return Prediction(mean, low, high, np.quantile(distance, BOUND, axis=0), np.quantile(angle, BOUND, axis=0))
+    parts = list[tuple[Array, ...]]()
+    for some in (slice(k, k + POSES) for k in range(0, len(mean), POSES)):
+        # measured minus mean prediction, had the draw been the truth
+        spread = noise[:, some] - (errors[:, some] - mean[some])
+        low, high = np.quantile(spread, [0.5 - INTERVAL / 2, 0.5 + INTERVAL / 2], axis=0)
+        bounds = (np.quantile(measure_length(spread[..., k : k + 3]), BOUND, axis=0) for k in (0, 3))
+        parts.append((low, high, *bounds))
+    return Prediction(mean, *(np.concatenate(one) for one in zip(*parts, strict=True)))
 
 
 def _draw_noise(likelihood: Likelihood, model_error: Array, normal: Array) -> Array:
@@ -287,7 +291,9 @@ def predict_given(
         Draws whose replicates are wanted, in ascending order.
     rng : Generator
     """
-    poses, single, together, errors, noise = others or likelihood.base, [], [], [], []
+    poses, together = others or likelihood.base, list[Array]()
+    single = np.empty((len(theta), poses.n_poses))
+    errors, noise = (np.empty((len(chosen), *poses.gain.shape[:2])) for _ in range(2))
     for part in likelihood.batches(len(theta), 0 if others is None else others.n_poses):
         if others is None:
             rows, own = likelihood.leave_out(theta[part], model_error[part])
@@ -295,16 +301,16 @@ def predict_given(
             rows, own, of_all = likelihood.predict(others, theta[part], model_error[part])
             together.append(of_all)
         factor = np.linalg.cholesky(own)
-        single.append(_weigh(rows, factor))
-        mine = chosen[(chosen >= part.start) & (chosen < part.stop)] - part.start
+        single[part] = _weigh(rows, factor) + poses.log_constant
+        there = (chosen >= part.start) & (chosen < part.stop)
+        mine = chosen[there] - part.start
         normal = rng.standard_normal((len(mine), *rows.shape[1:], 1))
-        errors.append((poses.gain @ rows[mine][..., None])[..., 0])
-        noise.append((poses.gain @ (factor[mine] @ normal))[..., 0])
-    constant = poses.log_constant
-    total = np.concatenate(together) + constant.sum() if together else None
-    known = poses.instrument.rows.measured if isinstance(poses, InstrumentLikelihood) else True
-    read = np.where(known, np.concatenate(errors), np.nan)
-    return Given(np.concatenate(single) + constant, total, Replicates(read, np.concatenate(noise)))
+        errors[there] = (poses.gain @ rows[mine][..., None])[..., 0]
+        noise[there] = (poses.gain @ (factor[mine] @ normal))[..., 0]
+    total = np.concatenate(together) + poses.log_constant.sum() if together else None
+    if isinstance(poses, InstrumentLikelihood):
+        errors[:, ~poses.instrument.rows.measured] = np.nan
+    return Given(single, total, Replicates(errors, noise))
 
 
 def _weigh(rows: Array, factor: Array) -> Array:

@@ -70,21 +70,21 @@ def evaluate_functions(
     likelihood, flat = cast("FunctionLikelihood", posterior.likelihood), y.reshape(-1, y.shape[-1])
     rngs = [np.random.default_rng(one) for one in seed.spawn(4)]
     theta, errors = posterior.theta(flat), posterior.errors.amplitudes(posterior.zeta(flat))
-    rows = cast("LegRows | None", others)
-    given = [predict_given(likelihood, None, theta, errors, chosen, rngs[0])]
-    together = {"calibration_density": likelihood(theta, errors)}
-    if rows is not None:
-        given.append(predict_given(likelihood, rows, theta, errors, chosen, rngs[1]))
-        assert given[1].together is not None
-        together["joint_density"] = given[1].together
+    rows, together = cast("LegRows | None", others), {"calibration_density": likelihood(theta, errors)}
+    summaries, misfits, densities = list[Arrays](), list[Array](), list[Array]()
+    for some, rng in zip((None, rows) if rows is not None else (None,), rngs, strict=False):
+        given = predict_given(likelihood, some, theta, errors, chosen, rng)
+        if given.together is not None:
+            together["joint_density"] = given.together
+        densities.append(given.pointwise)
+        summaries.append(vars(given.replicates.summarise()))
+        misfits.append(given.replicates.misfit.astype(np.float32).swapaxes(0, 1))
     few = spread(len(flat), FUNCTION_DRAWS)
     functions = vars(draw_functions(likelihood, rows, theta[few], errors[few], rngs[2]))
     back = np.argsort(np.concatenate([np.flatnonzero(held == use) for use in (False, True)]))
-    summaries = [vars(one.replicates.summarise()) for one in given]
-    misfits = [one.replicates.misfit.astype(np.float32).swapaxes(0, 1) for one in given]
     by_pose = {name: np.concatenate([one[name] for one in summaries]) for name in summaries[0]}
     by_pose |= {"misfit": np.concatenate(misfits)} | {OF_FUNCTIONS + name: functions.pop(name) for name in BY_POSE}
-    pointwise = np.concatenate([one.pointwise for one in given], axis=1)[:, back]
+    pointwise = np.concatenate(densities, axis=1)[:, back]
     return {
         "log_likelihood": pointwise.reshape(*y.shape[:2], -1),
         **{name: one[back] for name, one in by_pose.items()},
