@@ -259,27 +259,34 @@ def _thin(posterior: CalibrationPosterior) -> CalibrationPosterior:
 def _integrate(posterior: CalibrationPosterior, y: Array, some: Array) -> tuple[Array, Array]:
     """Return the mean of coefficients but drifts and their covariance with the geometry, about y, by draws (T, n)."""
     m, (theta, change) = posterior.n_geometry, posterior.around(y)
-    rows = ReadingRows(posterior)
-    with np.errstate(all="ignore"):
-        linear = rows.linearise(theta)
+    likelihood = posterior.likelihood
+    split = likelihood.data.split()
+    parts = [likelihood] if len(split) == 1 else [likelihood.pick(part) for part, _ in split]
+    zetas, sizes, grams = posterior.zeta(some), np.zeros((len(some), 0)), list[Array]()
+    for part in parts:  # what all rows see of all columns would take gigabytes
+        rows = ReadingRows(replace(posterior, likelihood=part))
+        with np.errstate(all="ignore"):
+            linear = rows.linearise(theta)
+        slope, shown, sizes = linear.slope @ change, -(linear.left @ rows.act), rows.size_coefficients(zetas)
+        found = []
+        for zeta, size in zip(zetas, sizes, strict=True):
+            root = np.linalg.cholesky(linear.covariance(zeta))
+            every = np.concatenate([slope, shown * size, linear.errors[..., None]], axis=-1)
+            white = (np.linalg.inv(root) @ every).reshape(-1, m + len(size) + 1)
+            found.append(white.T @ white)
+        grams = [one + other for one, other in zip(grams, found, strict=True)] if grams else found
     prior = posterior.sampling.prior_slope(change)
     pull = prior.T @ posterior.sampling.prior_residual(y[:m], theta)
-    slope, shown = linear.slope @ change, -(linear.left @ rows.act)
     sorts = [one.sort for one in posterior.errors.terms if isinstance(one, FunctionsOfPose)]
     lasting = np.append(np.ones(m, dtype=bool), np.repeat([name != DRIFT for name in sorts], rows.widths))
     natural = change[posterior.sampling.free]
     means, covariances = [], []
-    for zeta in posterior.zeta(some):
-        size = rows.size_coefficients(zeta[None])[0]
-        root = np.linalg.cholesky(linear.covariance(zeta))
-        every = np.concatenate([slope, shown * size, linear.errors[..., None]], axis=-1)
-        white = (np.linalg.inv(root) @ every).reshape(-1, m + len(size) + 1)
-        gram = white.T @ white
+    for size, gram in zip(sizes, grams, strict=True):
         precision = gram[:-1, :-1] + block_diag(prior.T @ prior, np.eye(len(size)))
         covariance = np.linalg.inv(precision)
         mean = -covariance @ (gram[:-1, -1] + np.append(pull, np.zeros(len(size))))
         to = block_diag(natural, np.diag(size))[:, lasting][lasting]
         means.append(to @ mean[lasting])
         covariances.append(to @ covariance[np.ix_(lasting, lasting)] @ to.T)
-    found = np.mean(covariances, axis=0) + np.cov(np.array(means), rowvar=False, bias=True)
-    return np.mean(means, axis=0)[m:], found
+    spread = np.mean(covariances, axis=0) + np.cov(np.array(means), rowvar=False, bias=True)
+    return np.mean(means, axis=0)[m:], spread

@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from bayescal.calibrated.functions import KnownFunctions
 from bayescal.density.calibration import frozen, likelihood, measurements
 from bayescal.experiments.frame import run as frame
 from bayescal.experiments.frame.load import load_experiment
@@ -78,6 +79,16 @@ def test_densities_are_those_of_some_machines_at_a_time(drawn, monkeypatch):
         monkeypatch.setattr(module, "MANY_ROWS", 3 * posterior.likelihood.data.n_poses)
     assert posterior.log_density(y) == pytest.approx(whole[0], rel=1e-10)
     assert posterior.pointwise(y) == pytest.approx(whole[1], rel=1e-8)
+
+
+def test_known_functions_are_those_of_some_rows_at_a_time(drawn, monkeypatch):
+    posterior, y, _ = drawn
+    whole = KnownFunctions.find(posterior, y)
+    monkeypatch.setattr(measurements, "AT_ONCE", SOME)
+    parts = KnownFunctions.find(posterior, y)
+    size = np.sqrt(np.diag(whole.covariance))
+    assert parts.mean == pytest.approx(whole.mean, rel=1e-6, abs=1e-6 * float(np.abs(whole.mean).max()))
+    assert parts.covariance / np.outer(size, size) == pytest.approx(whole.covariance / np.outer(size, size), abs=1e-6)
 
 
 # --- slips -----------------------------------------------------------------------------------------------------------
