@@ -106,7 +106,7 @@ def sign(subject: Subject, rng: np.random.Generator) -> Planted:
     k = rng.integers(len(names))
     moved = values.copy()
     moved[:, k] *= -1.0
-    return moved, "unit", (names[k],)
+    return moved, "unit channel", (names[k],)  # or -1 times what the others say
 
 
 def exchanged(subject: Subject, rng: np.random.Generator) -> Planted:

@@ -1,7 +1,7 @@
 """The default model error in linear-Gaussian code of its own: what intervals should hold, many twins a row.
 
     python -m benchmarks.truth.linear ROW... --machine hexapod [--sizes 1] [--twins 40] [--seed 7]
-                                             [--at-least-um 0] [--out benchmarks/truth/linear.csv]
+                                             [--at-least-um 0] [--each] [--out benchmarks/truth/linear.csv]
 
 About the truth, readings and parameters are normal given the sizes of errors:
 
@@ -36,7 +36,10 @@ ALL = (RANDOM, *LASTING, "drift")
 
 
 def build_kernels(sorts: tuple[str, ...], z: Array, time: Array) -> list[Array]:
-    """Return k_t / c_t of each actuator between poses, (N, P, P) each, at travels (P, N) in units of the range."""
+    """Return k_t / c_t of each actuator between poses, (N, P, P) each, at travels (P, N) in units of the range.
+
+    A sort that ends with a number is that of one actuator alone.
+    """
     near = np.exp(-0.5 * np.sum((z[:, None] - z[None]) ** 2, axis=-1))
     home = np.exp(-0.5 * np.sum(z**2, axis=1))
     known = {
@@ -46,8 +49,13 @@ def build_kernels(sorts: tuple[str, ...], z: Array, time: Array) -> list[Array]:
         "smooth": (near - home[:, None] - home + 1.0)[None],
         "drift": (np.minimum.outer(time, time) + START)[None],
     }
-    found = [np.broadcast_to(known[one], (z.shape[1], len(z), len(z))) for one in sorts]
-    return [one / np.diagonal(one, axis1=1, axis2=2).mean() for one in found]
+    found, every = [], np.arange(1, z.shape[1] + 1)
+    for one in sorts:
+        sort, _, actuator = one.partition(" ")
+        kernel = known[sort] / np.diagonal(known[sort], axis1=1, axis2=2).mean()
+        its = every == int(actuator) if actuator else every > 0
+        found.append(kernel * its[:, None, None])
+    return found
 
 
 class Problem:
@@ -79,7 +87,7 @@ class Problem:
         sensors = float(np.median(machine.noise[:n] * machine.lever))
         self.scales = np.array([max(TAU, sensors) if one == RANDOM else max(FUNCTIONS, 2.0 * sensors) for one in sorts])
         self.random = np.array([one == RANDOM for one in sorts])
-        lasting = np.array([one in LASTING for one in sorts])
+        lasting = np.array([one.partition(" ")[0] in LASTING for one in sorts])
         self.floors = 1e-3 * least * lasting / np.sqrt(max(1, lasting.sum()))
 
     def spread(self, sizes: Array) -> Array:
@@ -117,24 +125,28 @@ class Problem:
         return mean + rng.standard_normal((EACH, len(mean))) @ np.linalg.cholesky(covariance).T
 
 
-def judge(name: str, row: str, size: float, twins: int, seed: int, least: float) -> dict[str, object]:
+def judge(
+    name: str, row: str, size: float, twins: int, seed: int, least: float = 0.0, each: bool = False
+) -> dict[str, object]:
     """Return what intervals hold of a row's twins, by all sorts of errors and by random ones alone.
 
-    Functions of the pose together are ``least`` µm large at least.
+    Functions of the pose together are ``least`` µm large at least; couplings to ``each`` actuator have their own size.
     """
-    found = []
+    n = MACHINES[name]().n_actuators
+    linear = [f"linear {k}" for k in range(1, n + 1)] if each else ["linear"]
+    every, found = (RANDOM, *linear, "own", "smooth", "drift"), []
     for k in range(twins):
         machine, twin = draw_twin(name, row, size, 1000 * seed + k)
-        kept = np.flatnonzero(~twin.held)
+        machine.matrix, kept = None, np.flatnonzero(~twin.held)  # the fitted model has no deformation
         right = machine.right_posterior(twin.theta, twin.v[kept])
         directions, scores = find_determined(right), []
-        for sorts in (ALL, (RANDOM,)):
+        for sorts in (every, (RANDOM,)):
             rows = twin.v[kept], twin.values[kept], kept / len(twin.v)
             problem = Problem(machine, twin.theta, *rows, sorts, least)
             draws = problem.draw(np.random.default_rng([seed, k]))
             nothing = np.zeros(draws.shape[1])
             scores += [hold(draws, nothing), hold(draws @ directions.T, directions @ nothing)]
-            if sorts is ALL:
+            if sorts is every:
                 wider = float(np.sqrt(np.mean(draws.var(axis=0) / np.diagonal(right))))
         found.append([100.0 * one for one in scores] + [wider])
     mean, error = np.mean(found, axis=0), np.std(found, axis=0, ddof=1) / np.sqrt(twins)
@@ -148,6 +160,8 @@ def judge(name: str, row: str, size: float, twins: int, seed: int, least: float)
         "machine": name,
         "row": row,
         "size": size,
+        "at_least_um": least,
+        "each": each,
         "seed": seed,
         "twins": twins,
         **shares,
@@ -164,12 +178,13 @@ def main() -> None:
     parser.add_argument("--twins", type=int, default=40)
     parser.add_argument("--seed", type=int, default=7)
     parser.add_argument("--at-least-um", type=float, default=0.0)
+    parser.add_argument("--each", action="store_true")
     parser.add_argument("--out", type=Path)
     given = parser.parse_args()
     rows = given.rows or [one for one in ROWS if one != MATRIX or given.machine.startswith("telescope")]
     for row in rows:
         for size in [0.0] if row == NONE else given.sizes:
-            found = judge(given.machine, row, size, given.twins, given.seed, given.at_least_um)
+            found = judge(given.machine, row, size, given.twins, given.seed, given.at_least_um, given.each)
             print(", ".join(f"{key} {value}" for key, value in found.items()), flush=True)
             if given.out is not None:
                 write(given.out, found)
@@ -177,11 +192,11 @@ def main() -> None:
 
 def write(path: Path, found: dict[str, object]) -> None:
     """Write one line into a table, in place of what stands there of the same row."""
-    keys = ["machine", "row", "size", "at_least_um"]
+    keys = ["machine", "row", "size", "at_least_um", "each"]
     table = pd.DataFrame([found])
     if path.exists():
         table = pd.concat([pd.read_csv(path), table]).drop_duplicates(keys, keep="last")
-    places = {"machine": list(MACHINES).index, "row": ROWS.index, "size": float, "at_least_um": float}
+    places = {"machine": list(MACHINES).index, "row": ROWS.index, "size": float, "at_least_um": float, "each": bool}
     table.sort_values(keys, key=lambda one: one.map(places[str(one.name)])).to_csv(path, index=False)
 
 

@@ -26,8 +26,8 @@ from bayescal.experiments.shared.slips import CHANNEL, FRAME, LEGS, POSES, ROWS,
 from bayescal.numerics.geometry import Array
 from bayescal.report.numbers import join_words
 
-SURE = 6.0
-"""Nats by which a cause has to explain the readings better, all of its kind that were tried counted."""
+SURE = 3.0
+"""Nats by which a cause has to explain the readings better, all of its kind that were tried counted: 20 to 1."""
 UNSEEN = 10.0
 """Nats by which a slip planted in data that fit lowers the log-density at most, where the data do not show it."""
 ALIKE = 3.0
@@ -256,7 +256,7 @@ class _Search:
         best = [one for one in weighed if one.gain > SURE]
         if not best:
             return None
-        alike = [one for one in best if one.gain > best[0].gain - ALIKE]
+        alike = [one for one in weighed if one.gain > best[0].gain - ALIKE]
         others = [one for one in weighed if one not in alike]
         rival = max(others[0].gain, 0.0) if others else 0.0
         first, *also = dict.fromkeys(one.text for one in alike)
