@@ -71,7 +71,7 @@ def evaluate_functions(
     rngs = [np.random.default_rng(one) for one in seed.spawn(4)]
     theta, errors = posterior.theta(flat), posterior.errors.amplitudes(posterior.zeta(flat))
     rows, together = cast("LegRows | None", others), {"calibration_density": likelihood(theta, errors)}
-    summaries, misfits, densities = list[Arrays](), list[Array](), list[Array]()
+    summaries, misfits, densities = list[Arrays](), list[np.ndarray](), list[Array]()
     for some, rng in zip((None, rows) if rows is not None else (None,), rngs, strict=False):
         given = predict_given(likelihood, some, theta, errors, chosen, rng)
         if given.together is not None:
