@@ -247,7 +247,7 @@ class ExactDensity:
         parts = [] if self._shared is None else [self._shared.columns(white, here)]
         if self._function is not None:
             parts.append(self._function.columns(white, here, model_error))
-        return np.concatenate(parts, axis=-1)
+        return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=-1)
 
     def _factorise(self, columns: Array) -> tuple[Array, Array]:
         """Return M = H⁻¹ + VᵀV, shape (B, R, R), and V as (B, P N, R); |det H| is one."""
