@@ -358,7 +358,7 @@ class Readings:
         for part, _ in self.posterior.likelihood.data.split():
             some, common = (self if len(part) == n_rows else self.pick(part)), None
             seen = some.see(some.table, np.zeros(self.posterior.n_geometry), None, n_starts)
-            if seen is None:  # of none of them
+            if seen is None or not seen.errors.shape[1]:  # no machine has any of them, or nothing is left over
                 return np.zeros((n_rows, 1, 1)), np.zeros((n_rows, 1)), np.zeros(n_rows, dtype=bool)
             if some is not self:  # the fewest columns are of all rows together
                 common = seen.common(zeta)
