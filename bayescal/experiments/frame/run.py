@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 
 LATE = "which showed only when it was computed"
 """Said of what is at fault with inputs that passed the gate."""
-LONG, LARGE = 60.0, 1.0  # s and GiB, from which on a run says beforehand what it takes
+LONG, LARGE = 60.0, 1.0  # s and GiB beside processes' own, from which on a run says beforehand what it takes
 MANY_PICTURES = 10  # fewer are drawn before other processes have started
 
 
@@ -209,9 +209,11 @@ def _tell_effort(admitted: Admitted, workers: int) -> str:
             seconds = admitted.experiment.estimate_seconds(admitted.inputs, workers)
         except BayescalError:  # said where it is computed
             seconds = None
-    need = admitted.need.sum_up(workers) / GIB if admitted.need.sizes else 0.0
-    said = [f"about {max(1, round(seconds / 60.0))} min"] if seconds is not None and seconds >= LONG else []
-    said += [f"at most {need:.1f} GiB of memory"] if need >= LARGE else []
+    need, said = admitted.need, list[str]()
+    if seconds is not None and seconds >= LONG:
+        said.append(f"about {max(1, round(seconds / 60.0))} min")
+    if need.sizes and need.shared + workers * need.each >= LARGE * GIB:
+        said.append(f"at most {need.sum_up(workers) / GIB:.1f} GiB of memory")
     by = f" with {workers} workers" if workers > 1 else ""
     return f"this takes {' and '.join(said)}{by}" if said else ""
 

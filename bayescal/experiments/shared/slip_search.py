@@ -20,7 +20,7 @@ import numpy as np
 
 from bayescal.density.calibration.model_error import FunctionsOfPose
 from bayescal.density.sorts import DRIFT
-from bayescal.experiments.shared.slip_causes import FACTORS, Cause, list_effects, list_tables
+from bayescal.experiments.shared.slip_causes import FACTORS, MODEL, Cause, list_effects, list_tables
 from bayescal.experiments.shared.slip_rows import LOST, OUTLYING, STARTS, Readings, Sight, Table, White, profile
 from bayescal.experiments.shared.slips import CHANNEL, FRAME, LEGS, POSES, ROWS, UNIT, FoundSlip
 from bayescal.numerics.geometry import Array
@@ -28,6 +28,8 @@ from bayescal.report.numbers import join_words
 
 SURE = 3.0
 """Nats by which a cause has to explain the readings better, all of its kind that were tried counted: 20 to 1."""
+SURE_OF_MODEL = 10.0
+"""The same of errors of the machine, which a model error allows for."""
 UNSEEN = 10.0
 """Nats by which a slip planted in data that fit lowers the log-density at most, where the data do not show it."""
 ALIKE = 3.0
@@ -253,9 +255,9 @@ class _Search:
         return Search(self.misfit, self._name(weighed), weighed, len(effects) + len(tables), self.is_late, unnoticed)
 
     def _name(self, weighed: list[Weighed]) -> Named | None:
-        best = [one for one in weighed if one.gain > SURE]
-        if not best:
+        if not weighed or weighed[0].gain <= (SURE_OF_MODEL if weighed[0].cause.fault == MODEL else SURE):
             return None
+        best = [one for one in weighed if one.gain > SURE]
         alike = [one for one in weighed if one.gain > best[0].gain - ALIKE]
         others = [one for one in weighed if one not in alike]
         rival = max(others[0].gain, 0.0) if others else 0.0
