@@ -222,10 +222,11 @@ def _list_blind(readings: Readings) -> Iterator[Cause]:
         # of a rotation vector, which is compared as a whole, a component or, where turns are large, all of them
         whole = tuple(j for j, other in enumerate(channels) if one.rotation and other.rotation == one.rotation)
         for alike in dict.fromkeys(((k,), whole or (k,))):
-            if n_spare <= len(alike):  # the others have to contradict it
-                continue
             seen = np.isfinite(values[:, alike])
-            width = np.maximum(np.nanstd(values[:, alike], axis=0) / np.nanmedian(sd[:, alike], axis=0), 1.0)
+            noise = np.nanmedian(sd[:, alike], axis=0)
+            if n_spare <= len(alike) or not noise.all():  # the others have to contradict it, and it has to have noise
+                continue
+            width = np.maximum(np.nanstd(values[:, alike], axis=0) / noise, 1.0)
             volume = float(np.sum(seen * (np.log(VAGUE / width) - 0.5)))
             table = Table(values, np.arange(len(values)), vague=alike, log_volume=volume)
             yield Cause(CHANNEL, "", table, blind=k, say=partial(_say_blind, one, values[:, k], steady))

@@ -51,6 +51,15 @@ def test_a_planted_slip_is_named_first(subjects, machine, slip):
     assert any(word in found.text for word in words)
 
 
+def test_a_channel_that_is_stated_to_have_no_noise_is_searched(subjects):
+    measured, _, _ = plant(subjects["linear delta"], "sensor", 1)
+    likelihood = measured.posterior.likelihood
+    sd = np.where(np.arange(likelihood.data.sd.shape[1]) == 3, 0.0, likelihood.data.sd)
+    exact = replace(likelihood, data=replace(likelihood.data, sd=sd), expansion=None)
+    found = search_cause(replace(measured.readings, posterior=replace(measured.posterior, likelihood=exact)))
+    assert found.tried > 0
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("slip", SLIPS)
 @pytest.mark.parametrize("machine", KINDS)
