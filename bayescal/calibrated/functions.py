@@ -182,8 +182,11 @@ class KnownFunctions:
         return np.asarray(np.sqrt(sum(self.square[[name == DRIFT for name in self.sorts]])) / self.levers)
 
     def follow(self, n: int) -> Array:
-        """Return the covariance (n, n) of a drift of one unit, root mean square, over the rows of a session."""
-        time = np.arange(n) / n
+        """Return the covariance (n, n) of a drift of one unit, root mean square, over the rows of a session.
+
+        The first row is one of n equal intervals after the start, which of few rows is much of the session.
+        """
+        time = (np.arange(n) + 1.0) / n
         functions = PoseFunctions((DRIFT,), Place(self.travel, self.time))
         place = Place(np.zeros((n, 0)), time)
         return np.asarray(SORTS[DRIFT].between(place, place)[0] / functions.norms[0])

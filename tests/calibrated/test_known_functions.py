@@ -165,7 +165,7 @@ def test_drifts_join_the_rows_of_a_session(erring, calibrated):
         calibrated, choose_suspects(calibrated, ["s0"]), erring.read(erring.theta, erring.draw(4))
     )
     n, k = knowledge.rows.shape[:2]
-    time, span = np.arange(n) / n, np.mean(np.arange(N_POSES) / N_POSES + 0.02)
+    time, span = (np.arange(n) + 1.0) / n, np.mean(np.arange(N_POSES) / N_POSES + 0.02)
     walk = (np.minimum.outer(time, time) + 0.02) / span
     covariance = np.eye(n * k)
     for p in range(n):
