@@ -18,9 +18,8 @@ import numpy as np
 import pandas as pd
 
 from benchmarks.truth.errors import MATRIX, NONE, ROWS
-from benchmarks.truth.machines import MACHINES
 from benchmarks.truth.projects import DEFAULTS
-from benchmarks.truth.scores import judge_twins, summarise
+from benchmarks.truth.scores import begin_arguments, judge_twins, summarise
 
 KEYS = ["row", "size"]
 PREFIX = {"tau": "before", "init": "after", "floor": "floor"}
@@ -28,14 +27,8 @@ PREFIX = {"tau": "before", "init": "after", "floor": "floor"}
 
 def main() -> None:
     """Judge rows, print them and write them into a table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("rows", nargs="*", metavar="ROW", help=f"of {', '.join(ROWS)}")
-    parser.add_argument("--machine", choices=list(MACHINES), default="hexapod")
-    parser.add_argument("--sizes", type=float, nargs="+", default=[1.0])
-    parser.add_argument("--twins", type=int, default=40)
-    parser.add_argument("--seed", type=int, default=1)
+    parser = begin_arguments(__doc__.splitlines()[0], 1)
     parser.add_argument("--default", choices=(*DEFAULTS, "both"), default="init")
-    parser.add_argument("--out", type=Path)
     arguments = parser.parse_args()
     if unknown := set(arguments.rows) - set(ROWS):
         parser.error(f"found rows {sorted(unknown)}, expected some of {', '.join(ROWS)}")

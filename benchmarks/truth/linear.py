@@ -15,7 +15,6 @@ where both hold the truth as often, what they miss is the default's and not the 
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +23,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from benchmarks.truth.errors import MATRIX, NONE, ROWS
 from benchmarks.truth.machines import MACHINES, Array, Simulated, find_determined
-from benchmarks.truth.scores import draw_twin, hold
+from benchmarks.truth.scores import begin_arguments, draw_twin, hold
 
 TAU, FUNCTIONS = 10e-3, 20e-3  # mm, scales of sizes; or one and two standard deviations of the actuators' noise
 STEPS, WARM, EVERY, EACH = 300, 0.2, 20, 25  # steps a size; share left out; draws of parameters at each that is kept
@@ -171,15 +170,9 @@ def judge(
 
 def main() -> None:
     """Judge rows, print them and write them into a table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("rows", nargs="*", metavar="ROW", help=f"of {', '.join(ROWS)}")
-    parser.add_argument("--machine", choices=list(MACHINES), default="hexapod")
-    parser.add_argument("--sizes", type=float, nargs="+", default=[1.0])
-    parser.add_argument("--twins", type=int, default=40)
-    parser.add_argument("--seed", type=int, default=7)
+    parser = begin_arguments(__doc__.splitlines()[0], 7)
     parser.add_argument("--at-least-um", type=float, default=0.0)
     parser.add_argument("--each", action="store_true")
-    parser.add_argument("--out", type=Path)
     given = parser.parse_args()
     rows = given.rows or [one for one in ROWS if one != MATRIX or given.machine.startswith("telescope")]
     for row in rows:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import tempfile
 import zlib
 from collections.abc import Iterator
@@ -11,12 +12,24 @@ from pathlib import Path
 import numpy as np
 
 from bayescal.errors import NumericalError
-from benchmarks.truth.errors import COUPLING, MATRIX, Error, distort
+from benchmarks.truth.errors import COUPLING, MATRIX, ROWS, Error, distort
 from benchmarks.truth.machines import MACHINES, Array, Carriages, Simulated, find_determined
 from benchmarks.truth.projects import calibrate, write_project, write_tables
 
 CALIBRATION, HELD = 40, 15
 INTERVAL = 0.05, 0.95
+
+
+def begin_arguments(description: str, seed: int) -> argparse.ArgumentParser:
+    """Return what rows of which twins are judged, as arguments of a command."""
+    parser = argparse.ArgumentParser(description=description)
+    parser.add_argument("rows", nargs="*", metavar="ROW", help=f"of {', '.join(ROWS)}")
+    parser.add_argument("--machine", choices=list(MACHINES), default="hexapod")
+    parser.add_argument("--sizes", type=float, nargs="+", default=[1.0])
+    parser.add_argument("--twins", type=int, default=40)
+    parser.add_argument("--seed", type=int, default=seed)
+    parser.add_argument("--out", type=Path)
+    return parser
 
 
 @dataclass(frozen=True)
