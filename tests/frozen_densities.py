@@ -22,7 +22,6 @@ import numpy as np
 
 from bayescal.density.calibration.functions import FunctionErrors, Travel
 from bayescal.density.calibration.terms import Errors
-from bayescal.density.schema import BlundersConfig
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.shared.readings.inputs import read_inputs as read_calibration
 from bayescal.experiments.study.inputs import load_inputs as load_study
@@ -37,16 +36,8 @@ PRIOR = 0.5  # prior standard deviations about the machine as expected
 N_EXACT = 4
 DIGITS = 13
 
-KERNELS = {
-    "free length": {"kernel_length_spread": 0.5},
-    "quadratic": {"kernel": "quadratic", "kernel_length": 3.0},
-    "scale per leg": {"kernel": "linear", "kernel_per_leg": True},
-}
 SHIPPED = {
     "experiments/telescope/study.toml": None,
-    "experiments/telescope/model_error.toml": [
-        f"{d} with {k} errors" for d in ("none", "linear", "matrix") for k in ("linear", "smooth")
-    ],
     "experiments/telescope/ridges.toml": None,
     "experiments/m2_hexapod/study.toml": None,
     "experiments/m2_hexapod/lengths.toml": None,
@@ -70,16 +61,11 @@ def list_posteriors():
         names = [one.name for one in config.variants if variants is None or one.name in variants]
         found |= {f"{path}: {name}": one for name, one in access(config, ROOT / path, names).items()}
     path = ROOT / "experiments/telescope/study.toml"
-    config = load(path)[1].model_copy(update={"blunders": BlundersConfig()})
+    config = load(path)[1]
+    robust = [one.model_copy(update={"outlier_share": 0.02}) for one in config.variants]
+    config = config.model_copy(update={"variants": robust})
     names = ["six_pus/none", "six_pus/matrix"]
     found |= {f"blunders: {name}": one for name, one in access_study(config, path, names).items()}
-    path = ROOT / "experiments/telescope/model_error.toml"
-    for label, update in KERNELS.items():
-        config = load(path)[1]
-        error = config.model_error.model_copy(update=update)
-        config = config.model_copy(update={"model_error": error})
-        names = ["none with smooth errors" if label == "free length" else "six_pus/none"]
-        found |= {f"{label}: {name}": one for name, one in access_study(config, path, names).items()}
     path = ROOT / "experiments/sliding_star/study.toml"
     variant = read_calibration(load(path)[1], path.parent).variants["s8"]
     for kernel in ("linear", "smooth"):
@@ -103,7 +89,7 @@ def access_study(config, path, names):
 
         return posterior, density
 
-    both = (True,) if "model_error" in path.name or "ridges" in path.name else (True, False)
+    both = (True,) if "ridges" in path.name else (True, False)
     return {
         f"{name}{'' if tau else ', no model error'}": (lambda name=name, tau=tau: build(name, tau))
         for name in names

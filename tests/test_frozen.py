@@ -58,7 +58,7 @@ def test_posterior_is_what_it_was(posteriors, name, points):
 
 def test_all_posteriors_are_frozen(posteriors):
     assert list(posteriors) == list(KNOWN)
-    assert len(KNOWN) == 85
+    assert len(KNOWN) == 76
 
 
 @pytest.mark.slow

@@ -18,12 +18,10 @@ TINY = {
     "audit.py --points 2": (),
     "growth.py --what audit --most 20": (),
     "hexapod_calibrations.py --alone 1": (),
-    "kernel_length.py --density": (),
     "likelihood.py --models --repeats 2": (),
     "likelihood.py --repeats 2": ("numba",),
     "lookup_table.py --twins 1": (),
     "memory.py --kinds calibration --sizes 0": (),
-    "model_error.py --twins 1 --kernels linear --variants six_pus/none": (),
     "next_pose.py --twins 1 --poses 10": (),
     "peers.py --posteriors lengths --seconds 1 --steps 5 --warm-up 50 --draws 50 --live 50": (
         *("jax", "numpyro", "dynesty", "nautilus"),

@@ -129,8 +129,6 @@ def list_function_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
 def _format_calibrated(calibrated: CalibratedMachine, machine: list[str]) -> dict[str, str]:
     """Return the file that names all others, and the table of the poses that calibrated a machine."""
     source, errors = calibrated.source, calibrated.errors
-    if type(errors) not in (Errors, LegErrors):
-        raise InputError(f"variant {source.variant!r}: found a structured model error, expected independent ones")
     lines = [f"# {comment}" for comment in source.describe()]
     lines += ['kind = "calibrated_machine"', *machine]
     if calibrated.covariance is not None:

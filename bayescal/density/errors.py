@@ -1,8 +1,7 @@
 """What the legs of a machine err by beside their stated noise: terms as in `bayescal.density.calibration.terms`.
 
-What is unknown of a term is its amplitudes, standard deviations in mm (a kernel's length in ranges of the actuators).
-A likelihood takes those of all terms one behind the other: τ of each of the N legs; then, where the error is also a
-function of the pose, its scale s of each leg; then the function's length where that is free.
+What is unknown of a term is its amplitudes, standard deviations in mm. A likelihood takes those of all terms one behind
+the other: τ of each of the N legs; then, where the error has functions of the pose, the scale s of each sort.
 """
 
 from __future__ import annotations
@@ -17,15 +16,7 @@ from scipy.linalg import block_diag
 
 from bayescal.density.calibration.terms import Errors, ErrorTerm
 from bayescal.density.outliers import NORMAL, Outliers
-from bayescal.density.priors import (
-    LENGTH,
-    SCALE,
-    HalfCauchyPrior,
-    HalfNormalPrior,
-    KernelScalePrior,
-    LogNormalPrior,
-    Prior,
-)
+from bayescal.density.priors import HalfCauchyPrior, HalfNormalPrior, Prior
 from bayescal.numerics.geometry import Array
 
 TAU, FUNCTION_SCALES = "tau", "functions"
@@ -83,36 +74,6 @@ NO_MODEL_ERROR = ModelError(None)
 
 
 @dataclass(frozen=True)
-class KernelScale:
-    """The scale s of an error that is a function of the pose (`bayescal.density.priors`), of each leg or of all.
-
-    How large it is in directions that the geometry imitates cannot be learnt from those that it does not: the scale is
-    a tolerance, stated by whoever knows the machine, within a factor exp(spread). Whether there is such an error at all
-    is for the data to say.
-    """
-
-    scale: float  # median of s where there is an error, mm
-    spread: float  # standard deviation of log s
-    shared: bool = True  # one scale for all legs
-
-    def at_legs(self, n_legs: int) -> Amplitudes:
-        """Return it as a term: zero with probability one half, else log-normal."""
-        return Amplitudes.of_legs(SCALE, KernelScalePrior(self.scale, self.spread), n_legs, self.shared)
-
-
-@dataclass(frozen=True)
-class KernelLength:
-    """The length of a kernel, in ranges of the actuators: log-normal, one amplitude for all legs."""
-
-    lengths: LogNormalPrior
-
-    def at_legs(self, n_legs: int) -> Amplitudes:
-        """Return it as a term."""
-        del n_legs
-        return Amplitudes(LENGTH, (LENGTH,), ("1",), (self.lengths,), np.ones((1, 1)), (0.0,))
-
-
-@dataclass(frozen=True)
 class FunctionScales:
     """The scales of errors that are functions of the pose, of several sorts at once, each alike for all legs."""
 
@@ -129,7 +90,7 @@ class FunctionScales:
         return Amplitudes(FUNCTION_SCALES, names, ("mm",) * n, (HalfCauchyPrior(self.scale),) * n, np.eye(n), floors)
 
 
-type LegTerm = ModelError | KernelScale | KernelLength | FunctionScales
+type LegTerm = ModelError | FunctionScales
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,10 +153,7 @@ class LegErrors(Errors):
 
     def uniform(self, size: float) -> Array:
         """Return amplitudes (K,) that are alike for all legs, mm, with which a search for the mode begins."""
-        found, last = np.full(self._shown.shape[1], size), self.place(LENGTH)
-        if last.stop:
-            found[-1] = self.priors[last.start].value(np.zeros(1))[0]
-        return found
+        return np.full(self._shown.shape[1], size)
 
     def tau(self, zeta: Array) -> Array:
         """Return the model error of each leg, mm: the first of the amplitudes."""

@@ -14,10 +14,10 @@ the log-determinant of AᵀA stands for the latter, and r_n holds the closure of
 k ~ N(0, S) are errors that all poses have in common: T_n k is what an uncertain deformation matrix K leaves of the
 deflections, whose variance alone, pose by pose, is v. Where K was measured in the same photographs as the poses, its
 error depends on theirs, cov(k, e_n) = Γ_n: a platform that seems to stand too high has joints that seem to hang too
-low. A model error that is a function of the pose (`bayescal.density.priors`) is L_n g_n, with g = F c over the
-poses, F Fᵀ the kernel's matrix and c_ri ~ N(0, s_i²); of several sorts, F_i is each leg's own and c_ri ~ N(0, 1). All
-this makes a covariance of low rank beside that of s; of Q common errors only a matrix of Q or 2 Q rows is factorised
-(Woodbury). On the telescope common errors are worth 3.9 nats of the evidence of its best variants.
+low. Model errors that are functions of the pose (`bayescal.density.functions`) are L_n g_n, with g_i = F_i c_i over the
+poses and c_ri ~ N(0, 1). All this makes a covariance of low rank beside that of s; of Q common errors only a matrix of
+Q or 2 Q rows is factorised (Woodbury). On the telescope common errors are worth 3.9 nats of the evidence of its best
+variants.
 
 The derivatives cost five to thirty times the hot path: this density corrects what was found with that one.
 """
@@ -32,7 +32,6 @@ from bayescal.density.elimination import whiten_covariance
 from bayescal.density.few_columns import LowRankComponents
 from bayescal.density.functions import FunctionLikelihood
 from bayescal.density.pose_likelihood import PoseLikelihood
-from bayescal.density.structured import StructuredLikelihood
 from bayescal.machines.models.base import Linearisation, newton_step
 from bayescal.numerics.geometry import Array, compute_pose_error, matrix_from_rotation_vector
 
@@ -98,20 +97,13 @@ class _Shared:
 class _Function:
     """Model errors that are functions of the pose: columns W L_n F_inr e_i add V Vᵀ, F_i F_iᵀ that of leg i's."""
 
-    likelihood: StructuredLikelihood | FunctionLikelihood
+    likelihood: FunctionLikelihood
 
     @property
     def n_numbers(self) -> int:
         """How many numbers V of one machine has."""
-        n_rows = self.likelihood.n_poses * self.likelihood.n_legs
-        functions = self.likelihood.components if isinstance(self.likelihood, FunctionLikelihood) else None
+        n_rows, functions = self.likelihood.n_poses * self.likelihood.n_legs, self.likelihood.components
         return n_rows * (functions.n_columns if isinstance(functions, LowRankComponents) else n_rows)
-
-    def alone(self, model_error: Array) -> Array:
-        """Return errors of single poses, (B, ...) to (B, N)."""
-        if isinstance(self.likelihood, FunctionLikelihood):
-            return self.likelihood.of_single_poses(model_error)
-        return model_error[:, : self.likelihood.n_legs]
 
     def columns(self, white: Array, here: _Here, model_error: Array) -> Array:
         """Return V, shape (B, P, N, N R), for whitening matrices (B, P, N, N) and model errors (B, ...)."""
@@ -142,7 +134,7 @@ class ExactDensity:
     common : CommonErrors, optional
     actuator_variance : ndarray, shape (P, N), optional
         v_ni, mm²: extra variance of each leg at each pose by itself.
-    functions : StructuredLikelihood or FunctionLikelihood, optional
+    functions : FunctionLikelihood, optional
         Of the same poses: model errors have its entries then, τ of each leg, and what its functions have.
     """
 
@@ -152,7 +144,7 @@ class ExactDensity:
         actuator_noise: float,
         common: CommonErrors | None = None,
         actuator_variance: Array | None = None,
-        functions: StructuredLikelihood | FunctionLikelihood | None = None,
+        functions: FunctionLikelihood | None = None,
     ) -> None:
         self._likelihood, self._noise = likelihood, actuator_noise
         self._function = None if functions is None else _Function(functions)
@@ -169,7 +161,7 @@ class ExactDensity:
         theta : ndarray, shape (B, D)
             Parameter vectors.
         model_error : ndarray, shape (B, N) or (N,)
-            τ of each leg, mm; and what else a structured error has.
+            τ of each leg, mm; and the scales of functions where there are any.
         """
         result = np.empty(len(theta))
         model_error = np.broadcast_to(model_error, (len(theta), model_error.shape[-1]))
@@ -236,7 +228,7 @@ class ExactDensity:
         pose, actuators = here.closure.pose, here.closure.actuators
         covariance = pose @ self._likelihood.poses.covariance @ np.swapaxes(pose, -1, -2)
         covariance += self._noise**2 * actuators @ np.swapaxes(actuators, -1, -2)
-        tau = model_error[:, : self._likelihood.n_legs] if self._function is None else self._function.alone(model_error)
+        tau = model_error if self._function is None else self._function.likelihood.of_single_poses(model_error)
         own = here.legs * np.sqrt(tau[:, None] ** 2 + self._variance)[..., None, :]
         return np.asarray(covariance + own @ np.swapaxes(own, -1, -2))
 

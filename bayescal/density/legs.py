@@ -12,7 +12,7 @@ from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.density.errors import NO_MODEL_ERROR, LegErrors, LegTerm, ModelError
 from bayescal.density.outliers import NORMAL, Outliers
 from bayescal.density.posterior import Elimination, Funnel, Posterior
-from bayescal.density.priors import LENGTH, SCALE, Kernel, Prior
+from bayescal.density.priors import Prior
 from bayescal.density.sampling import LegSampling, build_sampling, check_bounds
 from bayescal.errors import InputError
 from bayescal.limits import FAR_AWAY
@@ -22,7 +22,6 @@ from bayescal.numerics.geometry import Array
 
 if TYPE_CHECKING:
     from bayescal.density.pose_likelihood import PoseLikelihood
-    from bayescal.density.structured import StructuredLikelihood
 
 BATCH = 256  # vectors at a time: what the hot loop touches stays in the cache
 POSES = 128  # poses of six legs at a time, for the same reason; memory then hardly grows with the poses
@@ -157,11 +156,6 @@ class Likelihood(Elimination[LegSampling, LegErrors]):
         return None
 
     @property
-    def structured(self) -> StructuredLikelihood | None:
-        """Itself where poses depend on each other by errors that are a function of the pose; None elsewhere."""
-        return None
-
-    @property
     def closing_poses(self) -> MeasuredPoses | None:
         """Poses at whose mean the legs' lengths follow the joints, where these are hardly known; None elsewhere."""
         return None
@@ -280,12 +274,11 @@ class Likelihood(Elimination[LegSampling, LegErrors]):
 
     def inform(self, theta: Array, change: Array, errors: LegErrors, zeta: Array) -> Array:
         """Return the information of the data on the geometry, shape (m, m)."""
-        return self.nearest(errors.amplitudes(zeta)).linearise(theta, change, errors, zeta).inform()
+        return self.linearise(theta, change, errors, zeta).inform()
 
     def inform_row(self, theta: Array, change: Array, errors: LegErrors, zeta: Array, row: int) -> Array:
         """Return what one pose tells of the geometry beyond all others, shape (m, m)."""
-        view = self.nearest(errors.amplitudes(zeta))
-        return view.inform_by_pose(view.linearise(theta, change, errors, zeta), row)
+        return self.inform_by_pose(self.linearise(theta, change, errors, zeta), row)
 
     def differentiate(
         self, theta: Array, change: Array, errors: LegErrors, zeta: Array, newton: bool
@@ -293,42 +286,31 @@ class Likelihood(Elimination[LegSampling, LegErrors]):
         """Return gradient and Hessian of the log-likelihood; see `Elimination.differentiate`.
 
         Newton's Hessian is exact in the model errors, and so not always negative definite. It is that of Gauss and
-        Newton where how much a pose counts depends on the model errors, too, or the density is interpolated.
+        Newton where how much a pose counts depends on the model errors, too.
         """
         m, k = change.shape[1], errors.n_amplitudes
         gradient, hessian = np.zeros(m + len(zeta)), np.zeros((m + len(zeta), m + len(zeta)))
         amplitudes, slopes, inside = errors.amplitudes(zeta), errors.slopes_of_amplitudes(zeta), slice(m, m + k)
-        views = self.views(amplitudes)
-        for share, view in views:
-            local = view.linearise(theta, change, errors, zeta)
-            gradient[:m] -= share * (local.weighted.ravel() @ local.slope.reshape(-1, m))
-            hessian[:m, :m] -= share * local.inform()
-            if k and newton and len(views) == 1 and not errors.outliers.expected:
-                across, own, by_errors = view.curve_by_errors(local, amplitudes)
-                hessian[:m, inside] = across @ slopes.T
-                hessian[inside, :m] = hessian[:m, inside].T
-                gradient[inside] = slopes @ by_errors
-                hessian[inside, inside] = slopes @ own @ slopes.T
-                hessian[inside, inside] += np.diag(errors.curvatures_of_amplitudes(zeta) @ by_errors)
-            elif k:
-                by_errors, curvature = view.differentiate_by_errors(local, amplitudes)
-                gradient[inside] += share * (slopes @ by_errors)
-                hessian[inside, inside] += share * (slopes @ curvature @ slopes.T)
-            if local.counts is not None:
-                square = local.square / local.counts
-                by_share = errors.tails(zeta[None]).slopes(square[None], self.n_rows)[0]
-                gradient[m + k :] += by_share.sum(axis=0)
-                hessian[m + k :, m + k :] -= by_share.T @ by_share
+        local = self.linearise(theta, change, errors, zeta)
+        gradient[:m] = -(local.weighted.ravel() @ local.slope.reshape(-1, m))
+        hessian[:m, :m] = -local.inform()
+        if k and newton and not errors.outliers.expected:
+            across, own, by_errors = self.curve_by_errors(local, amplitudes)
+            hessian[:m, inside] = across @ slopes.T
+            hessian[inside, :m] = hessian[:m, inside].T
+            gradient[inside] = slopes @ by_errors
+            hessian[inside, inside] = slopes @ own @ slopes.T
+            hessian[inside, inside] += np.diag(errors.curvatures_of_amplitudes(zeta) @ by_errors)
+        elif k:
+            by_errors, curvature = self.differentiate_by_errors(local, amplitudes)
+            gradient[inside] = slopes @ by_errors
+            hessian[inside, inside] = slopes @ curvature @ slopes.T
+        if local.counts is not None:
+            square = local.square / local.counts
+            by_share = errors.tails(zeta[None]).slopes(square[None], self.n_rows)[0]
+            gradient[m + k :] += by_share.sum(axis=0)
+            hessian[m + k :, m + k :] -= by_share.T @ by_share
         return gradient, hessian
-
-    def views(self, model_error: Array) -> list[tuple[float, Likelihood]]:
-        """Return the densities, with their shares, whose log-densities it interpolates at model errors (K,)."""
-        del model_error
-        return [(1.0, self)]
-
-    def nearest(self, model_error: Array) -> Likelihood:
-        """Return the one of them with the largest share."""
-        return max(self.views(model_error), key=lambda one: one[0])[1]
 
     def differentiate_by_errors(self, local: Local, model_error: Array) -> tuple[Array, Array]:
         """Return the log-likelihood's gradient by model errors (K,) around a point, and expected curvatures (K, K).
@@ -380,22 +362,12 @@ class Likelihood(Elimination[LegSampling, LegErrors]):
 
     # --- straightening -------------------------------------------------------------------------------------------
 
-    @property
-    def levels(self) -> np.ndarray | None:
-        """Which of L levels of the error's variance each combination of poses has, (P,); None where all have one."""
-        return None
-
-    def errors_by_level(self, model_error: Array) -> Array:
-        """Return the error of each leg at each level, shape (..., L N), mm."""
-        return model_error[..., : self.n_legs]
-
     def groups(self, sampling: LegSampling, errors: LegErrors) -> list[np.ndarray]:
         """Return which coordinates a model error makes uncertain together: each leg's.
 
-        With an error that is a function of the pose, or where free frames tie the legs together and all have one model
-        error, everything is one group.
+        Where free frames tie the legs together and all have one model error, everything is one group.
         """
-        if self.levels is not None or (self._ties_legs(sampling) and errors.model_error.shared):
+        if self._ties_legs(sampling) and errors.model_error.shared:
             return super().groups(sampling, errors)
         return sampling.legs
 
@@ -404,42 +376,26 @@ class Likelihood(Elimination[LegSampling, LegErrors]):
         return bool((sampling.free >= self.machine.layout.size).any())
 
     def funnel_errors(self, errors: LegErrors, zeta: Array) -> Array:
-        """Return the errors of each leg that the geometry's uncertainty depends on, shape (B, N) or (B, L N)."""
-        return self.errors_by_level(errors.amplitudes(zeta))
+        """Return the errors of each leg that the geometry's uncertainty depends on, shape (B, N)."""
+        return errors.tau(zeta)
 
     def funnel(self, sampling: LegSampling, errors: LegErrors, y: Array) -> Funnel | None:
         """Return how the geometry depends on the errors at y, shape (n,); None where there are none.
 
         None, too, where free frames tie legs together that each have an error: no leg is uncertain by itself then.
-
-        Where the error is a function of the pose, what the geometry is worth hangs on its scale s: the larger it is,
-        the less do combinations of poses tell in which the kernel's error is. The joint mode of scale and geometry is
-        therefore none of the scale's density; that is seen in straight coordinates only (as restricted likelihood has
-        it: Patterson and Thompson 1971).
         """
         if not errors.n_amplitudes or (self._ties_legs(sampling) and not errors.model_error.shared):
             return None
-        zeta, m, n = y[sampling.size :], sampling.size, self.n_legs
+        zeta, m = y[sampling.size :], sampling.size
         theta = sampling.theta_from_y(y[None, :m])[0]
         change, amplitudes = sampling.jacobian(theta), errors.amplitudes(zeta)
-        view, own = self.nearest(amplitudes), self.errors_by_level(amplitudes)
-        local, rows = view.linearise(theta, change, errors, zeta), sampling.prior_slope(change)
-        weight, level = view.actuator_weight[:, :n], self.levels
-        if level is None:
-            inverse = view.see_by_legs(np.linalg.inv(view.error_covariance(amplitudes)))
-            precision = np.diagonal(inverse, axis1=-2, axis2=-1).mean(axis=0)
-            variance = 1.0 / np.maximum(precision, np.finfo(float).tiny)
-            rest = np.maximum(variance / weight.mean(axis=0) - own**2, 1e-12)
-            return Funnel(local.inform(), rows.T @ rows, rest, own)
-        root, _ = root_of(local.precision)
-        seen, white = root @ local.slope, (root @ local.errors[..., None])[..., 0]
-        chosen = np.eye(level.max() + 1)[level]
-        parts = np.einsum("kl,kia,kib->liab", chosen, seen, seen, optimize=True)
-        scores = -np.einsum("kl,kia,ki->lia", chosen, seen, white, optimize=True)
-        variance = 1.0 / np.diagonal(local.precision, axis1=-2, axis2=-1) / weight
-        rest = np.maximum((chosen.T @ variance / chosen.sum(axis=0)[:, None]).ravel() - own**2, 1e-12)
-        information = parts.sum(axis=(0, 1))
-        return Funnel(information, rows.T @ rows, rest, own, parts.reshape(-1, m, m), scores.reshape(-1, m))
+        own, weight = errors.tau(zeta), self.actuator_weight
+        local, rows = self.linearise(theta, change, errors, zeta), sampling.prior_slope(change)
+        inverse = self.see_by_legs(np.linalg.inv(self.error_covariance(amplitudes)))
+        precision = np.diagonal(inverse, axis1=-2, axis2=-1).mean(axis=0)
+        variance = 1.0 / np.maximum(precision, np.finfo(float).tiny)
+        rest = np.maximum(variance / weight.mean(axis=0) - own**2, 1e-12)
+        return Funnel(local.inform(), rows.T @ rows, rest, own)
 
     # --- search for the mode -------------------------------------------------------------------------------------
 
@@ -460,17 +416,16 @@ class Likelihood(Elimination[LegSampling, LegErrors]):
 
     def _fit(self, sampling: LegSampling, errors: LegErrors, start: Array, amplitudes: Array) -> Array:
         """Return y with the geometry of least squares, whitened rows and priors together, at amplitudes (K,)."""
-        view, found, m = self.nearest(amplitudes), start.copy(), sampling.size
-        covariance = view.error_covariance(amplitudes)
-        whitening = np.linalg.inv(np.linalg.cholesky(covariance))
+        found, m = start.copy(), sampling.size
+        whitening = np.linalg.inv(np.linalg.cholesky(self.error_covariance(amplitudes)))
         if not errors.outliers.expected:
-            found[:m] = view.fit_geometry(sampling, start[:m], whiten_by(whitening))
+            found[:m] = self.fit_geometry(sampling, start[:m], whiten_by(whitening))
             return found
         tails = errors.tails(found[None, m:])
         for _ in range(REWEIGHTINGS):
-            white = whitening @ view.errors(sampling.theta_from_y(found[None, :m]))[0][..., None]
-            weight = tails.trust(np.sum(white**2, axis=(1, 2))[None], view.n_rows)[0]
-            found[:m] = view.fit_geometry(sampling, found[:m], whiten_by(whitening * np.sqrt(weight)[:, None, None]))
+            white = whitening @ self.errors(sampling.theta_from_y(found[None, :m]))[0][..., None]
+            weight = tails.trust(np.sum(white**2, axis=(1, 2))[None], self.n_rows)[0]
+            found[:m] = self.fit_geometry(sampling, found[:m], whiten_by(whitening * np.sqrt(weight)[:, None, None]))
         return found
 
     def fit_geometry(self, sampling: LegSampling, start: Array, whiten: Callable[[Array], Array]) -> Array:
@@ -517,7 +472,7 @@ def build_leg_posterior(
     fixed : mapping of parameter name to float, optional
         Values of fixed parameters that are not nominal.
     terms : sequence of LegTerm
-        What else the likelihood takes: scale and length of an error that is a function of the pose.
+        What else the likelihood takes: scales of errors that are functions of the pose.
     outliers : Outliers
         What poses are like that are wrong as a whole; by default none is expected.
     """
@@ -532,16 +487,3 @@ def check_machine(posterior: LegPosterior) -> None:
     check_bounds(sampling.coordinates)
     if not np.isfinite(posterior.likelihood.errors(sampling.start[None])).all():
         raise InputError("found no machine at the priors' centres, expected unit directions and a home pose")
-
-
-def find_function_of_pose(posterior: LegPosterior, natural: Array) -> tuple[Kernel, Array] | None:
-    """Return the kernel, of the draws' median length, and the rms of each leg's scale (N,), mm, over draws (S, n).
-
-    None where the legs have no error that is a function of the pose; the draws are in natural units.
-    """
-    structured, zeta, errors = posterior.likelihood.structured, posterior.zeta(natural), posterior.errors
-    if structured is None:
-        return None
-    scale = np.sqrt(np.mean(zeta[:, errors.place(SCALE)] ** 2, axis=0))
-    kernel = structured.kernel_of(np.median(zeta[:, errors.place(LENGTH)], axis=0))
-    return kernel, np.broadcast_to(scale, posterior.likelihood.n_legs)

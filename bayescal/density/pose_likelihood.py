@@ -176,15 +176,6 @@ class PoseLikelihood(Likelihood):
 
     # --- residuals -----------------------------------------------------------------------------------------------
 
-    def leg_errors_by_leg(self, theta: Array) -> Array:
-        """Return r for parameter vectors (B, D), as an array (N, P, B) that the next call overwrites."""
-        if len(self._parts) == 1:
-            return self._find_leg_errors(theta)
-        result = self._scratch.take("all leg errors", self.n_legs, self.n_poses, len(theta))
-        for poses, part in self._parts:
-            result[:, poses] = part._find_leg_errors(theta)
-        return result
-
     def _find_leg_errors(self, theta: Array) -> Array:
         closure = self._bound.evaluate(np.asfortranarray(theta))  # the batch contiguous
         n_legs, n_poses, n_batch = closure.shape

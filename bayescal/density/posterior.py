@@ -30,7 +30,6 @@ class Funnel:
     rest: Array
     tau: Array
     parts: Array | None = None
-    scores: Array | None = None
 
 
 class Sampling(ABC):

@@ -1,12 +1,11 @@
 """Priors of single parameters, and of functions: what is known of a machine before it is measured.
 
-A structured model error is what a wrong model does to a leg, the same function of the pose every time.
-Besides τ, which is drawn anew at every pose, each leg i has a random function of the actuators' travel z,
+What a channel errs by may be a random function of a travel z, the same every time,
 
-    g_i(z) ~ GP(0, s_i² k(z, z')),    g_i(0) = 0,
+    g(z) ~ GP(0, s² k(z, z')),    g(0) = 0,
 
-zero at the home pose, since an error that does not change with the pose is an offset of the geometry. One actuator at
-the end of its range makes a leg err by s_i, one standard deviation, in the unit of the actuators.
+zero at home, since an error that does not change is an offset of the geometry. At the end of its range a channel errs
+by s, one standard deviation.
 """
 
 from __future__ import annotations
@@ -307,12 +306,12 @@ FUNCTIONS = ("sigma_linear", "sigma_own", "sigma_smooth", "sigma_drift")  # scal
 type KernelName = Literal["independent", "linear", "quadratic", "smooth"]
 LENGTHY = ("quadratic", "smooth")  # kernels with a length
 
-OFF = -20.0  # where the switch of a scale stands when there is no structured error; when there is one, about zero
+OFF = -20.0  # where the switch of a scale stands when there is no error; when there is one, about zero
 BORDER = 0.5 * OFF
 
 
 def is_model_error(name: str) -> bool:
-    """Whether a free parameter's name is that of a model error: τ, or the scale or length of a structured one."""
+    """Whether a free parameter's name is that of a model error: τ, or the scale or length of a function."""
     return name.split("[")[0] in ("tau", SCALE, LENGTH, *FUNCTIONS)
 
 
@@ -405,7 +404,7 @@ def build_kernel(name: str, length: float | Array) -> Kernel:
 
 @dataclass(frozen=True)
 class KernelScalePrior(Prior):
-    """With probability one half there is no structured error, s = 0; else s is log-normal.
+    """With probability one half there is no error, s = 0; else s is log-normal.
 
     The coordinate is a switch and a magnitude in one: about `OFF` s is zero, about zero it is scale · exp(spread · c).
     """

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Final, Literal, Self, get_args
+from collections.abc import Mapping
+from typing import Annotated, ClassVar, Final, Literal, Self, get_args
 
-from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
-from bayescal.config.load import MEASURED
 from bayescal.config.sections import NotNegative, PerLeg, Positive, PositivePerLeg, Section, check_once
-from bayescal.density.priors import INDEPENDENT, LENGTHY, KernelName, LogNormalPrior
 from bayescal.numerics.units import MICROMETRE
 
 
@@ -53,83 +52,26 @@ OF_NOISE: Final = 2.0
 
 type TermNames = Annotated[list[TermName], AfterValidator(check_once)]
 
-
-def _tag_choice(value: object) -> str:
-    return f"{MEASURED}{'terms' if isinstance(value, list) else 'kernel'}"
-
-
-type ModelErrorChoice = Annotated[
-    Annotated[KernelName, Tag(f"{MEASURED}kernel")] | Annotated[TermNames, Tag(f"{MEASURED}terms")],
-    Discriminator(_tag_choice),
-]
-
-
-class KernelChoiceConfig(Section):
-    """Which model error a variant has in place of what its experiment says."""
-
-    model_error: ModelErrorChoice | None = Field(default=None, exclude_if=lambda value: value is None)
-    """The terms of this variant's model error, a list as in [model_error]; or what is a function of the pose with a
-    stated scale: `independent`, `linear`, `quadratic` or `smooth`.
-    """
-    kernel_length: Positive | None = Field(default=None, exclude_if=lambda value: value is None)
-    """Over how far quadratic and smooth errors change in this variant, in place of what holds for all: a known length
-    unless a spread is stated, too [ranges of the actuators].
-    """
-    kernel_length_spread: Positive | None = Field(default=None, exclude_if=lambda value: value is None)
-    """Standard deviation of the logarithm of that length, which is then free about its median [1]."""
+STATED: Final = "terms, whose sizes are found, or, of tables of readings, [errors.NAME] of a stated scale"
+"""What replaces errors of legs that are functions of the pose, of a stated scale."""
+KERNEL: Final = (
+    "kernel",
+    "kernel_scale_um",
+    "kernel_spread",
+    "kernel_length",
+    "kernel_length_spread",
+    "kernel_per_leg",
+)
 
 
-class KernelConfig(Section):
-    """Prior of an error that is a function of the pose.
-
-    ``kernel_scale_um`` is what one actuator at the end of its range makes a leg err by, one standard deviation, where
-    there is a structured error; ``kernel_spread`` the standard deviation of its logarithm, ``kernel_length`` in units
-    of the actuators' range.
-    """
-
-    kernel: KernelName = Field(default=INDEPENDENT, exclude_if=lambda value: value == INDEPENDENT)
-    """What is a function of the pose, for all variants that say nothing: `independent` (nothing is), `linear`,
-    `quadratic` (linear and quadratic), or `smooth`.
-    """
-    kernel_scale_um: Positive = Field(default=20.0, exclude_if=lambda value: value == 20.0)
-    """What one actuator at the end of its range makes a leg err by, one standard deviation."""
-    kernel_spread: Positive = Field(default=0.05, exclude_if=lambda value: value == 0.05)
-    """Standard deviation of the logarithm of that scale [1]."""
-    kernel_length: Positive = Field(default=5.0, exclude_if=lambda value: value == 5.0)
-    """Over how far quadratic and smooth errors change [ranges of the actuators]."""
-    kernel_length_spread: Positive | None = Field(default=None, exclude_if=lambda value: value is None)
-    """Standard deviation of the logarithm of that length, free about its median; it is known where this is left out
-    [1].
-    """
-    kernel_per_leg: bool = Field(default=False, exclude_if=lambda value: value is False)
-    """Whether every leg has a scale of its own."""
-
-    def name_for(self, choice: KernelChoiceConfig) -> KernelName:
-        """Return the kernel of a variant: its own, or that of all where it names no terms of its own."""
-        if isinstance(choice.model_error, list):
-            return INDEPENDENT
-        return choice.model_error or self.kernel
-
-    def length_for(self, choice: KernelChoiceConfig) -> float:
-        """Return the length of a variant's kernel, or the median of its prior, in ranges of the actuators."""
-        return choice.kernel_length or self.kernel_length
-
-    def lengths_for(self, choice: KernelChoiceConfig) -> LogNormalPrior | None:
-        """Return the prior of the length of a variant's kernel; None where there is none, or it is known."""
-        spread = choice.kernel_length_spread
-        if spread is None and choice.kernel_length is None:
-            spread = self.kernel_length_spread
-        if spread is None or self.name_for(choice) not in LENGTHY:
-            return None
-        return LogNormalPrior(self.length_for(choice), spread)
-
-
-class TermsConfig(Section):
+class ModelErrorConfig(Section):
     """What the models leave out, beside the stated noise: of every leg, or of every channel of the machine itself.
 
     The terms add up. Nobody has to know how large they are: τ has a half-normal prior, the others half-Cauchy ones.
     Where their scales are not stated, a coarse machine has larger ones, by the noise of its own sensors.
     """
+
+    gone: ClassVar[Mapping[str, str]] = dict.fromkeys(KERNEL, STATED)
 
     terms: TermNames = Field(default=list(TERMS), exclude_if=lambda value: value == ALONE)
     """What it is made of, all where nothing is said: `independent` (τ, drawn anew at every pose), `linear` (in the
@@ -157,6 +99,10 @@ class TermsConfig(Section):
         usual = max(MICROMETRE * FUNCTIONS_UM, OF_NOISE * noise)
         return tau, usual if self.functions_um is None else MICROMETRE * self.functions_um
 
+    def terms_for(self, own: list[TermName] | None) -> list[TermName]:
+        """Return the terms of a variant: its own, or those of all where it has none."""
+        return self.terms if own is None else own
+
     def floors(self) -> dict[TermName, float]:
         """Return the least root mean square of each term that has one, µm."""
         if isinstance(self.at_least_um, dict):
@@ -173,31 +119,3 @@ class TermsConfig(Section):
         if isinstance(self.at_least_um, dict) and (strange := set(self.at_least_um) - set(self.terms)):
             raise ValueError(f"at_least_um: found {sorted(strange)}, expected some of the terms {self.terms}")
         return self
-
-
-class ModelErrorConfig(TermsConfig, KernelConfig):
-    """What the models leave out, beside the stated noise: of every leg, or of every channel of the machine itself.
-
-    The terms add up. Nobody has to know how large they are: τ has a half-normal prior, the others half-Cauchy ones.
-    """
-
-    def terms_for(self, choice: KernelChoiceConfig) -> list[TermName]:
-        """Return the terms of a variant: its own, or those of all."""
-        if isinstance(choice.model_error, str):
-            return ALONE
-        return self.terms if choice.model_error is None else choice.model_error
-
-    @model_validator(mode="after")
-    def _check_kernel(self) -> Self:
-        if self.kernel != INDEPENDENT and self.terms != ALONE:
-            raise ValueError(
-                f"found kernel {self.kernel!r} beside terms {self.terms}, expected terms = {ALONE} with it"
-            )
-        return self
-
-
-class BlundersConfig(Section):
-    """Poses may be blunders: the share of them that is expected, whose posterior is inferred."""
-
-    expected_share: Annotated[float, Field(gt=0.0, lt=0.5)] = 0.02
-    """Share of poses that are expected to be blunders; the posterior of it is inferred [1]."""

@@ -9,7 +9,6 @@ from functools import cached_property
 import numpy as np
 from scipy.special import ndtri
 
-from bayescal.density.priors import Kernel
 from bayescal.errors import InputError
 from bayescal.machines.frames import FRAME_BLOCKS
 from bayescal.machines.kinematics import ForwardKinematics, Machine, solve_forward_kinematics, solve_inverse_kinematics
@@ -94,21 +93,6 @@ class Knowledge:
 
 
 @dataclass(frozen=True, eq=False)
-class FunctionOfPose:
-    """An error of every leg that is a function of the actuators' travel.
-
-    Attributes
-    ----------
-    kernel : Kernel
-    scale : float, or ndarray, shape (N,)
-        What one actuator at the end of its range makes a leg err by, one standard deviation, mm.
-    """
-
-    kernel: Kernel
-    scale: float | Array
-
-
-@dataclass(frozen=True, eq=False)
 class SystematicErrors:
     """Errors of every leg that are functions of the pose or of time, of sorts in `bayescal.density.sorts`.
 
@@ -141,10 +125,8 @@ class Plan:
         On the sensors' noise.
     pose_information : ndarray, shape (P, 6, 6), optional
         What is known of each measured pose, in place of the sensors', where poses have been measured already.
-    function : FunctionOfPose, optional
-        Error of the legs beside τ.
     systematic : SystematicErrors, optional
-        Errors of the legs beside τ, without a function besides.
+        Errors of the legs beside τ.
     """
 
     actuators: Array
@@ -153,7 +135,6 @@ class Plan:
     model_error: float = 0.0
     noise_factor: float = 1.0
     pose_information: Array | None = None
-    function: FunctionOfPose | None = None
     systematic: SystematicErrors | None = None
 
     @property

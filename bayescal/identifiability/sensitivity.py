@@ -9,10 +9,9 @@ any sensor. With D as weight both parts are independent:
 
 with M what the sensors tell of the pose. It holds for a singular M too, where they see only a part of it.
 
-Legs may besides err by a function of the pose, the same at every pose near another (`bayescal.density.priors`). It
-is g = F c over the planned poses, F Fᵀ the kernel's matrix and the coefficients c of each leg N(0, s²): parameters with
-a prior like any other, that nobody asks for. Functions of several sorts (`bayescal.density.sorts`) are made of few
-columns; a machine in use has them, too.
+Legs may besides err by functions of the pose of several sorts, the same at every pose near another
+(`bayescal.density.sorts`). They are g = F c over the planned poses, F of few columns, and the coefficients c of each
+leg N(0, 1): parameters with a prior like any other, that nobody asks for. A machine in use has them, too.
 """
 
 from __future__ import annotations
@@ -25,7 +24,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bayescal.density.sorts import DRIFT, Place, PoseFunctions
-from bayescal.density.structured import factor_kernel
 from bayescal.errors import InputError
 from bayescal.identifiability.design import Knowledge, Plan, SystematicErrors, predict_poses
 from bayescal.identifiability.information import Information, information_of_rows, marginalise
@@ -215,7 +213,7 @@ def inform(knowledge: Knowledge, plan: Plan, theta: Array | None = None) -> Info
         variance = left @ np.square(list(plan.systematic.sizes.values()))
         plan = replace(plan, model_error=float(np.sqrt(plan.model_error**2 + variance)))
     rows = sensitivity.rows(plan)
-    if plan.function is None and plan.systematic is None:
+    if plan.systematic is None:
         return information_of_rows(rows, knowledge.sd)
     return marginalise(rows.reshape(-1, rows.shape[-1]) * knowledge.sd, see_function(knowledge, plan, sensitivity))
 
@@ -244,16 +242,11 @@ def see_function(knowledge: Knowledge, plan: Plan, sensitivity: Sensitivity) -> 
 
 def show_functions(knowledge: Knowledge, plan: Plan, sensitivity: Sensitivity) -> Sensitivity:
     """Return the derivatives by coefficients of unit prior at the poses of a plan, in place of those by parameters."""
+    assert plan.systematic is not None
     place = place_actuators(knowledge, plan.actuators)
-    if plan.systematic is not None:
-        basis, sorts = _find_functions(plan.systematic, place).join_bases(place)
-        shown = basis * np.array(list(plan.systematic.sizes.values()))[sorts]
-        return _act(sensitivity, shown.transpose(1, 0, 2))
-    assert plan.function is not None
-    values, vectors = np.linalg.eigh(plan.function.kernel(place.travel, place.travel))
-    factor = factor_kernel(np.maximum(values, 0.0)[None], vectors[None])[0]
-    scale = np.broadcast_to(plan.function.scale, (place.travel.shape[1],))
-    return _act(sensitivity, factor[:, None, :] * scale[:, None])
+    basis, sorts = _find_functions(plan.systematic, place).join_bases(place)
+    shown = basis * np.array(list(plan.systematic.sizes.values()))[sorts]
+    return _act(sensitivity, shown.transpose(1, 0, 2))
 
 
 def show_functions_elsewhere(

@@ -4,13 +4,11 @@ Three things keep it from being one. The posterior of a group of coordinates is 
 error: a funnel. Around a mode the information of group i is close to P + q B, with P the prior precision, B the
 information of the data at the mode and q = (m + τ̂²) / (m + τ²), m the rest of the group's variance. In the basis that
 makes both diagonal each axis is stretched by sqrt((1 + λ) / (1 + q λ)): in the stretched coordinates the funnel is a
-cylinder. Where several model errors govern the same coordinates, q λ is the sum of their parts. Where they govern data
-that contradict each other the centre moves, too: by H⁻¹ Σ (q - 1) b, with b what each part of the data has of the
-gradient at the mode and H the information P + Σ q B, as diagonal as the rest. The
-coordinate ζ of a model error is skewed, the more the smaller the model error:
-ζ = c + A η + B sqrt(1 + η²) takes three quantiles of its draws to those of a standard normal η. Last, where the data
-see a quadratic of one coordinate u that others make up for, these have to follow it: a shear by β (u - u_0)² of unit
-volume straightens this ridge too. The mass along it need not be normal either, and is made so by its quantiles.
+cylinder. Where several model errors govern the same coordinates, q λ is the sum of their parts. The coordinate ζ of a
+model error is skewed, the more the smaller the model error: ζ = c + A η + B sqrt(1 + η²) takes three quantiles of its
+draws to those of a standard normal η. Last, where the data see a quadratic of one coordinate u that others make up for,
+these have to follow it: a shear by β (u - u_0)² of unit volume straightens this ridge too. The mass along it need not
+be normal either, and is made so by its quantiles.
 """
 
 from __future__ import annotations
@@ -143,22 +141,17 @@ def _sum_series(place: Array, series: Array, factor: Array | None = None) -> Arr
 class Block:
     """One group's coordinates and the generalised eigenbasis of its information against its prior.
 
-    ``shares`` (N, k) say what of the k eigenvalues each model error governs, ``scores`` (N, k) what of the gradient.
+    ``shares`` (N, k) say what of the k eigenvalues each model error governs.
     """
 
     index: np.ndarray
     basis: Array
     inverse: Array
     shares: Array
-    scores: Array | None = None
 
     def stretch(self, q: Array) -> Array:
         """Return by how much each axis is stretched, (B, N) to (B, k)."""
         return np.asarray(np.sqrt((1.0 + self.shares.sum(axis=0)) / (1.0 + q @ self.shares)))
-
-    def shift(self, q: Array) -> Array | float:
-        """Return by how much the centre moves along each axis, (B, N) to (B, k)."""
-        return 0.0 if self.scores is None else ((q - 1.0) @ self.scores) / (1.0 + q @ self.shares)
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,18 +195,18 @@ class Straightening:
         """Whether the geometry's coordinates are stretched by the errors."""
         return bool(self.blocks) or self.conditional is not None
 
-    def _stretches(self, y: Array) -> list[tuple[Array, Array | float]]:
-        """Return stretch and shift of every block; needs only the model errors of y."""
+    def _stretches(self, y: Array) -> list[Array]:
+        """Return the stretch of every block; needs only the model errors of y."""
         if not self.blocks:
             return []
         q = (self.rest + self.tau**2) / (self.rest + self.posterior.funnel_errors(y) ** 2)
-        return [(block.stretch(q), block.shift(q)) for block in self.blocks]
+        return [block.stretch(q) for block in self.blocks]
 
-    def _stretch(self, result: Array, stretches: list[tuple[Array, Array | float]]) -> Array:
-        for block, (stretch, shift) in zip(self.blocks, stretches, strict=True):
+    def _stretch(self, result: Array, stretches: list[Array]) -> Array:
+        for block, stretch in zip(self.blocks, stretches, strict=True):
             centre = self.centre[block.index]
             local = (result[:, block.index] - centre) @ block.inverse.T
-            result[:, block.index] = centre + (local * stretch + shift) @ block.basis.T
+            result[:, block.index] = centre + (local * stretch) @ block.basis.T
         return result
 
     def _spread_out(self, y: Array) -> Array:
@@ -225,7 +218,7 @@ class Straightening:
             return gain
         stretches = self._stretches(y)
         self._stretch(y, stretches)
-        return sum((np.log(stretch).sum(axis=-1) for stretch, _ in stretches), np.zeros(len(y)))
+        return sum((np.log(stretch).sum(axis=-1) for stretch in stretches), np.zeros(len(y)))
 
     def _draw_in(self, x: Array) -> None:
         """Turn stretched geometry into straight one in place."""
@@ -234,7 +227,7 @@ class Straightening:
             factor, shift, _ = self.conditional.open(x[:, m:])
             x[:, :m] = self.conditional.backward(x[:, :m], factor, shift)
             return
-        self._stretch(x, [(1.0 / stretch, -shift / stretch) for stretch, shift in self._stretches(x)])
+        self._stretch(x, [1.0 / stretch for stretch in self._stretches(x)])
 
     def _unbend(self, x: Array) -> Array:
         y, n = x.copy(), self.posterior.n_geometry
@@ -326,6 +319,5 @@ def straighten(posterior: Target, mode: Mode) -> Straightening:
             shares[group] = eigenvalues
         else:
             shares = np.array([np.diag(basis.T @ part[local] @ basis) for part in funnel.parts])
-        scores = None if funnel.scores is None else funnel.scores[:, index] @ basis
-        blocks.append(Block(index, basis, np.linalg.inv(basis), np.maximum(shares, 0.0), scores))
+        blocks.append(Block(index, basis, np.linalg.inv(basis), np.maximum(shares, 0.0)))
     return Straightening(posterior, mode.y, tuple(blocks), funnel.rest, funnel.tau)

@@ -149,7 +149,3 @@ class Funnel(Protocol):
     @property
     def parts(self) -> Array | None:
         """What of the information each model error governs, shape (N, m, m); None where group i's governs group i."""
-
-    @property
-    def scores(self) -> Array | None:
-        """What of the data's gradient each model error governs, shape (N, m); None where the centre stays."""

@@ -177,8 +177,8 @@ class FreeMatrixDeformation(Deformation):
     """Every actuator moves every joint, Δb_z = K Δρ, and nothing of K is known but a tolerance: nominally it is zero.
 
     The entries of K are parameters like any other, K_j of a leg what actuator j does to it. With normal priors about
-    zero that is the structured model error that is linear in the travel, its coefficients explicit: what needs poses
-    that err independently of each other, blunders for instance, has them then.
+    zero that is a model error that is linear in the travel, its coefficients explicit: what needs poses
+    that err independently of each other, outliers for instance, has them then.
     """
 
     name: ClassVar[str] = "free_matrix"

@@ -127,10 +127,6 @@ def test_misspelt_key_suggests_the_nearest(study, old, new, field, suggestion):
         ("seed = 11", "seed = -1", "seed", "-1"),
         ("seed = 11", "seed = true", "seed", "True"),
         ("per_leg = false", "per_leg = 0", "model_error.per_leg", "0"),
-        ("per_leg = false", 'kernel = "cubic"', "model_error.kernel", "'cubic'"),
-        ("per_leg = false", "kernel_length = 0", "model_error.kernel_length", "0"),
-        ("per_leg = false", "kernel_length_spread = 0", "model_error.kernel_length_spread", "0"),
-        ("per_leg = false", "kernel_scale_um = -1.0", "model_error.kernel_scale_um", "-1.0"),
         ('free = ["l"]', 'free = ["l"]\nmodel_error = "smoth"', "variants.0.model_error", "'smoth'"),
         ("ensembles = 4", "ensembles = 3", "sampler.ensembles", "3"),
         ("steps = 10", "steps = 1", "sampler.steps", "1"),
@@ -148,6 +144,18 @@ def test_wrong_value_names_field_and_value(study, old, new, field, found):
     studies.edit(study, old, new)
     message = fail(load_experiment, study)
     assert f"{field}: found {found}" in message
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "field"),
+    [
+        ("per_leg = false", 'kernel = "linear"', "model_error.kernel"),
+        ('free = ["l"]', 'free = ["l"]\nkernel_length = 2.0', "variants.0.kernel_length"),
+    ],
+)
+def test_a_key_that_is_gone_names_its_successor(study, old, new, field):
+    studies.edit(study, old, new)
+    assert f"{field}: key is gone, expected terms, whose sizes are found" in fail(load_experiment, study)
 
 
 @pytest.mark.parametrize(

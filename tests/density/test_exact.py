@@ -21,8 +21,6 @@ from scipy.stats import multivariate_normal
 from bayescal.density.exact import CommonErrors, ExactDensity
 from bayescal.density.functions import FunctionLikelihood
 from bayescal.density.pose_likelihood import PoseLikelihood
-from bayescal.density.priors import LinearKernel, SmoothKernel
-from bayescal.density.structured import StructuredLikelihood
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.study.inputs import load_inputs
 from bayescal.machines.deformations import MatrixDeformation
@@ -228,33 +226,6 @@ def differentiate_by_matrix(machine, theta, actuators):
     return np.stack(columns, axis=1)
 
 
-@pytest.mark.parametrize("kernel", [LinearKernel(), SmoothKernel(2.0)], ids=lambda one: one.name)
-@pytest.mark.parametrize(("model", "deformation"), [("six_pus", "none"), SLOW_CASE])
-def test_structured_errors_are_functions_of_the_legs_travel(model, deformation, kernel):
-    """The covariance of all poses at once, each leg's error a function of the travel; common errors beside it."""
-    machine, theta, poses, rng = draw_setup(model, deformation, 3)
-    scale, travel = rng.uniform(2e-3, 9e-3, 6), 1.3
-    inputs = (poses.actuators - machine.mechanism.initial_actuator_positions) / travel
-    common = CommonErrors(rng.normal(0, 1, (4, 6, 2)), 1e-6 * np.array([[2.0, 0.5], [0.5, 1.0]]))
-    likelihood = PoseLikelihood(machine, poses, NOISE)
-    structured = StructuredLikelihood(likelihood, kernel, travel)
-    errors = np.concatenate([TAU, scale])
-    legs = differentiate_legs(machine, theta, poses.actuators)
-    function = np.einsum("pij,pq,j,qkj->piqk", legs, kernel(inputs, inputs), scale**2, legs).reshape(24, 24)
-    alone = spread_out(reference_covariance(machine, theta, poses))
-    error = find_error(machine, theta, poses).ravel()
-    expected = log_normal(error, alone + function)
-    found = ExactDensity(likelihood, NOISE, functions=structured)(theta[None], errors)[0]
-    assert found == pytest.approx(expected, abs=1e-4)
-    assert abs(log_normal(error, alone) - expected) > 1.0
-    # what is common adds to the covariance, whatever else does
-    both = ExactDensity(likelihood, NOISE, common, functions=structured)(theta[None], errors)[0]
-    one = ExactDensity(likelihood, NOISE, common)(theta[None], TAU)[0]
-    none = ExactDensity(likelihood, NOISE, common, functions=structured)(theta[None], np.append(TAU, 0 * TAU))[0]
-    assert none == pytest.approx(one, abs=1e-9)
-    assert abs(both - found) > 1e-3
-
-
 @pytest.mark.parametrize(("model", "deformation"), [("six_pus", "none"), SLOW_CASE])
 def test_functions_of_several_sorts(model, deformation):
     """The covariance of all poses at once: linear in all actuators and in the own one, by a scale and norm each."""
@@ -273,6 +244,12 @@ def test_functions_of_several_sorts(model, deformation):
     error = find_error(machine, theta, poses).ravel()
     expected = log_normal(error, alone + function)
     exact = ExactDensity(likelihood, NOISE, functions=functions)
+    # what is common adds to the covariance, whatever else does
+    common = CommonErrors(np.random.default_rng(7).normal(0, 1, (4, 6, 2)), 1e-6 * np.array([[2.0, 0.5], [0.5, 1.0]]))
+    both = ExactDensity(likelihood, NOISE, common, functions=functions)
+    none = both(theta[None], np.append(TAU, [0.0, 0.0]))[0]
+    assert none == pytest.approx(ExactDensity(likelihood, NOISE, common)(theta[None], TAU)[0], abs=1e-9)
+    assert abs(both(theta[None], errors)[0] - exact(theta[None], errors)[0]) > 1e-3
     assert exact(theta[None], errors)[0] == pytest.approx(expected, abs=1e-4)
     assert abs(log_normal(error, alone) - expected) > 1.0
     several = exact(np.tile(theta, (3, 1)), np.array([errors, 0.5 * errors, errors]))

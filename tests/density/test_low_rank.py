@@ -191,7 +191,6 @@ def test_parts_are_the_whole(density, theta, monkeypatch, kind):
     found = parted.pointwise(theta, tau), parted.errors(theta), parted.evaluate(theta, tau)[1]
     for one, other in zip(found, whole, strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-11, atol=1e-12)
-    np.testing.assert_allclose(parted.leg_errors_by_leg(theta), whole[1].transpose(2, 1, 0), rtol=1e-11, atol=1e-12)
     np.testing.assert_allclose(ExactDensity(parted, NOISE)(theta, tau), exact, rtol=1e-11)
     apart = np.concatenate([part.pointwise(theta, tau) for _, part in parted.parts()], axis=1)
     np.testing.assert_array_equal(apart, found[0])

@@ -15,11 +15,12 @@ from reading_machines import small_posterior
 from scipy import stats
 from sliding_platforms import SETS
 
-from bayescal.density.errors import KernelLength, KernelScale, ModelError
+from bayescal.density.errors import FunctionScales, ModelError
+from bayescal.density.functions import FunctionLikelihood
 from bayescal.density.legs import build_leg_posterior
 from bayescal.density.outliers import NORMAL, Contaminated, StudentT
-from bayescal.density.priors import LogNormalPrior, NormalPrior, SharePrior, UniformPrior, build_kernel
-from bayescal.density.structured import StructuredLikelihood
+from bayescal.density.priors import NormalPrior, SharePrior, UniformPrior
+from bayescal.density.sorts import SORTS
 from bayescal.errors import InputError
 from bayescal.inference.mode import Mode
 from bayescal.inference.straightening import straighten
@@ -41,15 +42,14 @@ def legs(rng, deformation="linear", error=PER_LEG, symbols=None, outliers=NORMAL
     return replace(found, errors=replace(found.errors, outliers=outliers))
 
 
-def functions(rng, kernel, shared=True, lengths=None):
-    """Return the posterior of poses whose model error is a function of the pose."""
+def functions(rng, sorts, error=PER_LEG):
+    """Return the posterior of poses whose model error has functions of the pose."""
     plain = legs(rng, "none")
     poses = plain.likelihood.poses.select(np.arange(14))
-    base = machines.build_posterior("none", poses, PER_LEG).likelihood.refined().refined()
-    found = build_kernel(kernel, 1.5 if lengths is None else lengths.median)
-    likelihood = StructuredLikelihood(base, found, machines.ACTUATOR_RANGE, lengths)
-    terms = (KernelScale(0.02, 0.3, shared), *(() if lengths is None else (KernelLength(lengths),)))
-    return build_leg_posterior(likelihood, plain.priors, PER_LEG, terms=terms)
+    base = machines.build_posterior("none", poses, error).likelihood.refined()
+    order = {name: k / len(poses.names) for k, name in enumerate(poses.names)}
+    likelihood = FunctionLikelihood(base, sorts, machines.ACTUATOR_RANGE, order)
+    return build_leg_posterior(likelihood, plain.priors, error, terms=[FunctionScales(sorts, 0.02)])
 
 
 def lines(rng, anchored=True, **case):
@@ -82,12 +82,8 @@ CASES = {
     "legs, uniform": Case(legs, {"deformation": "matrix", "uniform": True}, 2e-3, exact=True),
     "legs, contaminated": Case(legs, {"deformation": "matrix", "outliers": SHARES}, 2e-3),
     "legs, t": Case(legs, {"deformation": "matrix", "outliers": StudentT(4.0), "error": NONE}, 2e-3),
-    "linear errors": Case(functions, {"kernel": "linear"}, 0.02, False, True),
-    "quadratic errors, per leg": Case(functions, {"kernel": "quadratic", "shared": False}, 0.02, False, True),
-    "smooth errors": Case(functions, {"kernel": "smooth"}, 0.02, False, True),
-    "smooth errors, free length": Case(
-        functions, {"kernel": "smooth", "lengths": LogNormalPrior(1.5, 0.6)}, 0.02, False
-    ),
+    "linear errors": Case(functions, {"sorts": ("linear",)}, 0.02, False, True),
+    "errors of all sorts, one τ": Case(functions, {"sorts": tuple(SORTS), "error": SHARED}, 0.02, False, True),
     **{
         f"lines, {name}": Case(
             lines, case, 1e-3 if {"commanded", "terms"} & set(case) else 1e-4, "functions" not in name

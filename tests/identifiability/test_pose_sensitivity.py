@@ -1,4 +1,4 @@
-"""The Jacobian as a table; legs that err by a function of the pose against dense covariances and exact densities."""
+"""The Jacobian as a table; legs that err by functions of the pose against dense covariances."""
 
 from __future__ import annotations
 
@@ -10,50 +10,27 @@ import pytest
 import telescope_machines as machines
 
 from bayescal.density.errors import FunctionScales, LegErrors, ModelError
-from bayescal.density.exact import ExactDensity
 from bayescal.density.functions import FunctionLikelihood
 from bayescal.density.pose_likelihood import PoseLikelihood
-from bayescal.density.priors import LinearKernel, SmoothKernel
-from bayescal.density.structured import StructuredLikelihood
-from bayescal.errors import InputError
-from bayescal.experiments.audit.design import load_audit, read_inputs
-from bayescal.experiments.audit.schema import AuditConfig
-from bayescal.identifiability.design import FunctionOfPose, SystematicErrors
+from bayescal.density.priors import SmoothKernel
+from bayescal.identifiability.design import SystematicErrors
 from bayescal.identifiability.information import information_of_rows, marginalise
 from bayescal.identifiability.sensitivity import compute_sensitivity, inform, tabulate_jacobian
 from bayescal.machines.kinematics import solve_forward_kinematics
 from bayescal.numerics.geometry import compute_pose_error
 
-KERNELS = [LinearKernel(), SmoothKernel(1.5)]
 
-
-def build(kernel, scale=0.02, n_legs=6):
+def build(sizes, n_legs=6):
     machine = machines.build_machine("linear", machines.build_random_mechanism(n_legs, 4))
     knowledge, plan = problems.build_knowledge(machine), problems.build_plan(machine, 14, model_error=2e-3)
-    return knowledge, replace(plan, function=FunctionOfPose(kernel, scale))
-
-
-@pytest.mark.parametrize("kernel", KERNELS, ids=lambda one: one.name)
-def test_information_is_that_of_the_exact_density(kernel):
-    knowledge, plan = build(kernel)
-    machine, theta = knowledge.machine, knowledge.machine.layout.nominal
-    poses = machines.place_poses(machine, theta, plan.actuators, np.zeros((14, 6)))
-    poses = replace(poses, covariance=np.linalg.inv(plan.sensors[0].information(poses.position, poses.rotation)))
-    likelihood = PoseLikelihood(machine, poses, plan.actuator_noise)
-    structured = StructuredLikelihood(likelihood, kernel, machine.mechanism.actuator_range)
-    exact = ExactDensity(likelihood, plan.actuator_noise, functions=structured)
-    errors = np.concatenate([np.full(6, plan.model_error), np.full(6, 0.02)])
-    expected = exact.information(theta, errors)[np.ix_(knowledge.free, knowledge.free)]
-    expected = expected * np.outer(knowledge.sd, knowledge.sd)
-    assert np.abs(inform(knowledge, plan).matrix - expected).max() < 1e-6 * np.abs(expected).max()
+    return knowledge, replace(plan, systematic=SystematicErrors(sizes))
 
 
 @pytest.mark.parametrize(("drift", "within"), [({}, 1e-6), ({"drift": 7e-3}, 2e-3)])  # it is of twelve columns
 def test_information_beside_errors_of_several_sorts_is_that_of_a_study(drift, within):
     """An audit's columns against the study's covariance of all rows, at the same sizes and places in order."""
-    knowledge, plan = build(LinearKernel())
     sizes = {"linear": 5e-3, "own": 8e-3, "smooth": 12e-3, **drift}
-    plan = replace(plan, function=None, systematic=SystematicErrors(sizes))
+    knowledge, plan = build(sizes)
     machine, theta, free = knowledge.machine, knowledge.machine.layout.nominal, knowledge.free
     poses = machines.place_poses(machine, theta, plan.actuators, np.zeros((14, 6)))
     poses = replace(poses, covariance=np.linalg.inv(plan.sensors[0].information(poses.position, poses.rotation)))
@@ -72,11 +49,11 @@ def test_information_beside_errors_of_several_sorts_is_that_of_a_study(drift, wi
 
 @pytest.mark.parametrize("n_legs", [6, 8])
 def test_an_error_that_is_small_changes_nothing_and_a_larger_one_tells_less(n_legs):
-    knowledge, plan = build(LinearKernel(), 1e-9, n_legs)
+    knowledge, plan = build({"linear": 1e-9}, n_legs)
     rows = compute_sensitivity(knowledge, plan.actuators).rows(plan)
     without = information_of_rows(rows, knowledge.sd)
     np.testing.assert_allclose(inform(knowledge, plan).contraction, without.contraction, atol=1e-7)
-    nats = [inform(knowledge, replace(plan, function=FunctionOfPose(LinearKernel(), s))).nats for s in (5e-3, 0.05)]
+    nats = [inform(knowledge, replace(plan, systematic=SystematicErrors({"linear": s}))).nats for s in (5e-3, 0.05)]
     assert without.nats > nats[0] + 1.0 > nats[1] + 2.0
 
 
@@ -89,12 +66,13 @@ def test_marginalising_is_the_inverse_of_the_whole_covariance():
 
 def test_simulated_calibrations_err_as_foretold():
     """Linear least squares of twins whose legs err by functions drawn from the kernel: sds to four standard errors."""
-    kernel, rng, n = SmoothKernel(1.5), np.random.default_rng(1), 4000
-    knowledge, plan = build(kernel)
+    rng, n = np.random.default_rng(1), 4000
+    knowledge, plan = build({"smooth": 0.02})
     sensitivity = compute_sensitivity(knowledge, plan.actuators)
     mechanism = knowledge.machine.mechanism
     travel = (plan.actuators - mechanism.initial_actuator_positions) / mechanism.actuator_range
-    root = np.linalg.cholesky(kernel(travel, travel) + 1e-12 * np.eye(14))
+    kernel = SmoothKernel(1.0)(travel, travel)
+    root = np.linalg.cholesky(kernel / np.diagonal(kernel).mean() + 1e-12 * np.eye(14))
     drawn = 0.02 * np.einsum("pq,nqi->npi", root, rng.standard_normal((n, 14, 6)))
     own = np.diagonal(sensitivity.by_actuators, axis1=-2, axis2=-1)
     moved = -np.einsum("pij,npj->npi", sensitivity.gain, own * drawn)
@@ -108,31 +86,6 @@ def test_simulated_calibrations_err_as_foretold():
     found, foretold = (estimate - truth).std(axis=0), np.sqrt(np.diagonal(inform(knowledge, plan).covariance))
     assert np.abs(found / foretold - 1.0).max() < 4.0 / np.sqrt(2.0 * n)
     assert (foretold / np.sqrt(np.diagonal(information_of_rows(rows, np.ones(rows.shape[1])).covariance))).max() > 1.5
-
-
-# --- designs ---------------------------------------------------------------------------------------------------------
-
-
-def read_design(**changes):
-    known = load_audit(problems.DESIGNS / "telescope_six_pus_none.toml").model_dump(mode="json", exclude_unset=True)
-    known.pop("requirements"), known.pop("simulated_calibrations"), known.pop("expected_over_draws")
-    error = {"kernel": "linear", "scale_um": 20.0}
-    return AuditConfig.model_validate({**known, "structured_error": error, **changes})
-
-
-@pytest.mark.parametrize(
-    "change", [{"simulated_calibrations": 200}, {"requirements": {"x": 0.1}}, {"profiles": ["l[1]"]}], ids=str
-)
-def test_what_has_independent_errors_is_refused_beside_it(change):
-    with pytest.raises(InputError, match="found it beside errors that are functions of the pose, expected none"):
-        read_inputs(read_design(**change), problems.DESIGNS)
-
-
-def test_design_reaches_the_plan():
-    function = read_inputs(read_design(), problems.DESIGNS).plan.function
-    assert (function.kernel.name, function.scale) == ("linear", pytest.approx(0.02))
-    with pytest.raises(ValueError, match="structured_error"):
-        read_design(structured_error={"kernel": "cubic", "scale_um": 20.0})
 
 
 # --- the Jacobian as a table ------------------------------------------------------------------------------------------

@@ -7,12 +7,12 @@ import pytest
 import telescope_machines as machines
 
 from bayescal.calibrated.machine import find_hindrance
-from bayescal.density.errors import KernelScale, ModelError
+from bayescal.density.errors import FunctionScales, ModelError
+from bayescal.density.functions import FunctionLikelihood
 from bayescal.density.legs import build_leg_posterior
 from bayescal.density.outliers import Contaminated
 from bayescal.density.pose_likelihood import PoseLikelihood
-from bayescal.density.priors import LinearKernel, NormalPrior, SharePrior
-from bayescal.density.structured import StructuredLikelihood
+from bayescal.density.priors import NormalPrior, SharePrior
 from bayescal.machines.coordinates import ClosingCoordinates
 from bayescal.machines.kinematics import solve_forward_kinematics
 
@@ -81,16 +81,18 @@ def find_sds(posterior, y):
     return np.sqrt(np.diagonal(change @ np.linalg.inv(sum(posterior.information(y))) @ change.T))
 
 
-def test_explicit_entries_leave_of_the_geometry_what_the_linear_kernel_leaves(likelihood):
-    """The information on the geometry with the entries marginalised, against that of the kernel of the same scale."""
+def test_explicit_entries_leave_of_the_geometry_what_linear_errors_leave(likelihood):
+    """The information on the geometry with the entries marginalised, against that of linear errors as large."""
     machine, priors = machines.build_machine("none"), build_priors(likelihood)
     plain = build_leg_posterior(likelihood, priors, ModelError(0.01))
     y = plain.polish(plain.approach())
     poses = PoseLikelihood(machine, likelihood.poses, machines.ACTUATOR_NOISE)
-    kernel = StructuredLikelihood(poses, LinearKernel(), machines.ACTUATOR_RANGE)
+    functions = FunctionLikelihood(poses, ("linear",), machines.ACTUATOR_RANGE, {})
     rest = {name: prior for name, prior in priors.items() if not name.startswith("K_")}
-    other = build_leg_posterior(kernel, rest, ModelError(0.01), terms=(KernelScale(0.02, 0.05),))
-    start = np.concatenate([other.polish(other.approach())[: len(rest)], y[len(priors) :], [0.0]])
+    other = build_leg_posterior(functions, rest, ModelError(0.01), terms=[FunctionScales(("linear",), 0.02)])
+    size = 0.02 * np.sqrt(np.mean(np.sum(functions.place.travel**2, axis=1)))  # rms of slopes of 20 µm over the range
+    zeta = other.errors.priors[-1].standardise(np.array([size]))
+    start = np.concatenate([other.polish(other.approach())[: len(rest)], y[len(priors) :], zeta])
     expected = find_sds(other, start)
     assert np.abs(find_sds(plain, y)[: len(rest)] / expected - 1.0).max() < 0.02
     assert (expected / find_sds(build_leg_posterior(poses, rest, ModelError(0.01)), start[:-1])).max() > 2.0

@@ -407,7 +407,7 @@ class ChannelPlan(Planned):
         factors = np.where(changed.variant.internal, change.actuator_noise_factor, change.noise_factor)
         noisy = replace(changed.variant.data, sd=changed.variant.data.sd * factors)
         changed = replace(changed, variant=replace(changed.variant, data=noisy))
-        return changed if change.structured_error else changed.bare()
+        return changed if change.model_error else changed.bare()
 
     # --- checks ----------------------------------------------------------------------------------------------------
 

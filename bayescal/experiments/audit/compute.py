@@ -109,8 +109,6 @@ def _draw_legs(inputs: LegPlan, audit: Audit, summary: dict[str, Any], run: Run)
 
 def choose_profiles(inputs: LegPlan, audit: Audit) -> list[str]:
     """Return the config's profiles; where it names none, a known parameter and some that ridges are named after."""
-    if inputs.plan.function is not None:
-        return []  # their deviance has independent errors
     if inputs.config.profiles:
         return list(inputs.config.profiles)
     names, chosen = inputs.names, dict[str, str]()

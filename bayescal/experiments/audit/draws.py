@@ -199,7 +199,7 @@ def build_expected_posterior(inputs: LegPlan) -> LegPosterior | LeftOut:
     theta = knowledge.machine_centre
     if np.any(knowledge.free >= machine.layout.size):
         return LeftOut("frames are free, and the likelihood is that of poses measured in the machine's own frames")
-    if plan.function is not None or plan.systematic is not None:
+    if plan.systematic is not None:
         return LeftOut("legs err by functions of the pose, which the likelihood of planned poses does not have")
     found = predict_poses(machine, theta, plan.actuators)
     information = plan.information(found)

@@ -22,18 +22,13 @@ from threadpoolctl import threadpool_limits
 from bayescal.config.classes import label_class
 from bayescal.data.actuators import read_moves
 from bayescal.density.functions import find_floors, find_sizes
-from bayescal.density.legs import LegPosterior, find_function_of_pose
-from bayescal.density.priors import INDEPENDENT, build_kernel
+from bayescal.density.legs import LegPosterior
+from bayescal.density.priors import INDEPENDENT
 from bayescal.density.schema import ALONE
 from bayescal.density.sorts import FEWEST_POSES, rescale
 from bayescal.errors import InputError
 from bayescal.experiments.audit.planned import FreeParameters, Planned, read_requirements
-from bayescal.experiments.audit.schema import (
-    NOT_STRUCTURED,
-    AuditConfig,
-    PosesConfig,
-    WhatIfConfig,
-)
+from bayescal.experiments.audit.schema import AuditConfig, PosesConfig, WhatIfConfig
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.shared.design import (
@@ -56,7 +51,6 @@ from bayescal.identifiability.calibration import (
     simulate_calibrations,
 )
 from bayescal.identifiability.design import (
-    FunctionOfPose,
     Knowledge,
     Plan,
     PoseVolume,
@@ -87,7 +81,7 @@ from bayescal.machines.kinematics import solve_forward_kinematics, solve_inverse
 from bayescal.machines.parameters import AXES
 from bayescal.machines.sensors import Sensor
 from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array
-from bayescal.numerics.units import MICROMETRE, Units
+from bayescal.numerics.units import Units
 from bayescal.pose_selection import (
     ActuatorBox,
     Selection,
@@ -260,7 +254,7 @@ class LegPlan(Planned):
     def summarise_plan(self) -> dict[str, Any]:
         """Return machine and plan for ``summary.json``."""
         config, plan, machine = self.config, self.plan, self.knowledge.machine
-        mechanism, function = machine.mechanism, self.plan.function
+        mechanism = machine.mechanism
         moved = np.abs(plan.actuators - mechanism.initial_actuator_positions)
         found: dict[str, Any] = {
             "n_poses": plan.n_poses,
@@ -270,9 +264,6 @@ class LegPlan(Planned):
             "largest_displacement_mm": float(moved.max()),
             "actuator_range_mm": mechanism.actuator_range,
         }
-        if function is not None:
-            size = float(np.sqrt(np.mean(np.square(function.scale))))
-            found["structured_error"] = {"kernel": function.kernel.name, "scale_um": 1e3 * size}
         found |= self.describe_errors()
         if self.measured is not None:
             found["n_held_back"] = self.measured.n_held_back
@@ -319,8 +310,8 @@ class LegPlan(Planned):
             if config.data is None and config.poses.plan != plan:
                 poses = PosesConfig.model_validate({"plan": plan, "count": n})
                 changes.append(WhatIfConfig(name=f"{n} poses {words}", poses=poses))
-        if self.plan.function is not None or self.sizes:
-            changes.append(WhatIfConfig(name="no error that is a function of the pose", structured_error=False))
+        if self.sizes:
+            changes.append(WhatIfConfig(name="no error that is a function of the pose", model_error=False))
         measuring = list_measuring(config)
         for name in config.sensors:
             if name not in measuring:
@@ -357,9 +348,8 @@ class LegPlan(Planned):
             pose_information=information,
             noise_factor=plan.noise_factor * change.noise_factor,
             actuator_noise=plan.actuator_noise * change.actuator_noise_factor,
-            function=plan.function if change.structured_error else None,
         )
-        sizes = self.sizes if change.structured_error else {}
+        sizes = self.sizes if change.model_error else {}
         places = (place_actuators(self.knowledge, one) for one in (plan.actuators, actuators))
         return replace(self, plan=changed).resize(rescale(sizes, *places))
 
@@ -443,8 +433,6 @@ def read_legs(config: AuditConfig, folder: Path) -> LegPlan:
         For anything at fault in the design or its files: unknown names, poses that the machine cannot take or the
         actuators cannot reach, sensors that are not there.
     """
-    if config.structured_error is not None:
-        refuse_independent(config)
     assert config.machine is not None
     assert config.noise is not None
     variant, units = config.variants[0], Units(config.units.length, config.units.angle)
@@ -461,14 +449,13 @@ def read_legs(config: AuditConfig, folder: Path) -> LegPlan:
             f"poses: pose {pose + 1}, leg {leg + 1}: found a displacement of {moved[pose, leg]:g} mm, "
             f"expected at most the actuator range of {mechanism.actuator_range:g} mm"
         )
-    sensors, function = _read_sensors(config, folder), None
-    plan = plan_sensors(actuators, sensors, list_measuring(config), config.noise, "variants.sensors")
-    if (error := config.structured_error) is not None:
-        function = FunctionOfPose(build_kernel(error.kernel, error.length), MICROMETRE * error.scale_um)
+    plan = plan_sensors(
+        actuators, _read_sensors(config, folder), list_measuring(config), config.noise, "variants.sensors"
+    )
     there = config.model_error.terms if len(actuators) >= FEWEST_POSES and moved.any() else ALONE
     true = {name: size for name, size in config.model_error.sizes(there).items() if name != INDEPENDENT}
     tau = float(np.hypot(plan.model_error, config.model_error.tau))
-    return _complete(config, folder, knowledge, replace(plan, function=function, model_error=tau), None).settle(true)
+    return _complete(config, folder, knowledge, replace(plan, model_error=tau), None).settle(true)
 
 
 def _list_errors(sizes: Mapping[str, float]) -> SystematicErrors | None:
@@ -604,8 +591,6 @@ def read_measured(config: AuditConfig, folder: Path) -> MeasuredVariant:
     assert variant.model is not None
     choice = VariantChoice(label_class(variant.model), label_class(variant.deformation), config.data.variant)
     found = measure_legs(experiment, study, where, choice, config.data.with_model_error)
-    if found.posterior.likelihood.structured is not None:
-        refuse_independent(config)
     free = variant.free
     if free is not None and set(free) != set(found.free):
         raise InputError(
@@ -617,16 +602,6 @@ def read_measured(config: AuditConfig, folder: Path) -> MeasuredVariant:
             f"machine: found {folder / config.machine} beside [data], expected none or the study's {found.mechanism}"
         )
     return found
-
-
-def refuse_independent(config: AuditConfig) -> None:
-    """Raise InputError for what a design wants that has no errors that are functions of the pose."""
-    for field in NOT_STRUCTURED:
-        if field in config.model_fields_set:
-            raise InputError(
-                f"{field}: found it beside errors that are functions of the pose, expected none, or deformation "
-                "'free_matrix' in place of linear ones"
-            )
 
 
 def draw_measured(config: AuditConfig, folder: Path, found: MeasuredVariant, run: Run) -> LegPlan:
@@ -644,15 +619,13 @@ def draw_measured(config: AuditConfig, folder: Path, found: MeasuredVariant, run
     knowledge = Knowledge(found.machine, {name: found.priors[name].sd for name in names}, {**found.fixed, **centre})
     variance = posterior.errors.mean_square_tau(posterior.zeta(natural))
     model_error = float(np.sqrt(variance + found.left_variance))
-    information, function = np.linalg.inv(found.poses.covariance), find_function_of_pose(posterior, natural)
     plan = Plan(
         found.poses.actuators,
         (),
         found.actuator_noise,
         model_error,
-        pose_information=information,
+        pose_information=np.linalg.inv(found.poses.covariance),
         systematic=_list_errors(find_sizes(posterior, natural)),
-        function=FunctionOfPose(*function) if function is not None and function[1].any() else None,
     )
     measured = Measured(found.origin, found.posterior, draws, found.n_held_back)
     return _complete(config, folder, knowledge, plan, measured)

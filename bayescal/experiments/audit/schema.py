@@ -25,7 +25,7 @@ from bayescal.config.sections import (
     check_once,
 )
 from bayescal.density.priors import INDEPENDENT
-from bayescal.density.schema import ALONE, FixedConfig, PriorConfig, TermName, TermsConfig
+from bayescal.density.schema import ALONE, FixedConfig, ModelErrorConfig, PriorConfig, TermName
 from bayescal.experiments.shared.readings.schema import ChannelConfig, FreeConfig, InstrumentConfig, NextConfig
 from bayescal.experiments.shared.schema import (
     ActuatorNoiseConfig,
@@ -188,18 +188,7 @@ class AuditDataConfig(Section):
     """Whether the posterior has a model error."""
 
 
-class StructuredErrorConfig(Section):
-    """What the legs err by as a function of the pose, beside what is drawn anew at every pose."""
-
-    kernel: Literal["linear", "quadratic", "smooth"]
-    """Kind of function of the actuators' travel: `linear`, `quadratic` (linear and quadratic), or `smooth`."""
-    scale_um: Positive
-    """What one actuator at the end of its range makes a leg err by, one standard deviation."""
-    length: Positive = 5.0
-    """Over how far quadratic and smooth errors change [ranges of the actuators]."""
-
-
-class ExpectedErrorConfig(TermsConfig):
+class ExpectedErrorConfig(ModelErrorConfig):
     """What the models leave out, as a study of the plan takes it, and how large it is expected to be.
 
     Nothing is measured yet, so that sizes cannot be found in data: those expected are stated, and the audit takes those
@@ -240,6 +229,8 @@ class ExpectedErrorConfig(TermsConfig):
 class WhatIfConfig(Section):
     """A change of the plan; what is not named stays."""
 
+    gone: ClassVar[Mapping[str, str]] = {"structured_error": "model_error"}
+
     name: str
     """What the page calls the change."""
     poses_factor: Annotated[Positive, Field(ge=1e-4, le=1e4)] = 1.0
@@ -254,7 +245,7 @@ class WhatIfConfig(Section):
     """Other sensors."""
     poses: PosesConfig | None = None
     """Another plan."""
-    structured_error: bool = Field(default=True, exclude_if=lambda value: value)
+    model_error: bool = Field(default=True, exclude_if=lambda value: value)
     """Whether legs or channels err by functions of the pose as they do in the plan."""
 
 
@@ -269,14 +260,12 @@ class SweepConfig(Section):
     """Factors on the displacements [1]."""
 
 
-OF_PLANS = ("noise", "structured_error", "poses", "sensors", "parameters")
+OF_PLANS = ("noise", "poses", "sensors", "parameters")
 OF_CHANNELS = ("instruments", "given", "aligned", "selection", "sensor_choice", "next")
 """What only readings of channels have."""
-OF_PLATFORM = ("frames", "structured_error", "profiles", "posterior")
+OF_PLATFORM = ("frames", "profiles", "posterior")
 """What only a mechanism on legs has whose platform is seen by instruments."""
 _ALONE = {"terms": ALONE}
-NOT_STRUCTURED = ("requirements", "profiles", "simulated_calibrations", "expected_over_draws")
-"""What an audit does not have of errors that are functions of the pose."""
 
 
 class AuditConfig(ExperimentConfig):
@@ -290,6 +279,7 @@ class AuditConfig(ExperimentConfig):
         "mechanism": "machine",
         "measured_by": "[[variants]] with sensors",
         "variant": "[[variants]]",
+        "structured_error": "[model_error] with expected_um",
     }
 
     kind: Literal["audit"]
@@ -304,8 +294,6 @@ class AuditConfig(ExperimentConfig):
     """
     noise: ActuatorNoiseConfig | None = None
     """Noise of the actuators and model error of a mechanism on legs."""
-    structured_error: StructuredErrorConfig | None = Field(default=None, exclude_if=lambda value: value is None)
-    """Error of the legs that is a function of the pose."""
     model_error: ExpectedErrorConfig = Field(
         default=ExpectedErrorConfig(), exclude_if=lambda value: value == ExpectedErrorConfig(terms=ALONE)
     )
@@ -363,13 +351,12 @@ class AuditConfig(ExperimentConfig):
     @model_validator(mode="before")
     @classmethod
     def _take_others(cls, content: Any) -> Any:
-        """Sizes are those that a study found, or of a function that is stated."""
-        for name in ("data", "structured_error") if isinstance(content, dict) else ():
-            if content.get(name) is not None:
-                if content.get("model_error", _ALONE) != _ALONE:
-                    raise ValueError(f"model_error: found it beside [{name}], expected none, or terms = {ALONE}")
-                content = content | {"model_error": _ALONE}
-        return content
+        """Sizes are those that a study found."""
+        if not isinstance(content, dict) or content.get("data") is None:
+            return content
+        if content.get("model_error", _ALONE) != _ALONE:
+            raise ValueError(f"model_error: found it beside [data], expected none, or terms = {ALONE}")
+        return content | {"model_error": _ALONE}
 
     @model_validator(mode="after")
     def _check_names(self) -> Self:
@@ -403,9 +390,8 @@ class AuditConfig(ExperimentConfig):
                 expected = "an instrument with its kind" if self.sees_platform else "the noise of a channel, or [noise]"
                 raise ValueError(f"sensors.{name}: found it {_say_route(self.sees_platform)}, expected {expected}")
         for change in self.what_if:
-            there = self.data is not None or self.structured_error is not None
-            if not change.structured_error and not there and self.model_error.terms in ([], ALONE):
-                raise ValueError(f"what_if {change.name!r}: structured_error: found none to leave out, expected no key")
+            if not change.model_error and self.data is None and self.model_error.terms in ([], ALONE):
+                raise ValueError(f"what_if {change.name!r}: model_error: found none to leave out, expected no key")
         if self.sees_platform:
             self._check_legs()
         else:

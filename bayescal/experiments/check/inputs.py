@@ -10,11 +10,10 @@ import numpy as np
 
 from bayescal.density.calibration.prediction import draw_readings
 from bayescal.density.calibration.terms import CommonDraws
-from bayescal.density.legs import find_function_of_pose
-from bayescal.errors import InputError, NumericalError
+from bayescal.errors import NumericalError
 from bayescal.experiments.check.schema import CheckConfig
 from bayescal.experiments.frame.load import load
-from bayescal.experiments.shared.measured import Found, MeasuredReadings, MeasuredVariant, measure_variants
+from bayescal.experiments.shared.measured import Found, MeasuredReadings, measure_variants
 from bayescal.experiments.shared.search_memory import list_readings, list_search
 from bayescal.inference.exploration import Exploration, explore
 from bayescal.inference.importance import resample
@@ -55,22 +54,8 @@ def read_check(config: CheckConfig, folder: Path) -> CheckInputs:
     path = folder / config.study
     experiment, study = load(path)
     found = measure_variants(experiment, study, path, config.variants)
-    for name, measured in found.items():
-        if measured.legs is not None:
-            _refuse_function(measured.legs, f"{path}: variant {name!r}")
     origin = next(iter(found.values())).origin.partition(": study ")[0]
     return CheckInputs(config, origin, {name: Subject(measured) for name, measured in found.items()})
-
-
-def _refuse_function(measured: MeasuredVariant, where: str) -> None:
-    """Raise InputError where legs err by a function of the pose."""
-    posterior = measured.posterior
-    function = find_function_of_pose(posterior, posterior.natural(np.zeros((1, posterior.n_parameters))))
-    if function is not None:
-        raise InputError(
-            f"{where}: found kernel {function[0].name!r} of its model error, expected 'independent', or deformation "
-            "'free_matrix' for linear errors: checks have no errors that are functions of the pose"
-        )
 
 
 @dataclass(frozen=True, eq=False)

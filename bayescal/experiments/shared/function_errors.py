@@ -19,7 +19,7 @@ from bayescal.density.calibration.model_error import FunctionsOfPose, Independen
 from bayescal.density.calibration.terms import CommonDraws, Errors
 from bayescal.density.low_rank import BUDGET
 from bayescal.density.priors import BORDER
-from bayescal.density.schema import TERMS, TermsConfig
+from bayescal.density.schema import TERMS, ModelErrorConfig
 from bayescal.experiments.frame.memory import Need, check_memory
 from bayescal.experiments.shared.hidden import tabulate_hidden
 from bayescal.identifiability.hidden import choose_unseen, hide_in_posterior
@@ -142,7 +142,7 @@ def tabulate_model_error(
     posterior: CalibrationPosterior,
     y: Array,
     draws: CommonDraws,
-    error: TermsConfig,
+    error: ModelErrorConfig,
     rng: np.random.Generator,
 ) -> dict[str, pd.DataFrame]:
     """Return what each term of a model error contributes, µm at the tool, as tables by name; none without terms.
@@ -165,7 +165,7 @@ def tabulate_model_error(
         Draws.
     draws : CommonDraws
         Of the errors common to all rows, one for each.
-    error : TermsConfig
+    error : ModelErrorConfig
         What is stated of it.
     rng : Generator
         For evidences.

@@ -27,12 +27,12 @@ from bayescal.config.sections import (
 from bayescal.density.outliers import NORMAL, Contaminated, Outliers, StudentT
 from bayescal.density.priors import SharePrior
 from bayescal.density.schema import (
-    BlundersConfig,
+    KERNEL,
+    STATED,
     FixedConfig,
-    KernelChoiceConfig,
-    KernelConfig,
     ModelErrorConfig,
     PriorConfig,
+    TermNames,
 )
 from bayescal.experiments.shared.readings.schema import (
     BesideConfig,
@@ -181,13 +181,14 @@ type StudyErrorConfig = Annotated[
 type VariantName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]+([ /][A-Za-z0-9_.-]+)*$")]
 
 
-class VariantConfig(KernelChoiceConfig, FreeConfig):
+class VariantConfig(FreeConfig):
     """A model of what was measured: what is free, which channels and errors it takes in; the others stay nominal.
 
     A machine on legs has a kinematic model with a deformation, and is called after them, ``six_pus/none``, where it has
-    no name of its own; several free sets of one model and deformation, or several kernels of the model error, need
-    names. Kernels of several known lengths are variants, too: their evidences weigh the lengths.
+    no name of its own; several free sets or model errors of one model and deformation need names.
     """
+
+    gone: ClassVar[Mapping[str, str]] = dict.fromkeys(KERNEL, STATED)
 
     model: Annotated[str, ClassMark("MODELS")] | None = None
     """Kinematic model of a machine on legs; `bayescal list models` shows all."""
@@ -197,6 +198,8 @@ class VariantConfig(KernelChoiceConfig, FreeConfig):
     """What tables call the variant; `model/deformation` where nothing is said."""
     title: str = Field(default_factory=lambda known: known.get("name", ""))
     """What the page calls it; its name where nothing is said."""
+    model_error: TermNames | None = Field(default=None, exclude_if=lambda value: value is None)
+    """The terms of this variant's model error, a list as in [model_error]; those of all where nothing is said."""
     sensors: Annotated[Names, Field(min_length=1)] | None = None
     """Channels that it takes in; all where nothing is said."""
     machine: InputFile | None = None
@@ -285,18 +288,17 @@ class SensitivityConfig(Section):
 
 
 AS_STATED = SensitivityConfig(factor=[1.0])
-BY_INSTRUMENT = {"claims", "deformation", "frames", "blunders"}
+BY_INSTRUMENT = {"claims", "deformation", "frames"}
 """Sections that mean something of an instrument's poses alone; a mechanism's deformation does of tables, too."""
 BY_TABLES = {"instruments", "sensors", "units", "unknown_noise", "errors", "workspace", "validation", "beside", "next"}
-VARIANTS_BY_INSTRUMENT = {"kernel_length", "kernel_length_spread", "published"}
-KERNEL_KEYS = set(KernelConfig.model_fields)
-VARIANTS_BY_TABLES = {"common", "sensors", "machine", "noise", "errors", "robust", "outlier_share", "poses_with"}
+VARIANTS_BY_INSTRUMENT = {"published"}
+VARIANTS_BY_TABLES = {"common", "sensors", "machine", "noise", "errors", "robust", "poses_with"}
 
 
 class StudyConfig(ExperimentConfig):
     """A calibration: any machine, what was measured of it and how well, tolerances, variants to compare, effort."""
 
-    gone: ClassVar[Mapping[str, str]] = {"mechanism": "machine"}
+    gone: ClassVar[Mapping[str, str]] = {"mechanism": "machine", "blunders": "outlier_share in [[variants]]"}
 
     kind: Literal["study"]
     """`"study"`."""
@@ -327,8 +329,6 @@ class StudyConfig(ExperimentConfig):
     """
     errors: dict[Name, ErrorTermConfig] = Field(default={}, exclude_if=lambda value: not value)
     """By name: errors common to all rows, such as functions of what is read, or those of a class of one's own."""
-    blunders: BlundersConfig | None = Field(default=None, exclude_if=lambda value: value is None)
-    """Whether single poses of an instrument may be wrong; a variant's `robust` lets those of tables be."""
     workspace: dict[str, Bounds] = Field(default={}, exclude_if=lambda value: not value)
     """By coordinate: smallest and largest value where accuracy counts; the machine's own where nothing is said [unit
     of the coordinate].
@@ -430,17 +430,8 @@ class StudyConfig(ExperimentConfig):
             raise ValueError("sensors: missing, expected the noise of the channels")
         if self.by_tables and self.sensitivity.tau_scale_um != TAU_SCALES:
             raise ValueError("sensitivity.tau_scale_um: found with tables of readings, where it means nothing")
-        if isinstance(self.model_error, dict):
-            if not self.by_tables:
-                raise ValueError(f"model_error: found that of channels with {data}, expected terms, scale_um")
-        elif self.by_tables:
-            for name in sorted(_list_stated(self.model_error) & KERNEL_KEYS):
-                raise ValueError(f"model_error.{name}: found with {data}, expected it with [data] alone")
-        for variant in self.variants:
-            if self.by_tables and isinstance(variant.model_error, str):
-                raise ValueError(
-                    f"variant {variant.name!r}: model_error: found {variant.model_error!r}, expected a list of terms"
-                )
+        if isinstance(self.model_error, dict) and not self.by_tables:
+            raise ValueError(f"model_error: found that of channels with {data}, expected terms, scale_um")
 
 
 def _is_tables(known: Mapping[str, Any]) -> bool:

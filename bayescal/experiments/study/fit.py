@@ -32,12 +32,11 @@ from bayescal.experiments.shared.trees import (
 )
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.model_error import evaluate_functions
-from bayescal.experiments.study.structured import evaluate_structured
 from bayescal.identifiability.hidden import choose_unseen
 from bayescal.inference.correction import CostlyDensity, pull_back
 from bayescal.inference.exploration import Exploration
 from bayescal.inference.target import Fittable
-from bayescal.limits import BLUNDER
+from bayescal.limits import OUTLIER
 from bayescal.numerics.geometry import (
     Array,
     matrix_from_rotation_vector,
@@ -101,7 +100,7 @@ class Legs(Subject):
         return ~self.inputs.verification
 
     def find_costly(self, exploration: Exploration) -> CostlyDensity | None:
-        """Return the exact density of measured poses; None where these are not measured, or may be blunders."""
+        """Return the exact density of measured poses; None where these are not measured, or may be outliers."""
         posterior = cast("LegPosterior", exploration.straight.posterior)
         exact = self.inputs.exact_density(self.inputs.variant(self.task.variant), posterior)
         return None if exact is None else build_costly(exact, exploration)
@@ -120,16 +119,14 @@ class Legs(Subject):
         return {"prior": values, "prior_misfit": np.concatenate([one.astype(np.float32) for one in made], axis=1)}
 
     def measure_misfit(self, posterior: Fittable, mode: Array) -> ChiSquare:
-        """Return χ² at a mode (n,) of the poses that are no blunders there."""
+        """Return χ² at a mode (n,) of the poses that are no outliers there."""
         legs, clean = cast("LegPosterior", posterior), None
-        if legs.likelihood.structured is not None:
-            return find_misfit(legs, mode, legs.likelihood).chi_square
         likelihood, shared = self.inputs.without_shared_errors(self.task.variant)
         if isinstance(legs.likelihood, FunctionLikelihood):
             likelihood = self.inputs.give_functions(likelihood, self.inputs.variant(self.task.variant))
         if legs.errors.outliers.expected:
             at = legs.theta(mode[None]), legs.errors, legs.zeta(mode[None])
-            clean = legs.likelihood.outlier_probabilities(*at)[0] < BLUNDER
+            clean = legs.likelihood.outlier_probabilities(*at)[0] < OUTLIER
         return find_misfit(legs, mode, likelihood, shared, clean).chi_square
 
     def evaluate(self, posterior: Fittable, y: Array, seed: np.random.SeedSequence) -> Arrays:
@@ -139,30 +136,22 @@ class Legs(Subject):
         """
         own, held, flat = cast("LegPosterior", posterior), self.inputs.verification, y.reshape(-1, y.shape[-1])
         chosen = spread(len(flat), limit_draws(SAVED_DRAWS, POSE_NUMBERS * len(held)))
-        structured, pieces = own.likelihood.structured, dict[str, list[Array]]()
         if isinstance(own.likelihood, FunctionLikelihood):
             others = self._predict_from(own.likelihood, verification=True) if held.any() else None
             unseen = choose_unseen(self.inputs.config.leg_error.lengths(), own.likelihood.functions.sorts)
             return evaluate_functions(own, others, held, y, chosen, seed, unseen)
-        together: Arrays = {}
+        pieces = dict[str, list[Array]]()
         for use, rng_seed in zip((False, True), seed.spawn(2), strict=True):
             if not np.any(held == use):
                 continue
-            likelihood, rng = own.likelihood, np.random.default_rng(rng_seed)
-            if use or structured is not None:  # otherwise that of the same poses is at hand
-                likelihood = self._predict_from(likelihood, use)
-            if structured is not None and likelihood.of_poses is not None:
-                theta, errors = own.theta(flat), own.errors.amplitudes(own.zeta(flat))
-                found, more = evaluate_structured(structured, likelihood.of_poses, theta, errors, chosen, use, rng)
-                together |= more
-            else:
-                found = _evaluate_poses(own, likelihood, flat, chosen, rng)
+            likelihood = self._predict_from(own.likelihood, use) if use else own.likelihood
+            found = _evaluate_poses(own, likelihood, flat, chosen, np.random.default_rng(rng_seed))
             for name, value in found.items():
                 pieces.setdefault(name, []).append(value)
         back = np.argsort(np.concatenate([np.flatnonzero(held == use) for use in (False, True)]))
         arrays = {name: np.concatenate(parts)[back] for name, parts in pieces.items()}
         arrays["log_likelihood"] = arrays["log_likelihood"].T.reshape(*y.shape[:2], -1)
-        return arrays | together
+        return arrays
 
     def _predict_from(self, likelihood: Likelihood, verification: bool) -> Likelihood:
         """Return the density of the poses of one use that leaves out as much as another one does."""
@@ -175,7 +164,7 @@ def _evaluate_poses(
     """Return densities of the poses from draws (S, n), ``log_likelihood`` (P, S), and what those chosen predict.
 
     These are the fields of a `Prediction`, ``misfit`` (P, T, 6) measured minus replicated poses and, where poses may be
-    outliers, ``blunder_probability`` (P,).
+    outliers, ``outlier_probability`` (P,).
     """
     theta, zeta, pieces = posterior.theta(y), posterior.zeta(y), dict[str, list[Array]]()
     errors, expected = posterior.errors.amplitudes(zeta), posterior.errors.outliers.expected
@@ -185,7 +174,7 @@ def _evaluate_poses(
         misfit = made.misfit.astype(np.float32).swapaxes(0, 1)
         found = {"log_likelihood": density.T, **vars(made.summarise()), "misfit": misfit}
         if expected:
-            found["blunder_probability"] = part.outlier_probabilities(theta, posterior.errors, zeta).mean(axis=0)
+            found["outlier_probability"] = part.outlier_probabilities(theta, posterior.errors, zeta).mean(axis=0)
         for name, value in found.items():
             pieces.setdefault(name, []).append(value)
     return {name: values[0] if len(values) == 1 else np.concatenate(values) for name, values in pieces.items()}

@@ -18,17 +18,15 @@ from bayescal.config.registry import find_class
 from bayescal.data.actuators import check_moves, check_range
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.data.photogrammetry.joint_deflection import JointDeflection, KappaEstimate, MatrixEstimate
-from bayescal.density.errors import FunctionScales, KernelLength, KernelScale, LegTerm, ModelError
+from bayescal.density.errors import FunctionScales, LegTerm, ModelError
 from bayescal.density.exact import CommonErrors, ExactDensity
 from bayescal.density.functions import FunctionLikelihood, list_arrays
 from bayescal.density.instruments import InstrumentLikelihood
-from bayescal.density.legs import BATCH, LegPosterior, Likelihood, build_leg_posterior, check_machine
-from bayescal.density.outliers import NORMAL, Contaminated
+from bayescal.density.legs import LegPosterior, Likelihood, build_leg_posterior, check_machine
 from bayescal.density.pose_likelihood import PoseLikelihood
-from bayescal.density.priors import INDEPENDENT, Prior, SharePrior, build_kernel
+from bayescal.density.priors import Prior
 from bayescal.density.schema import TERMS
 from bayescal.density.sorts import FEWEST_POSES, SORTS
-from bayescal.density.structured import StructuredLikelihood, count_nodes
 from bayescal.errors import InputError, PoseInputError, name_faults
 from bayescal.experiments.frame.memory import Need, check_arrays
 from bayescal.experiments.shared.measured import MeasuredReadings, MeasuredVariant, see_legs
@@ -66,7 +64,7 @@ if TYPE_CHECKING:
     from bayescal.experiments.study.claims import Claims
 
 FEW_POSES = f"fewer than {FEWEST_POSES} poses calibrate the machine"
-SPOILT = "each pose may be a blunder by itself: intervals do not allow for errors that repeat with the pose"
+SPOILT = "each pose may be an outlier by itself: intervals do not allow for errors that repeat with the pose"
 ALONE_STATED = 'terms = ["independent"]'
 
 
@@ -205,13 +203,13 @@ class StudyInputs(Inputs):
     def exact_density(self, variant: VariantConfig, posterior: LegPosterior) -> ExactDensity | None:
         """Return the exact density beside a variant's at the calibration poses.
 
-        None where these are not measured, and where they may be blunders: to these it hardly matters.
+        None where these are not measured, and where they may be outliers: to these it hardly matters.
         """
         known = posterior.likelihood
         if known.of_poses is None or posterior.errors.outliers.expected:
             return None
         errors = self.matrix_errors(variant, verification=False)
-        functions = known if isinstance(known, FunctionLikelihood) else known.structured
+        functions = known if isinstance(known, FunctionLikelihood) else None
         return ExactDensity(known.of_poses, self.actuator_noise, errors, functions=functions)
 
     def matrix_variance(self, variant: VariantConfig, verification: bool) -> Array | None:
@@ -252,18 +250,14 @@ class StudyInputs(Inputs):
         error, known = ModelError(None), self.config.leg_error
         scale, function_scale = known.scales(self.actuator_noise)
         likelihood, terms = self.likelihood(variant, verification=False), list[LegTerm]()
-        if with_model_error and "independent" in known.terms_for(variant):
+        if with_model_error and "independent" in known.terms_for(variant.model_error):
             floor = known.floors().get("independent", 0.0) * MICROMETRE
             error = ModelError(scale, not known.per_leg, floor)
-        if with_model_error and self.name_kernel(variant) != INDEPENDENT:
-            likelihood, terms = _give_kernel(likelihood, self.config, variant, self.mechanism.actuator_range)
-        elif with_model_error and (sorts := self.list_sorts(variant)):
+        if with_model_error and (sorts := self.list_sorts(variant)):
             likelihood = self.give_functions(likelihood, variant)
             floors: dict[str, float] = {name: one * MICROMETRE for name, one in known.floors().items()}
             terms = [FunctionScales(sorts, function_scale, floors)]
-        blunders = self.config.blunders
-        outliers = NORMAL if blunders is None else Contaminated(SharePrior(blunders.expected_share))
-        return build_leg_posterior(likelihood, priors, error, fixed, terms, outliers)
+        return build_leg_posterior(likelihood, priors, error, fixed, terms, variant.outliers)
 
     def priors(self, variant: VariantConfig, factor: float = 1.0) -> tuple[dict[str, Prior], dict[str, float]]:
         """Return the priors of a variant's free parameters and frames, and what is fixed off nominal.
@@ -282,16 +276,12 @@ class StudyInputs(Inputs):
         stated = dict.fromkeys(name.partition("[")[0] for name in self.config.list_free(variant))
         return tuple(symbol for symbol in stated if symbol in known)
 
-    def name_kernel(self, variant: VariantConfig) -> str:
-        """Return the kernel of a variant's model error: its own, or that of all."""
-        return self.config.leg_error.name_for(variant)
-
     def list_sorts(self, variant: VariantConfig) -> tuple[str, ...]:
         """Return the terms of a variant's model error that are functions of the pose: none where these cannot be.
 
-        They cannot with too few poses, and all of them, which nobody asked for by name, not beside blunders.
+        They cannot with too few poses, and all of them, which nobody asked for by name, not beside outliers.
         """
-        beside = self.config.blunders is not None and self.config.leg_error.terms_for(variant) == list(TERMS)
+        beside = variant.outliers.expected and self._terms(variant) == list(TERMS)
         return () if self.has_few_poses or beside else self._want_sorts(variant)
 
     @property
@@ -300,20 +290,24 @@ class StudyInputs(Inputs):
         return bool(np.count_nonzero(~self.verification) < FEWEST_POSES)
 
     def _want_sorts(self, variant: VariantConfig) -> tuple[str, ...]:
-        return tuple(name for name in self.config.leg_error.terms_for(variant) if name in SORTS)
+        return tuple(name for name in self._terms(variant) if name in SORTS)
+
+    def _terms(self, variant: VariantConfig) -> Sequence[str]:
+        return self.config.leg_error.terms_for(variant.model_error)
 
     def has_model_error(self, variant: VariantConfig) -> bool:
         """Whether a variant has a model error, of any kind."""
-        return bool(self.config.leg_error.terms_for(variant)) or self.name_kernel(variant) != INDEPENDENT
+        return bool(self._terms(variant))
 
     @property
     def unused(self) -> str:
         """Which terms of the model error are left out, in words; empty where none is."""
-        wanted = dict.fromkeys(name for one in self.config.variants for name in self._want_sorts(one))
-        if not wanted or any(self.list_sorts(one) for one in self.config.variants):
+        lost = [one for one in self.config.variants if self._want_sorts(one) and not self.list_sorts(one)]
+        if not lost:
             return ""
-        why = FEW_POSES if self.has_few_poses else SPOILT
-        return f"the model error has no terms {', '.join(wanted)}, as {why}"
+        terms = ", ".join(dict.fromkeys(name for one in lost for name in self._want_sorts(one)))
+        whose = "" if len(lost) == len(self.config.variants) else f" of {', '.join(repr(one.name) for one in lost)}"
+        return f"the model error{whose} has no terms {terms}, as {FEW_POSES if self.has_few_poses else SPOILT}"
 
     def give_functions(self, base: Likelihood, variant: VariantConfig) -> FunctionLikelihood:
         """Return a density of the calibration poses with the errors of a variant that are functions of the pose.
@@ -321,12 +315,12 @@ class StudyInputs(Inputs):
         Raises
         ------
         InputError
-            Beside blunders, and for more poses than there is memory for.
+            Beside outliers, and for more poses than there is memory for.
         """
         sorts, n_poses = self.list_sorts(variant), base.n_poses
         terms = f"the terms {', '.join(sorts)} of the model error, by which poses depend on each other"
-        if self.config.blunders is not None:
-            raise InputError(f"blunders: found them beside {terms}, expected [model_error] with {ALONE_STATED}")
+        if variant.outliers.expected:
+            raise InputError(f"outlier_share: found it beside {terms}, expected model_error with {ALONE_STATED}")
         check_arrays(
             {"calibration poses with errors that are functions of the pose": n_poses},
             list_arrays(n_poses, base.n_legs),
@@ -434,9 +428,9 @@ class StudyInputs(Inputs):
                 f"{path}: data: found poses measured in part, points, or frames to be found, expected whole poses in "
                 "known frames, since audits and checks of data start from these"
             )
-        if self.config.blunders is not None:
+        if any(self.variant(name).outliers.expected for name in names):
             raise InputError(
-                f"{path}: found blunders, expected none: audits and checks have no poses that may be spoilt"
+                f"{path}: found outlier_share, expected none: audits and checks have no poses that may be spoilt"
             )
         # points that tell whole poses are taken as these: the density of poses has no frames among its parameters
         poses = self.poses(verification=False)
@@ -511,56 +505,11 @@ def load_inputs(config: StudyConfig, folder: Path) -> StudyInputs:
 
 def _check_terms(inputs: StudyInputs, variant: VariantConfig, posterior: LegPosterior) -> None:
     """Raise InputError for terms asked for by name that there cannot be, and for a floor beyond all tolerances."""
-    terms, units = inputs.config.leg_error.terms_for(variant), dict(zip(posterior.names, posterior.units, strict=True))
+    terms = inputs.config.leg_error.terms_for(variant.model_error)
+    units = dict(zip(posterior.names, posterior.units, strict=True))
     missing = [name for name in terms if name in SORTS and name not in inputs.list_sorts(variant)]
     if missing and terms != list(TERMS):
         raise InputError(f"model_error: found term {missing[0]!r}, but {FEW_POSES}, expected other terms")
     check_floors(
         inputs.config.leg_error.floors(), [one.sd for name, one in posterior.priors.items() if units[name] == "mm"]
-    )
-
-
-def _give_kernel(
-    likelihood: Likelihood, config: StudyConfig, variant: VariantConfig, travel: float
-) -> tuple[Likelihood, list[LegTerm]]:
-    """Return the density of poses with the structured model error of a variant, and the terms that it takes beside τ.
-
-    Raises
-    ------
-    InputError
-        Beside blunders, for measurements that are not whole poses, and for more poses than there is memory for.
-    """
-    error = config.leg_error
-    kernel, lengths = error.name_for(variant), error.lengths_for(variant)
-    if config.blunders is not None:
-        raise InputError(
-            f"blunders: found them beside kernel {kernel!r}, by which poses depend on each "
-            f"other, expected kernel {INDEPENDENT!r}, or deformation 'free_matrix' for linear errors"
-        )
-    poses = likelihood.of_poses
-    if poses is None:
-        raise InputError(
-            f"model_error.kernel: found {kernel!r} with poses measured in part, points, or frames to be found, "
-            f"expected whole poses in known frames, or kernel {INDEPENDENT!r}"
-        )
-    _check_kernel(poses.n_poses, poses.n_legs, lengths is not None)
-    terms: list[LegTerm] = [
-        KernelScale(error.kernel_scale_um * MICROMETRE, error.kernel_spread, not error.kernel_per_leg)
-    ]
-    if lengths is not None:
-        terms.append(KernelLength(lengths))
-    found = build_kernel(kernel, error.length_for(variant))
-    return StructuredLikelihood(poses, found, travel, lengths), terms
-
-
-def _check_kernel(n_poses: int, n_legs: int, free_length: bool) -> None:
-    """Raise InputError without memory for a kernel: matrices of all poses by all, the hot loop over all at once.
-
-    Where the length is free there is a matrix for every length at which the density is found, and for every vector.
-    """
-    matrices = 6.0 + (count_nodes(n_poses) + BATCH if free_length else 0.0)
-    check_arrays(
-        {"calibration poses with a kernel of the model error": n_poses},
-        [(matrices, n_poses, n_poses), (6.0, BATCH, n_poses, n_legs)],
-        f"fewer poses or kernel {INDEPENDENT!r}",
     )

@@ -38,10 +38,9 @@ from bayescal.experiments.study.fit import read_prediction
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.model_error import tabulate_model_error
 from bayescal.experiments.study.published import read_published
-from bayescal.experiments.study.structured import describe_structured, tabulate_structured
 from bayescal.files.csv_tables import format_table
 from bayescal.inference.importance import smooth_weights
-from bayescal.limits import BLUNDER, PARETO_K_LIMIT
+from bayescal.limits import OUTLIER, PARETO_K_LIMIT
 from bayescal.machines.mechanism import Mechanism
 from bayescal.machines.models.beam import CIRCLE, PIVOT, compute_beam_shift, compute_circle_shift
 from bayescal.machines.models.legs import list_dimensions
@@ -74,8 +73,6 @@ def describe_poses(inputs: StudyInputs, fits: Mapping[Task, Fit], run: Run) -> D
         "joints": tabulate_joints(inputs.mechanism, inputs.measured.actuators, inputs.names),
     }
     tables |= tabulate_model_error(inputs, fits)
-    if any("structured_mean" in fit.evaluated for fit in fits.values()):
-        tables["structured"] = tabulate_structured(inputs, fits)
     return Described(variants, tables, _summarise(inputs, fits))
 
 
@@ -187,8 +184,6 @@ def _describe(inputs: StudyInputs, variant: str, fit: Fit) -> tuple[dict[str, An
         row["exact_density_shift"], row["exact_density_se"] = fit.correction.log_ratio, fit.correction.standard_error
         row["exact_density_efficiency"] = float(fit.correction.efficiency)
         row["exact_density_pareto_k"] = float(fit.correction.pareto_k)
-    if "structured_mean" in fit.evaluated:
-        more["structured_error"] = describe_structured(inputs, variant, fit)
     return row, more | errors
 
 
@@ -241,9 +236,9 @@ def _tabulate_poses(inputs: StudyInputs, fits: Mapping[Task, Fit]) -> pd.DataFra
         flat = fit.evaluated["log_likelihood"].reshape(-1, len(held))[:, held]
         elpd = logsumexp(flat, axis=0) - np.log(len(flat))
         frame = tabulate_left_out(task.variant, fit, inputs.names, held, elpd, task.setting)
-        if "blunder_probability" in fit.evaluated:
-            outlier = fit.evaluated["blunder_probability"]
-            frame = frame.assign(outlier_probability=outlier, contradicting=outlier > BLUNDER)
+        if "outlier_probability" in fit.evaluated:
+            outlier = fit.evaluated["outlier_probability"]
+            frame = frame.assign(outlier_probability=outlier, contradicting=outlier > OUTLIER)
         pits = pd.DataFrame(compute_pits(fit.evaluated, held), columns=list(PITS))
         frames.append(pd.concat([frame, pits], axis=1))
     return pd.concat(frames, ignore_index=True)

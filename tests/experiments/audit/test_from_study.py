@@ -158,47 +158,28 @@ def test_designs_at_fault_are_told_in_one_line(old, new, said, design):
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "said"),
-    [
-        (
-            "[model_error]",
-            '[model_error]\nkernel = "linear"',
-            "requirements: found it beside errors that are functions",
-        ),
-        ("[model_error]", "[blunders]\n[model_error]", "found blunders, expected none"),
-    ],
-)
-def test_errors_that_an_audit_does_not_have_are_refused(old, new, said, design):
-    studies.edit(design.parent / "tiny" / "study.toml", old, new)
-    with pytest.raises(InputError) as caught:
+def test_outliers_are_refused(design):
+    study = design.parent / "tiny" / "study.toml"
+    study.write_text(study.read_text().replace("[[variants]]", "[[variants]]\noutlier_share = 0.02"))
+    with pytest.raises(InputError, match="found outlier_share, expected none") as caught:
         _read(design)
-    assert said in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("length", ["", "kernel_length_spread = 0.5\n"], ids=["known", "free"])
-def test_errors_that_are_functions_of_the_pose_come_from_the_posterior(length, design):
-    text = design.read_text()
-    design.write_text(text[: text.index("[requirements]")])
-    kernel = f'[model_error]\nkernel = "smooth"\nkernel_spread = 0.5\n{length}'
-    studies.edit(design.parent / "tiny" / "study.toml", "[model_error]", kernel)
+def test_errors_that_are_functions_of_the_pose_come_from_the_posterior(design):
     study = design.parent / "tiny" / "study.toml"
+    studies.edit(study, 'terms = ["independent"]', 'terms = ["independent", "smooth"]')
     studies.edit(study, 'deformation = "matrix"\nfree = ["l", "kappa"]', 'deformation = "linear"\nfree = ["l"]')
     studies.edit(design, 'deformation = "matrix"', 'deformation = "linear"')
     inputs = _read(design)
     draws, posterior = inputs.measured.draws.natural.reshape(-1, inputs.measured.posterior.n_parameters), None
     posterior = inputs.measured.posterior
-    scale = draws[:, posterior.names.index("sigma_g")]
-    assert (scale > 0.0).mean() > 0.9
-    assert inputs.plan.function.scale == pytest.approx(np.full(6, np.sqrt(np.mean(scale**2))))
+    scale = draws[:, posterior.names.index("sigma_smooth")]
+    assert inputs.plan.systematic.sizes == pytest.approx({"smooth": np.sqrt(np.mean(scale**2))})
     tau = draws[:, posterior.names.index("tau")]
     assert inputs.plan.model_error == pytest.approx(np.sqrt(np.mean(tau**2)))
-    if length:
-        median = np.median(draws[:, -1])
-        assert inputs.plan.function.kernel.length == pytest.approx(median, rel=0.01)
     found = analyse(inputs).information
-    alone = analyse(replace(inputs, plan=replace(inputs.plan, function=None))).information
+    alone = analyse(replace(inputs, plan=replace(inputs.plan, systematic=None))).information
     assert (found.contraction < alone.contraction).all()
     # foretold as the draws have it: the same machine, the same noise
     left = draws[:, : posterior.n_geometry].std(axis=0) / inputs.knowledge.sd

@@ -207,8 +207,8 @@ REFUSED = {
     "a unit of no file": ("count = 40", "count = 40\nunit_mm = 2.0", "unit_mm: found it without configurations"),
     "no error to leave out": (
         "[sensors]",
-        '[[what_if]]\nname = "none"\nstructured_error = false\n[model_error]\nterms = ["independent"]\n[sensors]',
-        "what_if 'none': structured_error: found none to leave out",
+        '[[what_if]]\nname = "none"\nmodel_error = false\n[model_error]\nterms = ["independent"]\n[sensors]',
+        "what_if 'none': model_error: found none to leave out",
     ),
     "errors of a term that is not there": (
         "[sensors]",
@@ -218,7 +218,7 @@ REFUSED = {
     "a kernel of an audit": (
         "[sensors]",
         '[model_error]\nterms = ["independent"]\nkernel = "linear"\n[sensors]',
-        "model_error.kernel: unknown key",
+        "model_error.kernel: key is gone, expected terms",
     ),
     "given to a machine that needs nothing": ("[sensors]", "[given]\nt = [0.0, 1.0]\n[sensors]", "given: found 't'"),
 }

@@ -85,12 +85,3 @@ def test_poses_measured_in_part_cannot_be_checked(tmp_path):
     with pytest.raises(InputError, match="expected whole poses in known frames, since audits and checks"):
         run("check", path, "--out", tmp_path / "out", "--workers", "1", "--quiet")
     assert not (tmp_path / "out").exists()
-
-
-def test_errors_that_are_functions_of_the_pose_are_not_checked(tmp_path):
-    folder = tmp_path / "study"
-    path = studies.write_tiny_study(folder)
-    studies.edit(folder / "study.toml", "[model_error]", '[model_error]\nkernel = "linear"')
-    with pytest.raises(InputError, match=r"found kernel 'linear' of its model error, expected 'independent', or"):
-        run("check", path, "--out", tmp_path / "out", "--workers", "1", "--quiet")
-    assert not (tmp_path / "out").exists()

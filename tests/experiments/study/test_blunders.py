@@ -1,4 +1,4 @@
-"""A study in which poses may be blunders: the spoiled one is named, a clean one has none, what cannot be is refused."""
+"""A study in which poses may be outliers: the spoiled one is named, a clean one has none, what cannot be is refused."""
 
 from __future__ import annotations
 
@@ -14,11 +14,10 @@ from bayescal.experiments.frame.run import run_experiment, write_report
 pytestmark = pytest.mark.runs
 
 OFF = 0.3  # mm
-SWITCH = "[model_error]\n"
 
 
-def allow_blunders(path, section="[blunders]\n"):
-    studies.edit(path, SWITCH, f"{section}\n{SWITCH}")
+def allow_outliers(path, share="0.02"):
+    path.write_text(path.read_text().replace("[[variants]]\n", f"[[variants]]\noutlier_share = {share}\n"))
     return path
 
 
@@ -40,7 +39,7 @@ def first_pose(path):
 
 @pytest.mark.parametrize("spoiled", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_blunders_are_named_on_the_page(tmp_path, spoiled, no_pictures):
-    path = allow_blunders(studies.write_tiny_study(tmp_path))
+    path = allow_outliers(studies.write_tiny_study(tmp_path))
     pose = first_pose(path)
     if spoiled:
         spoil(path, pose)
@@ -63,21 +62,21 @@ def test_blunders_are_named_on_the_page(tmp_path, spoiled, no_pictures):
 def test_a_study_without_them_says_nothing(tmp_path):
     path = studies.write_tiny_study(tmp_path)
     plain = load_experiment(path).model_dump(mode="json")
-    assert "blunders" not in plain
-    assert "blunders" in load_experiment(allow_blunders(path)).model_dump(mode="json")
+    assert not any("outlier_share" in one for one in plain["variants"])
+    assert all(one.outlier_share == 0.02 for one in load_experiment(allow_outliers(path)).variants)
 
 
 @pytest.mark.parametrize("share", ["0.0", "0.5", "-1", '"few"'])
 def test_impossible_shares_are_refused(tmp_path, share):
-    path = allow_blunders(studies.write_tiny_study(tmp_path), f"[blunders]\nexpected_share = {share}\n")
-    with pytest.raises(InputError, match=r"blunders.expected_share"):
+    path = allow_outliers(studies.write_tiny_study(tmp_path), share)
+    with pytest.raises(InputError, match=r"variants.0.outlier_share"):
         load_experiment(path)
 
 
 def test_poses_measured_in_part_may_be_outliers_too(tmp_path):
     folder = studies.EXPERIMENTS / "camera_hexapod"
     path = studies.copy_small(folder / "study.toml", tmp_path / "camera")
-    allow_blunders(path)
+    allow_outliers(path)
     inputs = studies.load_study(path)
     posterior = inputs.posterior(inputs.config.variants[0], with_model_error=True)
     y = posterior.approach()

@@ -46,11 +46,11 @@ def silent(tmp_path_factory):
     return write_silent(tmp_path_factory.mktemp("silent"))
 
 
-def edited(config, **sections):
-    """Write a copy of a study with more sections beside it and return it."""
-    path = config.with_name(f"{'-'.join(sections)}.toml")
+def edited(config, of_variant="", **sections):
+    """Write a copy of a study with more sections beside it, and of its first variant, and return it."""
+    path = config.with_name(f"{'-'.join(sections) or 'edited'}.toml")
     more = "".join(f"[{name}]\n{text}\n" for name, text in sections.items())
-    path.write_text(config.read_text().replace("[[variants]]", f"{more}\n[[variants]]", 1))
+    path.write_text(config.read_text().replace("[[variants]]", f"{more}\n[[variants]]\n{of_variant}", 1))
     return path
 
 
@@ -174,8 +174,8 @@ def test_misfit_counts_functions_as_noise(silent):
     ("sections", "fault"),
     [
         (
-            {"blunders": "", "model_error": 'terms = ["independent", "own"]'},
-            r"blunders: found them beside the terms own .* terms = \[\"indep",
+            {"of_variant": "outlier_share = 0.02", "model_error": 'terms = ["independent", "own"]'},
+            r"outlier_share: found it beside the terms own .* terms = \[\"indep",
         ),
         (
             {"model_error": "at_least_um = 4000.0"},
@@ -201,11 +201,11 @@ def test_poses_that_memory_cannot_hold_are_refused_before_their_columns_are_made
         inputs.give_functions(base, variant)
 
 
-def test_beside_blunders_tau_alone_is_left_and_said(silent):
-    inputs = studies.load_study(edited(silent, blunders=""))
+def test_beside_outliers_tau_alone_is_left_and_said(silent):
+    inputs = studies.load_study(edited(silent, of_variant="outlier_share = 0.02"))
     names = inputs.posterior(inputs.config.variants[0], with_model_error=True).names
     assert set(SCALES) & set(names) == {"tau"}
-    assert "the model error has no terms linear, own, smooth, drift, as each pose may be a blunder" in inputs.unused
+    assert "the model error has no terms linear, own, smooth, drift, as each pose may be an outlier" in inputs.unused
 
 
 def test_terms_that_too_few_poses_cannot_show_are_left_out_and_said(silent):

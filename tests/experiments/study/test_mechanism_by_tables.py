@@ -114,7 +114,7 @@ def test_variants_are_named_after_what_they_are_seen_by(folder):
             "found 'targets' without measured ones",
         ),
         ("[deformation]", "[frames]\nbase = { position = 1.0, rotation = 1.0 }\n[deformation]", "frames: found beside"),
-        ('"six_pus"\n\n', '"six_pus"\nkernel_length = 2.0\n\n', "kernel_length: found with tables of readings"),
+        ('"six_pus"\n\n', '"six_pus"\nkernel_length = 2.0\n\n', "kernel_length: key is gone, expected terms"),
     ],
 )
 def test_what_means_nothing_here_is_refused(folder, tmp_path, call, old, new, message):

@@ -87,10 +87,6 @@ def _describe_poses(audit: AuditResults) -> str:
     sensors = join_words([str(name).replace("_", " ") for name in plan["sensors"]])
     seen = f", seen by {sensors}" if sensors else ""
     errors = f", model error {model_error} µm" if plan["model_error_um"] else ""
-    function = plan.get("structured_error")
-    if function is not None:
-        size = format_plain(function["scale_um"], 3)
-        errors += f", and errors that are {function['kernel']} functions of the pose, {size} µm at the range's end"
     return (
         f"{count_poses(audit)}{seen}; displacements up to {moved} mm of {most} mm; noise: actuators {noise} µm{errors}"
     )

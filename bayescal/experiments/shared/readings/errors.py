@@ -15,7 +15,7 @@ from bayescal.density.calibration.model_error import OwnChannels, build_model_er
 from bayescal.density.calibration.terms import Errors, ErrorTerm, TermRows, check_term
 from bayescal.density.components import MOST_ROWS
 from bayescal.density.priors import Prior
-from bayescal.density.schema import TERMS, TermName, TermsConfig
+from bayescal.density.schema import TERMS, ModelErrorConfig, TermName
 from bayescal.errors import InputError, name_faults
 from bayescal.experiments.shared.function_errors import check_functions
 from bayescal.experiments.shared.readings.noise import group_channels
@@ -95,7 +95,7 @@ def _draw_ends(q: int) -> Array:
 
 
 def build_terms_of_model(
-    error: TermsConfig,
+    error: ModelErrorConfig,
     terms: Sequence[TermName],
     model: ReadingModel,
     data: Measurements,
@@ -112,7 +112,7 @@ def build_terms_of_model(
 
     Parameters
     ----------
-    error : TermsConfig
+    error : ModelErrorConfig
     terms : sequence of str
         Those of the variant.
     model : ReadingModel

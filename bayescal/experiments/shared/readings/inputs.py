@@ -216,7 +216,7 @@ def _build(
     check_readings(data.n_poses, len(chosen), len(priors), len(model.coordinates))
     start = find_starts(unplaced.posterior(np.ones(data.n_poses, dtype=bool)), workspace, config.seed)
     used = ~unplaced.verification
-    wanted = config.leg_error.terms_for(section)
+    wanted = config.leg_error.terms_for(section.model_error)
     if wanted and config.channel_errors:
         raise InputError(f"model_error: found terms {wanted} beside errors by channel in [model_error], expected one")
     found, missing = build_terms_of_model(

@@ -10,7 +10,7 @@ from bayescal.experiments.shared.origin import name_origin
 from bayescal.experiments.study.page.data import show_claims, show_comparison, show_data, show_notation
 from bayescal.experiments.study.page.errors import show_errors, show_held_back, show_outliers
 from bayescal.experiments.study.page.evidence import show_diagnostics, show_evidence
-from bayescal.experiments.study.page.functions import show_functions, show_structured
+from bayescal.experiments.study.page.functions import show_functions
 from bayescal.experiments.study.page.machine import show_deformation, show_flexure, show_machine
 from bayescal.experiments.study.page.model_error import show_model_error
 from bayescal.experiments.study.page.parameters import show_frames, show_parameters
@@ -49,7 +49,6 @@ BLOCKS: tuple[PageBlock, ...] = (
     show_frames,
     show_deformation,
     show_model_error,
-    show_structured,
     show_functions,
     show_comparison,
     show_next,

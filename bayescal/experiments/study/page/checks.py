@@ -49,7 +49,7 @@ REPLICATES = (
     "Errors of the calibration poses against the mean prediction, sorted, with those that replicates of the "
     "measurement would have (band: 95 %; line: median), with model error. A posterior that has seen a "
     "pose fits it somewhat better than a replicate. Poses far left of the band: noise or model error too large; "
-    "right of it: too small, at the upper end single poses that are blunders."
+    "right of it: too small, at the upper end single poses that are outliers."
 )
 PARETO_K = (
     "Pareto k of the weights that leave a calibration pose out, with model error. Above the line "

@@ -28,7 +28,7 @@ from bayescal.experiments.study.page.results import (
 )
 from bayescal.experiments.study.page.soundness import COVERAGE, is_too_narrow
 from bayescal.experiments.study.page.styles import Styles, assign_styles
-from bayescal.limits import BLUNDER
+from bayescal.limits import OUTLIER
 from bayescal.report.blocks import Block, Cell, Column, Figure, Fold, Section, Statement, Table, make_table
 from bayescal.report.numbers import (
     MICROMETRES,
@@ -355,7 +355,7 @@ def state_outliers(study: StudyResults) -> list[Statement]:
         verb = "pose disagrees" if len(rows) == 1 else "poses disagree"
         return [Statement(f"Check the readings of {words}: {len(rows)} {verb} with the others.", "warning", lead)]
     probabilities = {str(row["pose"]): float(row["outlier_probability"]) for row in rows}
-    bad = [f"{pose} ({format_percent(p)})" for pose, p in probabilities.items() if p > BLUNDER]
+    bad = [f"{pose} ({format_percent(p)})" for pose, p in probabilities.items() if p > OUTLIER]
     if not bad:
         most = f"the most probable is {rows[0]['pose']}, with {format_percent(rows[0]['outlier_probability'])}"
         return [Statement(f"No pose is probably an outlier; {most}.", "good", lead)]
@@ -382,7 +382,7 @@ def show_outliers(study: StudyResults) -> Section | None:
         for row in rows[:SHOWN]:
             p = row["outlier_probability"]
             cells.append(
-                [str(row["pose"]), str(row["use"]), Cell(format_fixed(100 * p, 1), "bad" if p > BLUNDER else "plain")]
+                [str(row["pose"]), str(row["use"]), Cell(format_fixed(100 * p, 1), "bad" if p > OUTLIER else "plain")]
             )
         caption = f"The {len(cells)} most probable outliers of {len(rows)} poses."
         blocks += [OUTLIERS, make_table(caption, columns, cells)]

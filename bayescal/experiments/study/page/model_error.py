@@ -457,9 +457,7 @@ def _state_group(study: StudyResults, rows: pd.DataFrame, names: list[str]) -> S
         call, level = "needed", "higher"
     elif max(gains) <= 0:
         call, level = "not needed", "lower"
-    structured = any("structured_error" in study.fit(name) for name in names)
-    nothing = "neither τ nor a structured error" if structured else "no model error"
-    change = f"log-evidence {format_span([abs(x) for x in gains])} nat {level} than with {nothing}"
+    change = f"log-evidence {format_span([abs(x) for x in gains])} nat {level} than with no model error"
     return Statement(f"{study.name_variants(names)}: τ is {span} µm; it is {call} ({change}).")
 
 

@@ -84,10 +84,6 @@ COLUMNS: dict[str, dict[str, tuple[str, ...]]] = {
     "deformation": {"texts": ("quantity",), "numbers": ("leg", "actuator", "mean_1e-3", "sd_1e-3")},
     "flexure": {"texts": (), "numbers": ("flexure_length_mm", "bending_deg", "along_beam_um", "circle_error_nm")},
     "joints": {"texts": ("pose", "joint"), "numbers": ("leg", "x_mm", "y_mm", "z_mm")},
-    "structured": {
-        "texts": ("variant", "pose", "use"),
-        "numbers": ("leg", "actuator", "travel_mm", "mean_um", "low_um", "high_um"),
-    },
     "model_error": {"texts": ("variant", "term"), "numbers": ("median_um", "q05_um", "q95_um")},
     "model_error_members": {"texts": ("variant", "member", "term"), "numbers": ("rms_um",)},
     "model_error_poses": {
@@ -338,8 +334,7 @@ class StudyResults:
 
     def has_functions(self, name: str) -> bool:
         """Whether a variant's model error has systematic parts, functions of the pose or of time."""
-        terms = [term for term in self.list_terms(name) if term != INDEPENDENT]
-        return bool(terms) or "structured_error" in self.fit(name)
+        return any(term != INDEPENDENT for term in self.list_terms(name))
 
     def spread(self, names: Sequence[str], setting: str = "free") -> float:
         """Return the largest difference of log-evidence among variants, nats."""

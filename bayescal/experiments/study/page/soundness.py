@@ -72,7 +72,7 @@ def _state_targets(study: StudyResults) -> list[Statement]:
     if total > 0 and rejected / total > REJECTED_SHARE:
         text = (
             f"{rejected} of {format_fixed(total, 0)} measured targets ({format_percent(rejected / total, 1)}) were "
-            "rejected as outliers: single blunders, or a target noise that is stated too small."
+            "rejected as outliers: single outliers, or a target noise that is stated too small."
         )
         statements.append(Statement(text, "bad" if rejected / total > 0.05 else "warning", "Noise"))
     return statements

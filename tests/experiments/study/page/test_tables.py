@@ -30,7 +30,6 @@ from bayescal.experiments.study.page.data import (
     tabulate_claims,
 )
 from bayescal.experiments.study.page.evidence import show_evidence, show_tau_scale, tabulate_evidence
-from bayescal.experiments.study.page.functions import show_structured
 from bayescal.experiments.study.page.machine import _group_by_azimuth, tabulate_deformation
 from bayescal.experiments.study.page.parameters import (
     compare_published,
@@ -42,7 +41,7 @@ from bayescal.experiments.study.page.parameters import (
     tabulate_published,
 )
 from bayescal.experiments.study.page.ridges import choose_leg, rank_pairs, state_ridges
-from bayescal.report.blocks import Figure, Fold, Statement, Table, unfold
+from bayescal.report.blocks import Table
 
 HEXAPOD = {"six_ups/none": (120.0, 1.0), "six_ups/linear": (118.0, 1.0)}
 TELESCOPE = {"six_pus/none": (120.0, 1.0), "six_pus/linear": (118.0, 1.0)}
@@ -390,75 +389,3 @@ def test_the_scale_of_the_model_errors_prior_is_stated_where_the_order_depends_o
     assert [column.title for column in shown.columns][1:] == [f"{scale:g} µm" for scale in sorted({*leads, 10.0})]
     assert " ".join(cell.text for cell in shown.rows[0][1:]).startswith(cells)
     assert statement in show_evidence(study).blocks
-
-
-# --- structured errors -----------------------------------------------------------------------------------------------
-
-ERROR = {
-    "kernel": "smooth, length 5",
-    "present": [0.99, 0.99],
-    "rms_um": {"mean": [4.0, 9.0], "q05": [2.0, 6.0], "q95": [6.0, 13.0]},
-    "scale": [{"median_um": 11.0, "q05_um": 8.0, "q95_um": 15.0, "prior_sd_left": 0.4}],
-    "slope_um": [[1.0, -2.0], [7.0, 3.0]],
-    "slope_sd_um": [[2.0, 2.0], [1.0, 9.0]],
-    "linear_share": 1.0,
-    "surest": {"leg": 2, "actuator": 1, "um": 7.0, "q05_um": 5.0, "q95_um": 9.0},
-    "explained": {"linear": 0.04, "matrix": 0.97},
-}
-LENGTH = {"median": 4.1, "q05": 2.9, "q95": 6.3, "prior_sd_left": 0.47}
-
-
-def read_structured(make_results, **changes):
-    """Return the section of a study whose first variant has an error, and the second none, and its sentences."""
-    none = {**ERROR, "present": [0.001, 0.001], "scale": [], "explained": {}}
-    change = (set_fit("pus/none", structured_error={**ERROR, **changes}), set_fit("pus/linear", structured_error=none))
-    row = ["pus/none", "C0", "calibration", 1, 1, 0.5, 3.0, 2.0, 4.0]
-    columns = ["variant", "pose", "use", "leg", "actuator", "travel_mm", "mean_um", "low_um", "high_um"]
-    frame = pd.DataFrame([row, [*row[:3], 2, *row[4:]]], columns=columns)
-    folder = make_results(change, more={"structured": frame}, name=f"results{len(changes)}")
-    assert "Structured model error" in [one.title for one in read_page(folder).sections]
-    section = show_structured(read_study(folder))
-    texts = [block.text for block in section.blocks if isinstance(block, Statement)]
-    table = next(block for block in section.blocks if isinstance(block, Table))
-    return section, texts, read_texts(table)["pus/none"]
-
-
-def test_says_how_large_a_structured_error_is_where_and_why(make_results):
-    _, (none, there), row = read_structured(make_results)
-    assert none == "pus/linear: no structured error (probability of one at most 0.10 %)."
-    assert "largest in leg 2, 9.0 [6.0, 13.0] µm rms" in there
-    assert "actuator 1 at the end of its range moves leg 2 by +7.0 [+5.0, +9.0] µm" in there
-    assert "a linear deformation explains 4 % of it and a matrix deformation explains 97 % of it: try matrix." in there
-    assert "The measurements tell its scale: 40 %" in there
-    start = ["smooth, length 5", "99.0", "11.0 [8.0, 15.0]", "40"]
-    assert row == [*start, "leg 2, actuator 1: +7.0 [+5.0, +9.0]", "100", "4", "97"]
-
-
-@pytest.mark.parametrize(
-    ("changes", "said"),
-    [
-        ({"scale": [{**ERROR["scale"][0], "prior_sd_left": 0.98}]}, "rests on the prior"),
-        ({"explained": {"linear": 0.5}}, "explains 50 % of it: no known deformation explains it"),
-        (
-            {"kernel": "smooth, length free", "length": LENGTH},
-            "It changes over 4.1 [2.9, 6.3] ranges of the actuators; 47 % of the standard deviation",
-        ),
-    ],
-)
-def test_says_what_of_a_structured_error_is_measured_and_explained(make_results, changes, said):
-    _, (_, there), row = read_structured(make_results, **changes)
-    assert said in there
-    assert row[0] == ("smooth, length free: 4.1 [2.9, 6.3]" if "length" in changes else "smooth, length 5")
-
-
-def test_pictures_are_of_slopes_and_of_the_course_where_these_are_not_all(make_results):
-    (straight, *_), (curved, *_) = (read_structured(make_results, **changes) for changes in ({}, {"linear_share": 0.6}))
-    assert [one.name for one in unfold(straight.blocks) if isinstance(one, Figure)] == ["structured-pus-none"]
-    bent = [one for one in unfold(curved.blocks) if isinstance(one, Figure)]
-    assert [figure.name for figure in bent] == ["structured-pus-none", "structured-course-pus-none"]
-    assert not any(isinstance(block, Fold) for block in curved.blocks)
-    panels = [[axes.get_title() for axes in figure.draw().axes] for figure in bent]
-    assert panels[0] == ["Error with the actuator at the end of its range (µm)", "Size over the poses (µm, rms)"]
-    assert panels[1][:2] == ["leg 1", "leg 2"]
-    written = {text.get_text() for text in bent[0].draw().axes[0].texts}
-    assert written == {"+1 ± 2", "−2 ± 2", "+7 ± 1", "+3 ± 9"}
