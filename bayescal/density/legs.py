@@ -64,13 +64,6 @@ def turn_to_coordinates(slope: Array, change: Array) -> Array:
     return np.asarray((slope.reshape(-1, len(change)) @ change).reshape(*slope.shape[:-1], change.shape[1]))
 
 
-def root_of(matrix: Array) -> tuple[Array, Array]:
-    """Return the symmetric square roots of positive definite matrices (..., N, N), and their inverses."""
-    values, vectors = np.linalg.eigh(matrix)
-    root = np.sqrt(values)[..., None, :]
-    return (vectors * root) @ np.swapaxes(vectors, -1, -2), (vectors / root) @ np.swapaxes(vectors, -1, -2)
-
-
 def whiten_by(whitening: Array) -> Callable[[Array], Array]:
     """Return what takes rows (P, K, n) of independent poses to white ones (P K, n), for matrices (P, K, K)."""
     return lambda rows: np.asarray((whitening @ rows).reshape(-1, rows.shape[-1]))

@@ -241,7 +241,10 @@ def _tabulate_poses(inputs: StudyInputs, fits: Mapping[Task, Fit]) -> pd.DataFra
             frame = frame.assign(outlier_probability=outlier, contradicting=outlier > OUTLIER)
         pits = pd.DataFrame(compute_pits(fit.evaluated, held), columns=list(PITS))
         frames.append(pd.concat([frame, pits], axis=1))
-    return pd.concat(frames, ignore_index=True)
+    table = pd.concat(frames, ignore_index=True)
+    if "contradicting" in table:  # of variants that expect none no pose does
+        table["contradicting"] = table["contradicting"].eq(True)
+    return table
 
 
 def compute_pits(arrays: Arrays, held: np.ndarray) -> Array:

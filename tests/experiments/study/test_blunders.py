@@ -59,6 +59,22 @@ def test_blunders_are_named_on_the_page(tmp_path, spoiled, no_pictures):
     assert write_report(tmp_path / "out").read_text().count("P(outlier)")
 
 
+def test_variants_with_and_without_stand_side_by_side(tmp_path, no_pictures):
+    path = studies.write_tiny_study(tmp_path)
+    own = '[[variants]]\nmodel = "six_pus"\ndeformation = "matrix"\nfree = ["l", "kappa"]\n'
+    studies.edit(path, own, f'{own}\n{own}name = "wary"\noutlier_share = 0.02\n')
+    studies.edit(path, 'published = "published.csv"\n', "")
+    for spoiled in (False, True):
+        if spoiled:
+            spoil(path, first_pose(path))
+        finished = run_experiment(load_experiment(path), tmp_path, tmp_path / f"out{spoiled}")
+        table, (first, *_) = finished.results.table("poses"), finished.summary["rankings"][0]
+        assert first == ("wary" if spoiled else "six_pus/matrix")
+        assert ("Outliers" in [one.lead for one in finished.page.verdict]) == spoiled
+        assert table[table["variant"] == "wary"]["contradicting"].any() == spoiled
+        assert not table[table["variant"] == "six_pus/matrix"]["contradicting"].any()
+
+
 def test_a_study_without_them_says_nothing(tmp_path):
     path = studies.write_tiny_study(tmp_path)
     plain = load_experiment(path).model_dump(mode="json")

@@ -338,7 +338,7 @@ def _draw_predictions(predictions: pd.DataFrame) -> Drawing:
 def _list_outliers(study: StudyResults) -> list[Row]:
     """Return the rows of the best variant's poses, the most improbable first."""
     rows = [row for row in study.rows("poses", study.best_name) if row["model_error"] == "free"]
-    if "outlier_probability" in study.table("poses"):
+    if rows and math.isfinite(rows[0].get("outlier_probability", math.nan)):  # other variants may expect some
         return sorted(rows, key=lambda row: -row["outlier_probability"])
     if "square" in study.table("poses"):
         return sorted((row for row in rows if row["contradicting"]), key=lambda row: row["trust"])
@@ -350,7 +350,7 @@ def state_outliers(study: StudyResults) -> list[Statement]:
     rows, lead = _list_outliers(study), "Outliers"
     if not rows:
         return []
-    if "outlier_probability" not in rows[0]:
+    if "square" in study.table("poses"):
         words = name_some([str(row["pose"]) for row in rows])
         verb = "pose disagrees" if len(rows) == 1 else "poses disagree"
         return [Statement(f"Check the readings of {words}: {len(rows)} {verb} with the others.", "warning", lead)]
