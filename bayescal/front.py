@@ -177,7 +177,7 @@ def _list_sources(found: type) -> tuple[str, dict[str, bytes]]:
         path = Path()
     if not path.is_file():
         raise InputError(
-            f"class {found.__name__}: found no file that it stands in, expected one: write it to a file beside the "
+            f"class {found.__name__}: found no file that defines it, expected one: write it to a file beside the "
             "notebook and import it from there"
         )
     local = {one.name: one for one in find_local_imports(path).values()}

@@ -136,9 +136,9 @@ def test_wrong_usage(refuse, study, arguments, expected):
         ("mechanism.toml", "radius_mm = 155.0", "radius_cm = 15.5", "mechanism.toml, line 7: base.radius_cm: unknown"),
         ("data/targets.csv", "x_mm", "x_m", "data/targets.csv, line 3: found column 'x_m', did you mean 'x_mm'?"),
         ("data/targets.csv", "C01,base,B02,", "C01,base,B02,?", "data/targets.csv, line 5: x_mm: found '?"),
-        ("data/actuators.csv", "C02,", "C01,", "data/actuators.csv, line 5: pose 'C01' stands already on line 4"),
+        ("data/actuators.csv", "C02,", "C01,", "data/actuators.csv, line 5: pose 'C01' is already on line 4"),
         ("data/actuators.csv", "rho_6_mm", "rho_6", "data/actuators.csv, line 3: found column 'rho_6'"),
-        ("data/target_reference.csv", "B02", "B01", "data/target_reference.csv, line 5: target 'base/B01' stands"),
+        ("data/target_reference.csv", "B02", "B01", "data/target_reference.csv, line 5: target 'base/B01' is already"),
     ],
 )
 @pytest.mark.parametrize("command", ["run", "poses-from-targets"])

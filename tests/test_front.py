@@ -234,7 +234,7 @@ FAULTS = {
         "found no column of channel 's[2]', which is in data.channels",
     ),
     "wrong unit": (lambda t: t.rename(columns={"s_1_mm": "s_1_kg"}), "found column 's_1_kg', did you mean 's_1_m'?"),
-    "one name twice": (lambda t: t.assign(pose="A"), "line 3: pose 'A' stands already on line 2, expected it once"),
+    "one name twice": (lambda t: t.assign(pose="A"), "line 3: pose 'A' is already on line 2, expected it once"),
     "no rows": (lambda t: t.head(0), "found no rows, expected at least one"),
     "a row of NaN": (
         lambda t: t.mask(t["pose"] == "C003").assign(pose=t["pose"], use=t["use"]),

@@ -333,7 +333,7 @@ def check_standards(calibrated: CalibratedMachine) -> str:
     if not 1 <= n <= MOST_LENGTHS:
         return f"they are of one to three lengths, and the tool ({names}) has {n or 'none'}"
     if len(model.tool_channels) < len(model.coordinates):
-        return f"the tool's {len(model.tool_channels)} numbers ({names}) do not tell the machine's coordinates"
+        return f"the tool's {len(model.tool_channels)} numbers ({names}) do not determine the machine's coordinates"
     place = model.home_pose[None]
     _, slopes, _ = model.tool(calibrated.theta, place)
     if np.linalg.matrix_rank(slopes[0, calibrated.lengths] * model.pose_scale) < n or np.linalg.matrix_rank(

@@ -84,6 +84,6 @@ def _find_places(table: Table, layout: ParameterLayout) -> list[int]:
             raise InputError(f"{table.where(row)}: parameter: found {name!r}{hint}, expected those of {symbols}")
         if name in first:
             line = table.lines[first[name]]
-            raise InputError(f"{table.where(row)}: parameter {name!r} stands already on line {line}, expected it once")
+            raise InputError(f"{table.where(row)}: parameter {name!r} is already on line {line}, expected it once")
         first[name] = row
     return [known[name] for name in first]

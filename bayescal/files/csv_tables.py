@@ -88,7 +88,7 @@ class Table:
         for row, key in enumerate(keys):
             if key in seen:
                 first, name = self.lines[seen[key]], "/".join(key)
-                raise InputError(f"{self.where(row)}: {what} {name!r} stands already on line {first}, expected once")
+                raise InputError(f"{self.where(row)}: {what} {name!r} is already on line {first}, expected once")
             seen[key] = row
 
     def _number(self, cell: str, row: int, column: str) -> float:

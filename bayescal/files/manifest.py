@@ -96,7 +96,7 @@ def check_whole(
         if expected:
             _refuse(folder, [f"no {MANIFEST}"])
         elif (say := _SAY.get()) is not None:
-            said = f"{folder}: written by an earlier version, without {MANIFEST}: nothing tells whether its files are"
+            said = f"{folder}: written by an earlier version, without {MANIFEST}: nothing says whether its files are"
             say(f"{said} whole; bayescal seal {folder} writes it")
         return
     hashes, others = _read(folder)

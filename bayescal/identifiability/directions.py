@@ -238,8 +238,8 @@ def _sharpen(space: Array, places: np.ndarray) -> Array:
 def judge_parameters(information: Information, null_space: Array) -> tuple[Verdict, ...]:
     """Return the verdict on each parameter.
 
-    ``identifiable``: its tolerance is at least halved. ``not``: most of what is left unknown lies along directions of
-    which nothing is learnt. ``weak``: it lies along directions of which too little is learnt.
+    ``identifiable``: its tolerance is at least halved. ``not``: most of the remaining uncertainty lies along directions
+    of which nothing is learnt. ``weak``: it lies along directions of which too little is learnt.
     """
     values, vectors = information.spectrum(complement_of(null_space))
     remaining = vectors**2 / (1.0 + values)

@@ -72,7 +72,7 @@ MACHINES: dict[str, Kind | None] = {
     "carriages": Kind(
         *("A made-up machine on six carriages", "six_pus", 250.0, 120.0, [0.0, 0.0, 400.0], 0.0, 40.0),
         tolerances=dict.fromkeys(JOINTS, 0.2) | {"l": 0.5, "u_x": 0.001, "u_y": 0.001},
-        left_out="rho0 stays as drawn: it moves a joint along its rail as a does, and no measurement tells them apart",
+        left_out="rho0 stays as drawn: it moves a joint along its rail as a does; no measurement distinguishes them",
         meanings=ON_RAILS,
     ),
     OWN: None,

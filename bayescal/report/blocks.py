@@ -336,7 +336,7 @@ class Page:
         names = [figure.name for figure in self.figures()]
         for name in names:
             if names.count(name) > 1:
-                raise ValueError(f"figure {name!r} stands twice on the page, expected each name once")
+                raise ValueError(f"figure {name!r} is twice on the page, expected each name once")
 
     @property
     def failed(self) -> bool:

@@ -40,7 +40,7 @@ TERMS = (
         "How the platform gives way under its legs: none; linear, each joint by κ times its own actuator's "
         "displacement; matrix, by the displacements of all actuators through a measured matrix K.",
     ),
-    Term(("draws", "draw"), "Parameters picked at random from the posterior: what is left open, as examples."),
+    Term(("draws", "draw"), "Parameters picked at random from the posterior: what remains uncertain, as examples."),
     Term(
         ("elpd", "elpd LOO"),
         "Expected log predictive density: how well poses that were not used are predicted. Larger is better; only "
@@ -65,7 +65,7 @@ TERMS = (
     ),
     Term(
         ("log-evidence", "log-evidences", "evidence"),
-        "How well a model with its tolerances foretold all measurements together, as a logarithm. Larger is better; "
+        "How well a model with its tolerances predicted all measurements together, as a logarithm. Larger is better; "
         "freedom that is not needed costs. Only differences between variants count.",
     ),
     Term(

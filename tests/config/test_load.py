@@ -178,7 +178,7 @@ def test_missing_value_is_not_blamed_on_the_same_key_elsewhere(study, old, field
 
 def test_variant_twice(study):
     studies.edit(study, 'deformation = "none"', 'deformation = "matrix"')
-    assert "'six_pus/matrix' stands twice" in fail(load_experiment, study)
+    assert "'six_pus/matrix' is there twice" in fail(load_experiment, study)
 
 
 @pytest.mark.parametrize(("symbol", "why"), [("a_x", "no prior"), ("b_z", "a fixed value")])

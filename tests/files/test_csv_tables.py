@@ -129,7 +129,7 @@ def test_rows_of_legs_in_any_order(path):
 @pytest.mark.parametrize(
     ("rows", "fault"),
     [
-        ("1,1\n1,2\n", "leg '1' stands already on line 2, expected once"),
+        ("1,1\n1,2\n", "leg '1' is already on line 2, expected once"),
         ("1,1\n3,2\n", "leg: found '3', expected a number from 1 to 2"),
         ("2,1\n", "found no row of leg 1, expected one of each leg from 1 to 2"),
     ],

@@ -495,7 +495,7 @@ class JointFit:
         here = self._rows(y, white, pose)
         residual, cost = self._cost(y, here[0], columns)
         if not np.isfinite(cost):
-            raise NumericalError("found no reading of the machine as expected at some start, expected one that stands")
+            raise NumericalError("found no reading of the machine as expected at some start, expected some")
         for _ in range(MAX_ITERATIONS):
             move, follow = self._propose(y, *here, columns[0], residual, damping)
             other = y + move

@@ -293,7 +293,7 @@ def _draw_poses(measured: MeasuredReadings, n: int, rng: np.random.Generator) ->
         found = np.concatenate([found, pose[np.isfinite(read).all(axis=-1)]])
         if len(found) >= n:
             return found[:n]
-    raise InputError("workspace: found hardly a pose that the machine can take, expected a smaller workspace")
+    raise InputError("workspace: found almost no pose that the machine can take, expected a smaller workspace")
 
 
 def _list_candidates(

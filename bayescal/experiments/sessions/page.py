@@ -98,7 +98,7 @@ def state_headline(results: Results) -> str:
     if nats < CLEAR:
         apart = f"the evidence differs by {format_significant(abs(nats), 2)} nats"
         return write_headline([f"Measure more poses: whether anything {differs} is open, {apart}"])
-    advice = "Calibrate anew" if walk else "Calibrate each machine for itself"
+    advice = "Calibrate again" if walk else "Calibrate each machine for itself"
     moved = [name_parameter(str(one)) for one in scales.loc[scales["log_odds_moved"] > CLEAR, "unit"]]
     if not moved:
         return write_headline([f"{advice}: something {differs}, {say_odds(nats)}; which part is open"])
@@ -192,7 +192,7 @@ def _tabulate_scales(results: Results, walk: bool) -> Table:
         own = f" {one['in']}{' per √month' * walk}" if "in" in one else ""
         rows.append([str(one["unit"]), f"{format_estimate(one['mean'], one['sd'])}{own}", interval, odds])
     caption = (
-        "Scales of what may move, and log-odds that it does against that it alone stands still, at even prior odds."
+        "Scales of what may move, and log-odds that it does against that it alone does not move, at even prior odds."
     )
     return make_table(caption, columns, rows)
 

@@ -59,7 +59,7 @@ def describe_machine(path: Path) -> Page:
     if isinstance(model, FunctionModel) and isinstance(model.machine, StrutMachine):
         return _describe_struts(model.name, model.machine)
     raise InputError(
-        f"{path}: kind: found a machine of one function, which does not tell where its joints are, expected a "
+        f"{path}: kind: found a machine of one function, which does not say where its joints are, expected a "
         "mechanism on legs, struts, a sliding platform or a machine of lines"
     )
 

@@ -145,7 +145,7 @@ def _list_columns(readings: Readings) -> Iterator[Cause]:
             yield _move(f"legs of {kind} seem to be counted from leg {step + 1}", values, own, np.roll(own, -step))
         yield from _shift(kind, own, values)
         if unit == "rad":
-            text = f"readings of {kind} seem to start anew after a full turn"
+            text = f"readings of {kind} seem to start again after a full turn"
             yield Cause(UNIT, text, Table(values, np.arange(len(values)), tuple(own)))
     pairs = [(a, b) for a, b in combinations(range(len(names)), 2) if channels[a].unit == channels[b].unit]
     if len(pairs) > MOST_PAIRS:
@@ -271,7 +271,7 @@ def _list_displacements(readings: Readings) -> Iterator[Cause]:
             yield _scale_about(text, values, own, factor, home[own])
         moved = values.copy()
         moved[:, own] += home[own]
-        text = f"displacements seem to stand in place of positions of {kind}"
+        text = f"displacements seem to be given in place of positions of {kind}"
         yield Cause(UNIT, text, Table(moved, np.arange(len(values))))
 
 

@@ -450,7 +450,7 @@ def _check_names(names: list[str]) -> None:
         other = first.setdefault(stem_of(name).lower(), name)
         if names.count(name) > 1:
             raise ValueError(
-                f"variant {name!r} stands twice, expected each variant once, or a name of its own for each free set"
+                f"variant {name!r} is there twice, expected each variant once, or a name of its own for each free set"
             )
         if other != name:
             raise ValueError(f"variants {other!r} and {name!r} would share their files, expected other names")

@@ -154,7 +154,7 @@ def _check_places(found: TableInputs) -> None:
             found.variant.whole.check_given(labels, given, ())
         read = found.variant.model.read(found.variant.posterior().sampling.start, found.pose, given)
         for k in np.flatnonzero(~np.isfinite(read).all(axis=-1))[:1]:
-            raise InputError(f"{field}: found {labels[k]}, where the machine does not stand, expected where it does")
+            raise InputError(f"{field}: found {labels[k]}, where the machine cannot be, expected where it can")
 
 
 def _check_told(found: TableInputs) -> None:
@@ -165,8 +165,8 @@ def _check_told(found: TableInputs) -> None:
     values = np.linalg.svd(slope, compute_uv=False) if len(slope) else np.zeros(1)
     if len(slope) < len(found.pose) or values[-1] <= RANK * values[0]:
         raise InputError(
-            f"variant {found.variant.name!r}: found {len(slope)} readings of the machine's own, which do not tell all "
-            f"{len(found.pose)} coordinates, expected actuators that hold the platform"
+            f"variant {found.variant.name!r}: found {len(slope)} readings of the machine's own, which do not determine "
+            f"all {len(found.pose)} coordinates, expected actuators that hold the platform"
         )
 
 

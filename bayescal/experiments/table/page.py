@@ -71,7 +71,7 @@ def state_headline(summary: dict[str, Any]) -> str:
     sound = summary["converged"] and "slip" not in summary
     advice = "Correct by the table" if worth and sound else "Do not correct by the table yet"
     return (
-        f"{advice}: from {join_words(spans)} it tells the platform's place to ±{known} (90 %); uncorrected it moves by "
+        f"{advice}: from {join_words(spans)} it gives the platform's place to ±{known} (90 %); uncorrected it moves by "
         f"up to {moves}."
     )
 

@@ -233,7 +233,7 @@ POSE_FILES = {
         "pose,x_mm,x_m,y_mm,z_mm\nA,0,0,0,20\n",
         "found columns 'x_mm' and 'x_m', expected one of them",
     ),
-    "pose twice": ("pose,x_mm,y_mm,z_mm\nA,0,0,20\nA,0,0,20\n", "stands already on line 2"),
+    "pose twice": ("pose,x_mm,y_mm,z_mm\nA,0,0,20\nA,0,0,20\n", "is already on line 2"),
     "no names": ("x_mm,y_mm,z_mm\n0,0,20\n", "found no column 'pose'"),
 }
 

@@ -31,7 +31,7 @@ MISTAKES = {
     "a frozen motor": (change([1], lambda x: 0.0 * x + x[0]), "theta[2] does not move: it reads"),
     "a negated motor": (change([1], lambda x: -x), "readings of theta[2] seem to be of the other sign"),
     "a scaled motor": (change([2], lambda x: 2.0 * x), "readings of theta[3] seem to be twice too large"),
-    "wrapped angles": (change([0, 1, 2], lambda x: x % (2.0 * np.pi)), "theta seem to start anew after a full turn"),
+    "wrapped angles": (change([0, 1, 2], lambda x: x % (2.0 * np.pi)), "theta seem to start again after a full turn"),
 }
 
 

@@ -78,7 +78,7 @@ TABLE = {
     "unknown column": ("s_1_mm", "t_1_mm", "found column 't_1_mm'"),
     "unit of another kind": ("s_1_mm", "s_1_deg", "found column 's_1_deg'"),
     "no number": ("C001,calibration,", "C001,calibration,x", "expected a number"),
-    "pose twice": ("C002", "C001", "stands already on line"),
+    "pose twice": ("C002", "C001", "is already on line"),
     "unknown use": ("C001,calibration", "C001,calibrate", "use: found 'calibrate'"),
 }
 

@@ -199,7 +199,7 @@ def test_actuators_that_do_not_hold_the_platform_are_refused(rail):
     study, text = rail.parent / "study.toml", (rail.parent / "study.toml").read_text()
     try:
         change(study, 'title = "All" }', 'title = "All", sensors = ["x"] }')
-        with pytest.raises(InputError, match="found 0 readings of the machine's own, which do not tell all 1"):
+        with pytest.raises(InputError, match="found 0 readings of the machine's own, which do not determine all 1"):
             read(rail)
     finally:
         study.write_text(text)

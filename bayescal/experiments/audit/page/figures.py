@@ -272,7 +272,7 @@ def show_sweeps(results: AuditResults) -> Figure:
     """Return how tolerances and predicted errors go with noise, number of poses and displacements."""
     sweeps = results.tables.get("sweeps")
     caption = (
-        f"What is left of the tolerances on the {results.member} that is known least, a line per symbol, with all "
+        f"Remaining share of the tolerances on the {results.member} that is known least, a line per symbol, with all "
         "parameters unknown (dashed red: contraction 0.75 and 0.1), and below it the predicted standard deviations in "
         "per cent of their limits. The grey line is the plan; open marks need more than the actuators' range. Lines "
         "that stay level wait for another kind of measurement."
@@ -557,7 +557,7 @@ def draw_counts(counts: pd.DataFrame, enough: int, asked: Asked) -> Drawing:
         if flat := enough < number.max():
             axes.axvline(enough, color=INK, linewidth=0.8, linestyle="--")
         _finish_log(axes, integers=True)
-        axes.set_xlabel(f"Number of poses{'; beyond the dashed line more hardly pay' if flat else ''}")
+        axes.set_xlabel(f"Number of poses{'; beyond the dashed line more bring little' if flat else ''}")
         axes.set_ylabel(f"rms over the workspace ({shown})" if shown else "rms over the workspace")
     return figure
 

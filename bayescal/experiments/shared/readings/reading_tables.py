@@ -171,7 +171,7 @@ def pose_names(table: Table) -> list[str]:
     for row, name in enumerate(names):
         if (first := known.setdefault(name, row)) != row:
             raise InputError(
-                f"{table.where(row)}: pose {name!r} stands already on line {table.lines[first]}, expected it once"
+                f"{table.where(row)}: pose {name!r} is already on line {table.lines[first]}, expected it once"
             )
     return names
 

@@ -109,7 +109,7 @@ def draw_standing(
         if not lost.any():
             return pose, exact
         pose[lost] = round_as_written(workspace.draw(int(lost.sum()), rng))
-    raise InputError("workspace: found hardly a pose at which the machine stands, expected a smaller workspace")
+    raise InputError("workspace: found almost no pose that the machine can take, expected a smaller workspace")
 
 
 def find_starts(posterior: CalibrationPosterior, workspace: Workspace, seed: int) -> Array:
@@ -161,7 +161,7 @@ def check_told(posterior: CalibrationPosterior, pose: Array, workspace: Workspac
     for k in np.flatnonzero(likelihood.n_readings < q)[:1]:
         raise InputError(
             f"pose {likelihood.data.poses[k]!r}: found {likelihood.n_readings[k]} readings, expected at least {q}, "
-            "as many as it has coordinates; leave out what tells nothing"
+            "as many as it has coordinates; leave out coordinates that no reading depends on"
         )
     if not q:
         return
@@ -173,6 +173,6 @@ def check_told(posterior: CalibrationPosterior, pose: Array, workspace: Workspac
     values = np.linalg.svd(slope[0, somewhere] * workspace.half, compute_uv=False)
     for k in somewhere[values[:, -1] <= SINGULAR * values[:, 0]][:1]:
         raise InputError(
-            f"pose {likelihood.data.poses[k]!r}: found readings that do not tell all {q} coordinates, expected some "
-            "that do; leave out what tells nothing"
+            f"pose {likelihood.data.poses[k]!r}: found readings that do not determine all {q} coordinates, expected "
+            "some that do; leave out coordinates that no reading depends on"
         )

@@ -57,7 +57,7 @@ FRAMES: tuple[Symbol, ...] = (
     ("base_x … base_rz", "frame of the instrument against the base: displacement and rotation vector"),
     ("tool_x … tool_rz", "frame of the probe against the platform: displacement and rotation vector"),
 )
-NOTATION = "Notation; subscripts x, y, z are components, a leg's number stands in the column's heading."
+NOTATION = "Notation; subscripts x, y, z are components, a leg's number is in the column's heading."
 LEVELS: dict[str, Level] = dict(zip(VERDICTS, ("good", "bad", "plain"), strict=True))
 PLURAL = {"holds": "hold", "does not hold": "do not hold", "not testable": "are not testable"}
 OWN = "own"  # section of findings that the publication does not state

@@ -252,7 +252,7 @@ def _describe_cause(found: _Found, main: Kind) -> str:
         lead = found.alone[found.cause] - max(one for name, one in found.alone.items() if name != found.cause)
         return f"all of it may be {main.along} ({main.causes}), {say_odds(lead)} against any other single cause"
     if found.rivals:
-        return f"whether it is {join_words([KINDS[name].along for name in found.rivals], 'or')} the data do not tell"
+        return f"whether it is {join_words([KINDS[name].along for name in found.rivals], 'or')} the data do not say"
     text = f"the largest part is {main.along} ({main.causes})"
     several = found.alone and max(found.alone.values()) < -CLEAR
     return f"{text}, but no single cause explains all of it" if several else text

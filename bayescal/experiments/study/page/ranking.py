@@ -193,7 +193,7 @@ def tabulate_effects(study: StudyResults) -> Table | None:
         "best of their letter."
     )
     if study.free_sets:
-        note += " Of several free sets of one model and deformation the best one stands here."
+        note += " Of several free sets of one model and deformation the best one is shown."
     return make_table("Log-evidence by model and deformation, with model error.", columns, rows, [Statement(note)])
 
 

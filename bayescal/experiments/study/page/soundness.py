@@ -285,6 +285,6 @@ def state_convergence(study: StudyResults) -> list[Statement]:
         f"to {format_fixed(gap, 3)} nat or better (limit {AGREEMENT})."
     )
     if has_warnings(study):
-        caveat = "That follows from what was stated of noise and tolerances; what speaks against it stands above."
+        caveat = "That follows from what was stated of noise and tolerances; what speaks against it is said above."
         return [Statement(f"{text} {caveat}", "plain", "Checks")]
     return [Statement(text, "good", "Checks")]

@@ -125,7 +125,7 @@ def test_nothing_is_called_good_without_a_word_of_warning(make_results, chi2, le
     folder = make_results(set_fit(BEST, "zero", misfit_chi2=chi2, misfit_dof=200.0), variants=TWELVE)
     (checks,) = (one for one in state_verdict(read_study(folder)) if one.lead == "Checks")
     assert checks.level == level
-    assert ("what speaks against it stands above" in checks.text) == (level == "plain")
+    assert ("what speaks against it is said above" in checks.text) == (level == "plain")
     assert f'class="{mark}"' in render_text(folder)
 
 
