@@ -76,6 +76,9 @@ def validate(experiment: Experiment, no_plugins: NoPlugins = False, trust: Trust
     for doubt in doubts:
         echo(f"but {doubt}")
     echo(f"{len(files)} files belong to it: {', '.join(files)}" if files else "no other file belongs to it")
+    if doubts:
+        echo(f"next: correct the data or the config, then bayescal validate {experiment} again")
+        return
     command = "simulate" if config.kind == "simulation" else "run"
     echo(f"next: bayescal {command} {experiment}, into results/{config.name}")
 

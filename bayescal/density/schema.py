@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Annotated, ClassVar, Final, Literal, Self, get_args
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, Field
 
 from bayescal.config.sections import NotNegative, PerLeg, Positive, PositivePerLeg, Section, check_once
 from bayescal.numerics.units import MICROMETRE
@@ -45,6 +45,8 @@ type TermName = Literal["independent", "linear", "own", "smooth", "drift"]
 TERMS: Final[tuple[TermName, ...]] = get_args(TermName.__value__)
 """What a model error may be made of, in the order in which pages tell it."""
 ALONE: Final[list[TermName]] = ["independent"]
+LASTING: Final[tuple[TermName, ...]] = ("linear", "own", "smooth")
+"""Terms that a geometry imitates."""
 TAU_UM: Final = 10.0
 FUNCTIONS_UM: Final = 20.0
 OF_NOISE: Final = 2.0
@@ -99,23 +101,28 @@ class ModelErrorConfig(Section):
         usual = max(MICROMETRE * FUNCTIONS_UM, OF_NOISE * noise)
         return tau, usual if self.functions_um is None else MICROMETRE * self.functions_um
 
-    def terms_for(self, own: list[TermName] | None) -> list[TermName]:
-        """Return the terms of a variant: its own, or those of all where it has none."""
-        return self.terms if own is None else own
+    def of(self, own: list[TermName] | None) -> Self:
+        """Return the model error of a variant: with its own terms, or those of all where it has none."""
+        return self if own is None else self.model_copy(update={"terms": own})
 
     def floors(self) -> dict[TermName, float]:
         """Return the least root mean square of each term that has one, µm."""
         if isinstance(self.at_least_um, dict):
-            return {name: one for name, one in self.at_least_um.items() if one > 0.0}
-        together: list[TermName] = [one for one in ("linear", "own", "smooth") if one in self.terms]
+            return {name: one for name, one in self.at_least_um.items() if one > 0.0 and name in self.terms}
+        together: list[TermName] = [one for one in LASTING if one in self.terms]
         return {one: self.at_least_um / len(together) ** 0.5 for one in together if self.at_least_um > 0.0}
 
     def lengths(self) -> dict[str, float]:
         """Return the same in mm."""
         return {name: MICROMETRE * floor for name, floor in self.floors().items()}
 
-    @model_validator(mode="after")
-    def _check_floors(self) -> Self:
-        if isinstance(self.at_least_um, dict) and (strange := set(self.at_least_um) - set(self.terms)):
-            raise ValueError(f"at_least_um: found {sorted(strange)}, expected some of the terms {self.terms}")
-        return self
+    def check_floors(self, terms: Collection[str]) -> None:
+        """Raise ValueError for a floor of what is not among the terms of any variant."""
+        if isinstance(self.at_least_um, dict):
+            if strange := set(self.at_least_um) - set(terms):
+                raise ValueError(f"at_least_um: found {sorted(strange)}, expected some of the terms {[*terms]}")
+        elif self.at_least_um > 0.0 and not set(LASTING) & set(terms):
+            raise ValueError(
+                f"at_least_um: found {self.at_least_um:g} with the terms {[*terms]}, expected some of {[*LASTING]} "
+                "among them, or a size by term"
+            )

@@ -21,17 +21,17 @@ from typing import Any, Final
 import numpy as np
 
 from bayescal.density.posterior import Posterior
+from bayescal.density.schema import LASTING
 from bayescal.limits import UNSEEN_UM
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import MICROMETRE
 
-IMITATED: Final = ("linear", "own", "smooth")
 DRAWS: Final = 20  # of the sizes of a posterior's errors
 
 
 def choose_unseen(floors: Mapping[str, float], there: Sequence[str]) -> dict[str, float]:
     """Return root mean squares of unseen errors by term, mm: those stated, else `UNSEEN_UM` shared by what is there."""
-    sorts = [name for name in IMITATED if name in there]
+    sorts = [name for name in LASTING if name in there]
     usual = dict.fromkeys(sorts, MICROMETRE * UNSEEN_UM / max(1, len(sorts)) ** 0.5)
     return {name: size for name, size in (floors or usual).items() if name in there}
 

@@ -146,7 +146,7 @@ class ReadMachine:
         every = np.ones(len(planned.names), dtype=bool)
         error = config.model_error
         terms, missing = build_terms_of_model(
-            error, error.terms, model, variant.data, planned.pose, every, self.workspace, priors, few=True
+            error, model, variant.data, planned.pose, every, self.workspace, priors, few=True
         )
         return replace(variant, errors=Errors(terms), missing=missing)
 

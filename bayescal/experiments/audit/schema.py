@@ -220,6 +220,7 @@ class ExpectedErrorConfig(ModelErrorConfig):
     def _check_expected(self) -> Self:
         if isinstance(self.expected_um, dict) and (strange := set(self.expected_um) - set(self.terms)):
             raise ValueError(f"expected_um: found {sorted(strange)}, expected some of the terms {self.terms}")
+        self.check_floors(self.terms)
         return self
 
 

@@ -193,6 +193,8 @@ def run_experiment(
                 import_all(experiment.imports[:1])
             progress = Progress(quiet)
             if not (quiet or resume) and scheduler is None:
+                for doubt in _ask(experiment.doubt, admitted.inputs):
+                    progress.say(f"warning: {doubt}")
                 progress.say(_tell_effort(admitted, workers))
             results = _compute(admitted, Run(engine, store, progress), store.discard)
             provenance = describe_provenance(config, identity)

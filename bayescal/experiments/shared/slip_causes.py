@@ -120,7 +120,8 @@ def list_effects(readings: Readings, pose: Array) -> Iterator[Cause]:
     yield from _list_couplings(readings)
     if not readings.posterior.errors.outliers.expected:
         for k, name in enumerate(readings.posterior.likelihood.data.poses):
-            text = f"row {k + 1} (pose {name!r}) does not belong to the others: look at its readings, or leave it out"
+            row = f"row {k + 1} (pose {str(name)!r})"
+            text = f"{row} does not belong to the others: look at its readings, or leave it out"
             yield Cause(ROWS, text, without=(k,))
 
 
@@ -202,7 +203,7 @@ def _shift(name: str, columns: np.ndarray, values: Array, together: bool = False
     """Yield some columns as if they stood a row too early or too late; all of them only ``together``."""
     if len(values) < 3 or (len(columns) == values.shape[1] and not together):
         return
-    for step, words in ((1, "earlier"), (-1, "later")):
+    for step, words in ((1, "later"), (-1, "earlier")):
         moved = values.copy()
         moved[:, columns] = np.roll(values[:, columns], step, axis=0)
         there = np.arange(len(values))[slice(1, None) if step > 0 else slice(None, -1)]

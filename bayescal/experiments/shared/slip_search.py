@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import combinations
 
 import numpy as np
 
@@ -45,6 +46,7 @@ FITS_WELL, HOPELESS = 1.2, 8.0  # rms of a cause that leaves little, and nats a 
 FITS = 3  # steps of a fit
 TOGETHER = 100  # tables that are looked at at once
 MOST_ROWS = 10  # of which other tables are tried first
+MOST_FAR = 6  # rows far off of which two may be exchanged
 MISFIT = 1.4
 """Rms of the rows in their noise below which no other table is tried."""
 UNFIT = -1e9  # log-density of readings that no machine has at all
@@ -53,9 +55,9 @@ SLIPS = (UNIT, LEGS, ROWS, POSES, CHANNEL, FRAME)
 """Causes that are slips of the data: other kinds of experiments than checks name these alone."""
 STATED = 1.5
 """Rms of the rows in noise and model errors as stated up to which nothing has slipped."""
-BETTER = {POSES: 1.5}
+BETTER = {POSES: 1.5, ROWS: 1.5}
 """Factor by which the misfit has to fall for a slip to be named, 3 but for what is named here: angles read in another
-way are off by little at tilts of some degrees, by two to five times what was stated."""
+way are off by little at tilts of some degrees, by two to five times what was stated, and a row is one of many."""
 USUALLY_BETTER = 3.0
 
 
@@ -356,7 +358,7 @@ class _Search:
                     values[k] = max(values[k], one.whiten(self.zeta, slop).weigh() - missing * missing_cost)
         usual = values[0] if np.isfinite(values[0]) else UNFIT
         rough = [(one, share * float(value - usual)) for one, value in zip(causes, values, strict=True)]
-        return [*rough[1:], *self._weigh_shifts(here)]
+        return [*rough[1:], *self._weigh_shifts(here), *self._weigh_exchanges(here)]
 
     def _see_together(self, tables: list[Table], here: Sight) -> list[Sight | None]:
         """Return what is seen of tables that are looked at one below the other."""
@@ -369,6 +371,7 @@ class _Search:
         values, own = self.readings.values, np.flatnonzero(self.readings.internal)
         n, found = len(values), list[tuple[Cause, float]]()
         kinds = join_words(list(dict.fromkeys(self.readings.channels[k].kind for k in own)))
+        names = self.posterior.likelihood.data.poses
         if n < 4 or not len(own) or len(own) == values.shape[1]:
             return found
         usual, row_cost = max(here.whiten(self.zeta, slop).weigh() for slop in SLOPS), self._row_cost(here)
@@ -394,8 +397,30 @@ class _Search:
                 table = values.copy()
                 table[chosen[there]] = moved[chosen[there]]
                 where = "from" if step > 0 else "up to"
-                text = f"rows of {kinds} seem to be shifted by one {where} row {k + 1}"
+                text = f"rows of {kinds} seem to be shifted by one {where} row {k + 1} (pose {str(names[k])!r})"
                 found.append((Cause(ROWS, text, Table(table[chosen], chosen)), float(weighed[k]) - row_cost - usual))
+        return found
+
+    def _weigh_exchanges(self, here: Sight) -> list[tuple[Cause, float]]:
+        """Return two rows whose readings of the machine's own channels are exchanged, of the few that are far off."""
+        values, own, found = self.readings.values, np.flatnonzero(self.readings.internal), list[tuple[Cause, float]]()
+        off, names = self.readings.measure_rows(), self.posterior.likelihood.data.poses
+        far = np.flatnonzero(off > OUTLYING * np.median(off))
+        if not 2 <= len(far) <= MOST_FAR or not len(own) or len(own) == values.shape[1]:
+            return found
+        kinds = join_words(list(dict.fromkeys(self.readings.channels[k].kind for k in own)))
+        usual = max(here.whiten(self.zeta, slop).weigh() for slop in SLOPS)
+        for pair in combinations(far.tolist(), 2):
+            moved = values.copy()
+            moved[np.ix_(pair, own)] = values[np.ix_(pair[::-1], own)]
+            table = Table(moved, np.arange(len(values)))
+            seen = self.readings.see(table, np.zeros(self.m), here.pose, 2)
+            if seen is None or not seen.stands.any():
+                continue
+            rows = " and ".join(f"{k + 1} (pose {str(names[k])!r})" for k in pair)
+            text = f"rows {rows} seem to have each other's {kinds}"
+            value = max(seen.whiten(self.zeta, slop).weigh() for slop in SLOPS)
+            found.append((Cause(ROWS, text, table), float(value - usual)))
         return found
 
     def _row_cost(self, here: Sight) -> float:

@@ -15,6 +15,9 @@ from bayescal.report.numbers import format_significant
 
 UNIT, LEGS, ROWS, POSES, CHANNEL, FRAME = "unit", "legs", "rows", "poses", "channel", "frame"
 
+FAR = 3.0
+"""Factor on the misfit from which on no machine is said to come near the data."""
+
 type DeniedSlips = Annotated[
     list[Literal["unit", "legs", "rows", "poses", "channel", "frame"]], AfterValidator(check_once)
 ]
@@ -67,8 +70,10 @@ def state_slip(summary: Mapping[str, Any]) -> list[Statement]:
     slip = summary.get("slip")
     if not isinstance(slip, dict):
         return []
+    far = slip["factor"] is None or slip["factor"] > FAR
     text = (
-        f"No machine within the tolerances comes near the data; they {_say_factor(slip['factor'])} if one thing is "
-        f"corrected: {slip['text']}. All other results rest on data that seem to be wrong."
+        f"{'No machine within the tolerances comes near the data; they' if far else 'The data'} "
+        f"{_say_factor(slip['factor'])} if one thing is corrected: {slip['text']}. All other results rest on data that "
+        "seem to be wrong."
     )
     return [Statement(text, "bad", "Data")]

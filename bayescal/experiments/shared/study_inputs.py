@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -134,9 +135,14 @@ class Inputs(ABC):
     def find_slip(self) -> FoundSlip | None:
         """Return what may have happened to data that no variant's machine comes near; None where one does."""
 
+    @cached_property
+    def slip(self) -> FoundSlip | None:
+        """The same, looked for once."""
+        return self.find_slip()
+
     def doubt(self) -> list[str]:
         """Return what is probably wrong with the data, in words."""
-        slip = self.find_slip()
+        slip = self.slip
         return [] if slip is None else [slip.say()]
 
     @abstractmethod

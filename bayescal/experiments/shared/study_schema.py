@@ -430,7 +430,13 @@ class StudyConfig(ExperimentConfig):
             raise ValueError("sensors: missing, expected the noise of the channels")
         if self.by_tables and self.sensitivity.tau_scale_um != TAU_SCALES:
             raise ValueError("sensitivity.tau_scale_um: found with tables of readings, where it means nothing")
-        if isinstance(self.model_error, dict) and not self.by_tables:
+        if not isinstance(self.model_error, dict):
+            every = [name for one in self.variants for name in self.model_error.of(one.model_error).terms]
+            try:
+                self.model_error.check_floors(dict.fromkeys(every))
+            except ValueError as error:
+                raise ValueError(f"model_error.{error}") from error
+        elif not self.by_tables:
             raise ValueError(f"model_error: found that of channels with {data}, expected terms, scale_um")
 
 

@@ -59,7 +59,6 @@ from bayescal.files.csv_tables import format_table, read_table
 from bayescal.machines.read import list_machine_sources
 from bayescal.machines.readings import Legs, ReadingModel
 from bayescal.numerics.geometry import Array
-from bayescal.numerics.units import MICROMETRE
 
 COMMANDS = "commands.csv"
 """Of all variants, where all take in the same poses."""
@@ -119,8 +118,9 @@ def tabulate_leg_errors(inputs: StudyInputs, fits: Mapping[str, Fit]) -> pd.Data
     That is σ_ρ as noise; as model error τ, and errors that are functions of the pose as large as they are at the
     calibration poses.
     """
-    rows, floor = [], inputs.config.leg_error.floors().get("independent", 0.0) * MICROMETRE
+    rows = []
     for name, fit in fits.items():
+        floor = inputs.model_error(inputs.variant(name)).lengths().get("independent", 0.0)
         square = dict(zip(fit.names, fit.mean**2 + fit.sd**2, strict=True))
         by_leg = fit.evaluated.get(BY_LEG, np.zeros((1, inputs.mechanism.n_legs)))
         functions = np.mean(by_leg**2, axis=0)

@@ -20,7 +20,7 @@ def compute_study(inputs: Inputs, run: Run) -> Results:
     config, held, fits = inputs.config, inputs.verification, compute_posteriors(inputs, run)
     free, factors = choose_free(fits), config.sensitivity.factor
     await_widths = begin_widths(weigh, inputs, free, factors, run)  # while workers compute them, all that needs none
-    found, slip = inputs.describe(fits, run), inputs.find_slip()
+    found, slip = inputs.describe(fits, run), inputs.slip
     summary = {
         "experiment": config.name,
         "title": config.title,

@@ -48,8 +48,15 @@ def list_outlooks(inputs: StudyInputs) -> list[str]:
 
 
 def find_study_slip(inputs: StudyInputs) -> FoundSlip | None:
-    """Return what explains the data many times better than they are; None where some variant's machine fits them."""
-    return find_slip(_read(inputs, _without_measured_matrix(inputs, one)) for one in inputs.config.variants)
+    """Return what explains the data many times better than they are; None where some variant's machine fits them.
+
+    What happened to the calibration poses alone is no slip of all poses.
+    """
+    every = [_read(inputs, _without_measured_matrix(inputs, one)) for one in inputs.config.variants]
+    found, held = find_slip(every), inputs.verification
+    if found is None and held.any():
+        found = find_slip(one.pick(np.flatnonzero(~held)) for one in every)
+    return found
 
 
 def _read(inputs: StudyInputs, variant: VariantConfig) -> Readings:

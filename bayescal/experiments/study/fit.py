@@ -138,7 +138,8 @@ class Legs(Subject):
         chosen = spread(len(flat), limit_draws(SAVED_DRAWS, POSE_NUMBERS * len(held)))
         if isinstance(own.likelihood, FunctionLikelihood):
             others = self._predict_from(own.likelihood, verification=True) if held.any() else None
-            unseen = choose_unseen(self.inputs.config.leg_error.lengths(), own.likelihood.functions.sorts)
+            error = self.inputs.model_error(self.inputs.variant(self.task.variant))
+            unseen = choose_unseen(error.lengths(), own.likelihood.functions.sorts)
             return evaluate_functions(own, others, held, y, chosen, seed, unseen)
         pieces = dict[str, list[Array]]()
         for use, rng_seed in zip((False, True), seed.spawn(2), strict=True):

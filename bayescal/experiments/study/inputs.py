@@ -25,7 +25,7 @@ from bayescal.density.instruments import InstrumentLikelihood
 from bayescal.density.legs import LegPosterior, Likelihood, build_leg_posterior, check_machine
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.priors import Prior
-from bayescal.density.schema import TERMS
+from bayescal.density.schema import TERMS, ModelErrorConfig
 from bayescal.density.sorts import FEWEST_POSES, SORTS
 from bayescal.errors import InputError, PoseInputError, name_faults
 from bayescal.experiments.frame.memory import Need, check_arrays
@@ -247,10 +247,10 @@ class StudyInputs(Inputs):
     def posterior(self, variant: VariantConfig, with_model_error: bool, factor: float = 1.0) -> LegPosterior:
         """Return the posterior of a variant; ``factor`` multiplies the widths of all parameters' priors."""
         priors, fixed = self.priors(variant, factor)
-        error, known = ModelError(None), self.config.leg_error
+        error, known = ModelError(None), self.model_error(variant)
         scale, function_scale = known.scales(self.actuator_noise)
         likelihood, terms = self.likelihood(variant, verification=False), list[LegTerm]()
-        if with_model_error and "independent" in known.terms_for(variant.model_error):
+        if with_model_error and "independent" in known.terms:
             floor = known.floors().get("independent", 0.0) * MICROMETRE
             error = ModelError(scale, not known.per_leg, floor)
         if with_model_error and (sorts := self.list_sorts(variant)):
@@ -281,7 +281,7 @@ class StudyInputs(Inputs):
 
         They cannot with too few poses, and all of them, which nobody asked for by name, not beside outliers.
         """
-        beside = variant.outliers.expected and self._terms(variant) == list(TERMS)
+        beside = variant.outliers.expected and self.model_error(variant).terms == list(TERMS)
         return () if self.has_few_poses or beside else self._want_sorts(variant)
 
     @property
@@ -290,14 +290,15 @@ class StudyInputs(Inputs):
         return bool(np.count_nonzero(~self.verification) < FEWEST_POSES)
 
     def _want_sorts(self, variant: VariantConfig) -> tuple[str, ...]:
-        return tuple(name for name in self._terms(variant) if name in SORTS)
+        return tuple(name for name in self.model_error(variant).terms if name in SORTS)
 
-    def _terms(self, variant: VariantConfig) -> Sequence[str]:
-        return self.config.leg_error.terms_for(variant.model_error)
+    def model_error(self, variant: VariantConfig) -> ModelErrorConfig:
+        """Return the model error of a variant, with its terms."""
+        return self.config.leg_error.of(variant.model_error)
 
     def has_model_error(self, variant: VariantConfig) -> bool:
         """Whether a variant has a model error, of any kind."""
-        return bool(self._terms(variant))
+        return bool(self.model_error(variant).terms)
 
     @property
     def unused(self) -> str:
@@ -505,11 +506,10 @@ def load_inputs(config: StudyConfig, folder: Path) -> StudyInputs:
 
 def _check_terms(inputs: StudyInputs, variant: VariantConfig, posterior: LegPosterior) -> None:
     """Raise InputError for terms asked for by name that there cannot be, and for a floor beyond all tolerances."""
-    terms = inputs.config.leg_error.terms_for(variant.model_error)
+    error = inputs.model_error(variant)
+    terms = error.terms
     units = dict(zip(posterior.names, posterior.units, strict=True))
     missing = [name for name in terms if name in SORTS and name not in inputs.list_sorts(variant)]
     if missing and terms != list(TERMS):
         raise InputError(f"model_error: found term {missing[0]!r}, but {FEW_POSES}, expected other terms")
-    check_floors(
-        inputs.config.leg_error.floors(), [one.sd for name, one in posterior.priors.items() if units[name] == "mm"]
-    )
+    check_floors(error.floors(), [one.sd for name, one in posterior.priors.items() if units[name] == "mm"])

@@ -108,7 +108,8 @@ def tabulate_model_error(inputs: StudyInputs, fits: Mapping[Task, Fit]) -> dict[
         if not task.with_model_error:
             continue
         sorts, of = inputs.list_sorts(inputs.variant(task.variant)), fit.evaluated
-        by_term = {"independent": _find_tau(inputs, fit)} if _find_tau(inputs, fit).size else {}
+        tau = _find_tau(inputs, task.variant, fit)
+        by_term = {"independent": tau} if tau.size else {}
         by_term |= {name: of[f"{OF_FUNCTIONS}size"][:, k] for k, name in enumerate(sorts)}
         terms += [_summarise(task.variant, name, by_term[name]) for name in TERMS if name in by_term]
         if sorts:
@@ -125,10 +126,10 @@ def tabulate_model_error(inputs: StudyInputs, fits: Mapping[Task, Fit]) -> dict[
     return {name: pd.concat(frames, ignore_index=True) for name, frames in found.items() if frames}
 
 
-def _find_tau(inputs: StudyInputs, fit: Fit) -> Array:
+def _find_tau(inputs: StudyInputs, variant: str, fit: Fit) -> Array:
     """Return draws of τ, mm, root mean square over legs where each has one; empty where there is none."""
     tau = fit.draws[..., [name.partition("[")[0] == TAU for name in fit.names]].reshape(fit.draws[..., 0].size, -1)
-    floor = inputs.config.leg_error.floors().get("independent", 0.0) * MICROMETRE
+    floor = inputs.model_error(inputs.variant(variant)).lengths().get("independent", 0.0)
     return np.sqrt(np.mean(tau**2, axis=1) + floor**2) if tau.shape[1] else np.empty(0)
 
 

@@ -163,9 +163,8 @@ def fit_variant(inputs: ReadingInputs, name: str) -> ReadingFit:
     functions, some = find_functions(posterior, fit.kept, rng), fit.kept[spread(len(fit.kept), ERROR_DRAWS)]
     with np.errstate(all="ignore"):
         drawn = posterior.likelihood.draw_common(*posterior.at(some), rng)
-    found = tabulate_model_error(
-        name, variant.data, variant.verification, posterior, some, drawn, config.leg_error, own
-    )
+    error = config.leg_error.of(variant.config.model_error)
+    found = tabulate_model_error(name, variant.data, variant.verification, posterior, some, drawn, error, own)
     known = KnownFunctions.find(posterior, fit.kept)
     packed = fit.pack(subject.build_tree(fit, name, known), ONLY_SAVED)
     learn = learn_posterior(variant, posterior, fit.kept, known)

@@ -178,6 +178,10 @@ def test_misfit_counts_functions_as_noise(silent):
             r"outlier_share: found it beside the terms own .* terms = \[\"indep",
         ),
         (
+            {"model_error": 'terms = ["independent"]\nat_least_um = 10.0'},
+            r"model_error.at_least_um: found 10 with the terms \['independent'\], expected some of \['linear', 'own'",
+        ),
+        (
             {"model_error": "at_least_um = 4000.0"},
             r"model_error.at_least_um: found .* for 'linear', .* tolerance, 2000 µm",
         ),

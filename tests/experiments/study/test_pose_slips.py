@@ -112,3 +112,59 @@ def test_exchanged_legs_are_found_from_points_in_free_frames(probe, tmp_path, mo
     found = find_study_slip(load_inputs(load_experiment(path), tmp_path))
     assert found is not None
     assert "readings of rho[2] and rho[3] seem to be exchanged" in found.text
+
+
+def edit_actuators(folder, change):
+    """Change the table of actuators, a list of rows by column, and return its original text."""
+    path = folder / "data" / "actuators.csv"
+    original = path.read_text()
+    comments = [line for line in original.splitlines() if line.startswith("#")]
+    header, *rows = [line.split(",") for line in original.splitlines() if not line.startswith("#")]
+    own = [k for k, name in enumerate(header) if name.startswith("rho")]
+    change(rows, own)
+    path.write_text("\n".join([*comments, *map(",".join, [header, *rows])]) + "\n")
+    return path, original
+
+
+def swap_two(rows, own):
+    for k in own:
+        rows[3][k], rows[4][k] = rows[4][k], rows[3][k]
+
+
+def shift_calibration(rows, own, first=5):
+    """Of the poses for calibration each from some place on has what belongs to the one before."""
+    places = [k for k, row in enumerate(rows) if "calibration" in row]
+    values = [[rows[k][i] for i in own] for k in places]
+    for k, known in zip(places[first:], values[first - 1 :], strict=False):
+        for i, value in zip(own, known, strict=True):
+            rows[k][i] = value
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (swap_two, ("rows 4 (pose 'C04') and 5 (pose 'C05') seem to have each other's rho",)),
+        (shift_calibration, ("rows of rho seem to be shifted by one from row 6 (pose 'C06')",)),
+        (lambda *table: shift_calibration(*table, 1), ("they belong to the readings of the row earlier",)),
+    ],
+)
+def test_rows_of_actuators_that_stand_elsewhere_are_found(fed, change, said):
+    path, original = edit_actuators(fed, change)
+    try:
+        slip = look(fed)
+    finally:
+        path.write_text(original)
+    assert slip is not None
+    assert slip.fault == "rows"
+    assert all(words in slip.text for words in said), slip.text
+
+
+def test_a_single_pose_that_is_off_is_found(fed):
+    def spoil(columns):
+        values = list(columns["x_mm"])
+        values[5] = str(float(values[5]) + 0.5)
+        return columns | {"x_mm": values}
+
+    slip = look(fed, spoil)
+    assert slip is not None
+    assert "row 6 (pose 'C06') does not belong to the others" in slip.text

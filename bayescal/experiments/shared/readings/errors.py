@@ -96,7 +96,6 @@ def _draw_ends(q: int) -> Array:
 
 def build_terms_of_model(
     error: ModelErrorConfig,
-    terms: Sequence[TermName],
     model: ReadingModel,
     data: Measurements,
     start: Array,
@@ -113,8 +112,7 @@ def build_terms_of_model(
     Parameters
     ----------
     error : ModelErrorConfig
-    terms : sequence of str
-        Those of the variant.
+        With the terms of the variant.
     model : ReadingModel
         The machine with the K channels that the variant takes in.
     data : Measurements
@@ -136,7 +134,7 @@ def build_terms_of_model(
     InputError
         For terms asked for by name that there cannot be, and a floor beyond all tolerances.
     """
-    if not terms:
+    if not (terms := error.terms):
         return (), ""
     own = OwnChannels.find(model, data, start, used, *measure_ranges(model, data, workspace))
     missing = own.find_missing(terms, _find_costly(others))

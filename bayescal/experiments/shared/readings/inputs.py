@@ -216,12 +216,12 @@ def _build(
     check_readings(data.n_poses, len(chosen), len(priors), len(model.coordinates))
     start = find_starts(unplaced.posterior(np.ones(data.n_poses, dtype=bool)), workspace, config.seed)
     used = ~unplaced.verification
-    wanted = config.leg_error.terms_for(section.model_error)
-    if wanted and config.channel_errors:
-        raise InputError(f"model_error: found terms {wanted} beside errors by channel in [model_error], expected one")
-    found, missing = build_terms_of_model(
-        config.leg_error, wanted, model, data, start, used, workspace, priors, unplaced.errors
-    )
+    error = config.leg_error.of(section.model_error)
+    if error.terms and config.channel_errors:
+        raise InputError(
+            f"model_error: found terms {error.terms} beside errors by channel in [model_error], expected one"
+        )
+    found, missing = build_terms_of_model(error, model, data, start, used, workspace, priors, unplaced.errors)
     placed = replace(unplaced, start=start, errors=replace(unplaced.errors, terms=(*terms, *found)), missing=missing)
     check_reach(placed.list_readings(np.ones(data.n_poses, dtype=bool)))
     return placed

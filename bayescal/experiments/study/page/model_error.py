@@ -17,6 +17,7 @@ import pandas as pd
 from matplotlib.figure import Figure as Drawing
 from matplotlib.lines import Line2D
 
+from bayescal.density.schema import LASTING
 from bayescal.experiments.frame.results import Row
 from bayescal.experiments.shared.headline import say_odds
 from bayescal.experiments.shared.hidden import show_hidden
@@ -160,13 +161,15 @@ def name_cause(alone: Mapping[str, float]) -> str:
 class _Found(NamedTuple):
     """What was found of one variant's model error.
 
-    Rows of its table by term; rms of each member's mean, µm; evidence of each term alone less that of all, nat.
+    Rows of its table by term; rms of each member's mean, µm; evidence of each term alone less that of all, nat; the
+    least size of each term that is stated, µm.
     """
 
     label: str
     sizes: dict[str, Row]
     members: dict[str, float]
     alone: dict[str, float]
+    floors: dict[str, float]
 
     @property
     def functions(self) -> dict[str, Row]:
@@ -200,7 +203,19 @@ class _Found(NamedTuple):
     @property
     def seen(self) -> list[str]:
         """The terms of which the data show an error."""
-        return [name for name in (*self.functions, INDEPENDENT) if is_seen(self.sizes.get(name))]
+        return [name for name in (*self.functions, INDEPENDENT) if is_seen(self.beyond(name))]
+
+    def beyond(self, name: str) -> Mapping[str, Any] | None:
+        """Return the size of a term, or of all together, beyond what is stated; None where there is no such term."""
+        size, floor = self.sizes.get(name), self.floors.get(name, 0.0)
+        if size is None or not floor:
+            return size
+        return {key: math.sqrt(max(0.0, size[key] ** 2 - floor**2)) for key in ("median_um", "q05_um", "q95_um")}
+
+    @property
+    def is_seen_together(self) -> bool:
+        """Whether the data show systematic errors, of whatever sort."""
+        return is_seen(self.beyond(TOGETHER) or next(iter(self.functions.values()), None), len(self.functions))
 
 
 def is_seen(size: Mapping[str, Any] | None, n_terms: int = 1) -> bool:
@@ -217,7 +232,18 @@ def _find(study: StudyResults, name: str) -> _Found:
     members = {str(member): math.sqrt(value) for member, value in square.items()}
     sizes = {row["term"]: row for row in study.rows("model_error", name)}
     alone = {row["term"]: row["log_odds"] for row in study.rows("model_error_alone", name)}
-    return _Found(study.label(name), sizes, members, alone)
+    floors = _list_floors(study, name)
+    floors |= {TOGETHER: math.sqrt(sum(one**2 for term, one in floors.items() if term != INDEPENDENT))}
+    return _Found(study.label(name), sizes, members, alone, floors)
+
+
+def _list_floors(study: StudyResults, name: str) -> dict[str, float]:
+    """Return the least size of each term of a variant that is stated, µm."""
+    stated, terms = study.config.get("model_error", {}).get("at_least_um", 0.0), study.list_terms(name)
+    if isinstance(stated, dict):
+        return {term: float(size) for term, size in stated.items() if size > 0.0 and term in terms}
+    lasting = [term for term in LASTING if term in terms]
+    return {term: stated / math.sqrt(len(lasting)) for term in lasting if stated > 0.0}
 
 
 def state_terms(study: StudyResults) -> list[Statement]:
@@ -230,7 +256,7 @@ def _advise(found: _Found) -> Statement:
     """Say what to do, how large the systematic error is, in which leg or channel and along what."""
     seen = [name for name in found.seen if name in found.functions]
     # terms that imitate each other: only their sum is known
-    if not seen and is_seen(found.whole, len(found.functions)):
+    if not seen and found.is_seen_together:
         seen = list(found.functions)
     if not seen or found.whole is None:
         scatters = INDEPENDENT in found.seen
@@ -263,8 +289,11 @@ def _describe_absent(found: _Found) -> str:
     if found.whole is None:
         text = f"{found.label} has no term for systematic errors: its intervals do not allow for them."
     else:
-        most = format_significant(found.whole["q95_um"], 2)
-        text = f"{found.label}: no systematic error is seen (95 % upper limit {most} µm rms)."
+        most, stated = (format_significant(one, 2) for one in (found.whole["q95_um"], found.floors[TOGETHER]))
+        seen = f"is seen (95 % upper limit {most} µm rms over all {found.member}s)"
+        if found.floors[TOGETHER]:
+            seen = f"beyond the {stated} µm rms that are stated is seen; the intervals allow for these"
+        text = f"{found.label}: no systematic error {seen}."
     return f"{text} {_describe_independent(found)}".rstrip()
 
 
@@ -337,9 +366,17 @@ def _tabulate_terms(found: _Found) -> Table:
     rows = []
     for name, size in found.sizes.items():
         along, causes = (KINDS[name].along, KINDS[name].causes) if name in KINDS else ("systematic errors together", "")
-        n_terms = len(found.functions) if name == TOGETHER else 1
+        there = found.is_seen_together if name == TOGETHER else is_seen(found.beyond(name))
         alone = [format_fixed(found.alone.get(name, math.nan), 1, sign=True)] if found.alone else []
-        rows.append([along, _format_size(size), *alone, "seen" if is_seen(size, n_terms) else "no trace", causes])
+        rows.append(
+            [
+                along,
+                _format_size(size),
+                *alone,
+                "seen" if there else "as stated" if found.floors.get(name) else "no trace",
+                causes,
+            ]
+        )
     if "none" in found.alone:
         rows.append(["no systematic error", NOTHING, format_fixed(found.alone["none"], 1, sign=True), "", ""])
     notes = [Statement(SIZES), *([Statement(ALONE)] if found.alone else [])]
@@ -348,11 +385,10 @@ def _tabulate_terms(found: _Found) -> Table:
 
 def _show_floor(study: StudyResults, name: str) -> list[Block]:
     """Say what errors that leave no trace would hide, and which of them are allowed for."""
-    stated = study.config.get("model_error", {}).get("at_least_um", 0.0)
-    if isinstance(stated, dict):
-        sizes = [f"{format_plain(size)} µm rms {KINDS[term].along}" for term, size in stated.items() if size > 0.0]
-    else:
-        sizes = [f"{format_plain(stated)} µm rms"] if stated > 0.0 else []
+    stated, floors = study.config.get("model_error", {}).get("at_least_um", 0.0), _list_floors(study, name)
+    sizes = [f"{format_plain(size)} µm rms {KINDS[term].along}" for term, size in floors.items()]
+    if floors and not isinstance(stated, dict):
+        sizes = [f"{format_plain(stated)} µm rms"]
     if not study.has("model_error_hidden"):
         return [Statement(FLOOR.format(join_words(sizes)) if sizes else NO_FLOOR)]
     size = join_words(sizes) if sizes else f"{format_plain(UNSEEN_UM)} µm rms"

@@ -73,7 +73,7 @@ def test_says_what_to_do_then_how_large_it_is_and_where(make_results):
             all_unseen(),
             LEGS,
             "good",
-            "no systematic error is seen (95 % upper limit 4.0 µm rms)",
+            "no systematic error is seen (95 % upper limit 4.0 µm rms over all legs)",
         ),
         (all_unseen(independent=SEEN), LEGS, "plain", "Measure one pose several times … τ = 12 [8, 17] µm"),
         (all_unseen(linear=SEEN, together=SEEN), LEGS, "plain", "Look for a coupling … linear in the positions of all"),
@@ -88,7 +88,7 @@ def test_says_what_to_do_then_how_large_it_is_and_where(make_results):
             all_unseen(together=(4.0, 2.2, 8.0)),
             LEGS,
             "good",
-            "no systematic error is seen (95 % upper limit 8.0 µm rms)",
+            "no systematic error is seen (95 % upper limit 8.0 µm rms over all legs)",
         ),
         (
             all_unseen(own=SEEN, together=SEEN),
@@ -188,6 +188,17 @@ def test_says_what_is_allowed_for_of_errors_without_a_trace(make_results, floor,
     section = show_model_error(read_study(folder))
     (text,) = (one.text for one in section.blocks if isinstance(one, Statement) and "leaves no trace" in one.text)
     assert said in text
+
+
+def test_what_is_stated_is_no_finding_and_what_is_beyond_it_is(make_results):
+    for k, (together, seen) in enumerate({(39.0, 23.0, 60.0): False, (160.0, 120.0, 200.0): True}.items()):
+        sizes = all_unseen(smooth=together, together=together)
+        folder = make_results(more=tabulate(sizes), draws=False, name=f"floor{k}")
+        edit_config(folder, lambda config: config["model_error"].update(at_least_um=50.0))
+        (statement,) = state_terms(read_study(folder))
+        assert ("leaves out a systematic error of 160 [120, 200] µm rms" in statement.text) == seen
+        stated = "no systematic error beyond the 50 µm rms that are stated is seen; the intervals allow for these."
+        assert (stated in statement.text) != seen
 
 
 # --- which section there is, and other sentences ---------------------------------------------------------------------
