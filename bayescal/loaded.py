@@ -92,6 +92,8 @@ class LoadedResults:
         source, target = self.folder / PAGE, Path(path)
         if not source.is_file():
             raise InputError(f"{source}: no such file, expected the page; bayescal report writes it")
+        if not target.parent.is_dir():
+            raise InputError(f"{target}: found no folder {target.parent}, expected one")
         return Path(shutil.copyfile(source, target))
 
     def to_toml(self, folder: Path | str | None = None) -> str:
@@ -300,11 +302,10 @@ class VariantResult:
 
     @cached_property
     def machine(self) -> CalibratedMachine:
-        """The calibrated machine; InputError where its posterior did not converge."""
+        """The calibrated machine; InputError where its posterior did not converge, unless taken by force."""
         from bayescal.experiments.shared.calibrating import load_calibrated
 
-        with overlooking(self.study.force):
-            return load_calibrated(self.study.folder, self.name, trust=self.study.trust)
+        return load_calibrated(self.study.folder, self.name, trust=self.study.trust, force=self.study.force)
 
     def predict(self, commands: Table) -> pd.DataFrame:
         """Return where machine and tool are at commands, with standard deviations and covariances.
@@ -372,14 +373,18 @@ def _written(table: Table) -> Iterator[Path]:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "table.csv"
         found.to_csv(path, index=False)
-        yield path
+        try:
+            yield path
+        except InputError as error:
+            raise InputError(str(error).replace(str(path), "the table")) from error
 
 
 def name_rows(table: pd.DataFrame | Mapping[str, Any]) -> pd.DataFrame:
     """Return a table whose first column names the poses: its own, else the index, else P1, P2 ..."""
     import pandas as pd
 
-    found = pd.DataFrame(table)
+    alone = isinstance(table, Mapping) and all(np.ndim(one) == 0 for one in table.values())
+    found = pd.DataFrame([table] if alone else table)
     if "pose" not in found.columns:
         plain = isinstance(found.index, pd.RangeIndex)
         names = [f"P{k}" for k in range(1, len(found) + 1)] if plain else [str(one) for one in found.index]
@@ -401,7 +406,7 @@ def load_results(folder: Path | str, trust: bool = False, force: bool = False) -
     """Return the results of a finished run: `StudyResult`, `Audit`, or `LoadedResults` of any other kind.
 
     With ``trust`` the code of a machine's own class that they keep is run where that is needed, though nobody has
-    trusted it; with ``force`` files are taken that are not as they were written.
+    trusted it; with ``force`` posteriors are used that did not converge, and files that are not as they were written.
 
     Raises
     ------

@@ -147,20 +147,28 @@ def test_results_loaded_later_are_the_same(delta):
 
 
 @pytest.mark.runs
-def test_a_calibrated_machine_predicts_what_it_was_commanded(delta, monkeypatch, tmp_path):
-    monkeypatch.setattr(type(delta.best), "machine", property(lambda one: force(one)))
+def test_a_calibrated_machine_predicts_what_it_was_commanded(delta, tmp_path):
+    """Of so few draws, converged or not."""
+    best = bc.load_results(delta.folder, trust=True, force=True).best
     commands = pd.DataFrame({"s_1_mm": [250.0, 240.0], "s_2_mm": [250.0, 250.0], "s_3_mm": [250.0, 260.0]})
-    found = delta.best.predict(commands)
-    back = delta.best.command(found[["pose", "x_mm", "y_mm", "z_mm"]])
+    found = best.predict(commands)
+    back = best.command(found[["pose", "x_mm", "y_mm", "z_mm"]])
     np.testing.assert_allclose(back[list(commands)], commands, atol=1e-6)
-    accuracy = delta.best.tool_accuracy(poses=16)
+    alone = best.predict(commands.iloc[1].to_dict())
+    pd.testing.assert_frame_equal(alone, found.iloc[1:].assign(pose="P1").reset_index(drop=True))
+    with pytest.raises(bc.InputError, match="the table: found 1 of 1 poses out of reach"):
+        best.command({"x_mm": 4000.0, "y_mm": 0.0, "z_mm": 0.0})
+    accuracy = best.tool_accuracy(poses=16)
     assert list(accuracy.index) == ["x", "y", "z"]
     assert (accuracy["standard"] < accuracy["expanded"]).all()
-    assert [path.name for path in delta.best.export(tmp_path / "out")]
+    assert [path.name for path in best.export(tmp_path / "out")]
+    assert len(repr(best.machine).splitlines()) == 1
 
 
-def force(variant):
-    return bc.load_calibrated(variant.study.folder, variant.name, force=True, trust=True)
+def test_a_page_goes_into_a_folder_that_is_there(delta, tmp_path):
+    assert delta.page(tmp_path / "page.html").is_file()
+    with pytest.raises(bc.InputError, match="found no folder"):
+        delta.page(tmp_path / "nowhere" / "page.html")
 
 
 @pytest.mark.runs
@@ -233,7 +241,7 @@ FAULTS = {
         lambda t: t.drop(columns="s_2_mm"),
         "found no column of channel 's[2]', which is in data.channels",
     ),
-    "wrong unit": (lambda t: t.rename(columns={"s_1_mm": "s_1_kg"}), "found column 's_1_kg', did you mean 's_1_m'?"),
+    "wrong unit": (lambda t: t.rename(columns={"s_1_mm": "s_1_kg"}), "found column 's_1_kg', whose unit is none"),
     "one name twice": (lambda t: t.assign(pose="A"), "line 3: pose 'A' is already on line 2, expected it once"),
     "no rows": (lambda t: t.head(0), "found no rows, expected at least one"),
     "a row of NaN": (

@@ -305,6 +305,11 @@ class CalibratedMachine:
     noise: Array | None = None
     functions: KnownFunctions | None = None
 
+    def __repr__(self) -> str:
+        known = 0 if self.covariance is None else len(self.free)
+        counted = f"{known} uncertain parameters of {self.theta.size}"
+        return f"machine {self.name!r} calibrated by variant {self.source.variant!r}: {counted}"
+
     @property
     def name(self) -> str:
         """Name of the machine."""

@@ -163,8 +163,8 @@ def check_reached(commanded: Commanded, command: Command) -> None:
     listed = [f"line {lines[k]}, pose {names[k]!r}: {command.faults[k]}" for k in lost[:NAMED]]
     more = f"; and {len(lost) - NAMED} more" if len(lost) > NAMED else ""
     raise InputError(
-        f"{commanded.table.path}: found {len(lost)} of {len(names)} poses out of reach, expected none, or --mark: "
-        f"{'; '.join(listed)}{more}"
+        f"{commanded.table.path}: found {len(lost)} of {len(names)} poses out of reach, expected none (--mark marks "
+        f"them): {'; '.join(listed)}{more}"
     )
 
 

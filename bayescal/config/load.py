@@ -133,7 +133,7 @@ def _describe(fault: Any, schema: type[Section], path: Path, text: str) -> str:
 def _keys_of(location: tuple[int | str, ...], tags: bool = False) -> list[int | str]:
     """Return a fault's location without the parts that name a branch of a union, but for tags where they are wanted."""
     branches = {"normal", "uniform", "fixed", "float", "constrained-float", "observability", "accuracy", "numbers", OWN}
-    marks = ("function-", "list[", *(() if tags else (MEASURED,)))
+    marks = ("function-", "list[", "dict[", "[key]", *(() if tags else (MEASURED,)))
     return [part for part in location if part not in branches and not str(part).startswith(marks)]
 
 

@@ -22,6 +22,11 @@ def read_text(path: Path, expected: str) -> str:
         return path.read_text(encoding="utf-8-sig")
     except FileNotFoundError as error:
         raise InputError(f"{path}: no such file, expected {expected}") from error
+    except IsADirectoryError as error:
+        raise InputError(f"{path}: is a folder, expected {expected}") from error
+    except UnicodeDecodeError as error:
+        line = error.object.count(b"\n", 0, error.start) + 1
+        raise InputError(f"{path}, line {line}: cannot be read as UTF-8 text, expected {expected} in UTF-8") from error
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: cannot be read as UTF-8 text ({type(error).__name__})") from error
 

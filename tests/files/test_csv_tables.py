@@ -62,9 +62,9 @@ def test_faulty_table(path, text, expected):
 
 def test_missing_file_directory_and_binary(path):
     assert "no such file, expected a CSV table" in fail(path)
-    assert "cannot be read" in fail(path.parent)
+    assert "is a folder, expected a CSV table" in fail(path.parent)
     path.write_bytes(b"pose,x_mm,y_mm\nA,\xff,2\n")
-    assert "cannot be read as UTF-8" in fail(path)
+    assert "line 2: cannot be read as UTF-8 text" in fail(path)
 
 
 def test_empty_name_is_an_error(path):

@@ -40,6 +40,8 @@ class Experiment[C: ExperimentConfig, I](ABC):
         Folder of its tables within the results directory; the directory itself by default.
     digits : int
         Significant ones of its tables; zero for all.
+    asked_again : bool
+        Whether it is asked again as data grow: results of the same config may be replaced then.
     imports : tuple of str
         Modules that its tasks need, first the one that computes: workers import them while this process imports that.
     page_imports : tuple of str
@@ -49,6 +51,7 @@ class Experiment[C: ExperimentConfig, I](ABC):
     schema: ClassVar[type[ExperimentConfig]]
     tables_in: ClassVar[str] = ""
     digits: ClassVar[int] = 9
+    asked_again: ClassVar[bool] = False
     imports: ClassVar[tuple[str, ...]] = ()
     page_imports: ClassVar[tuple[str, ...]] = ()
 

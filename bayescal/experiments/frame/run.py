@@ -182,10 +182,10 @@ def run_experiment(
     NumericalError
         Where a computation fails; the finished tasks are kept for ``resume``.
     """
-    store = Store(out)
     with threadpool_limits(1):
         admitted = admit(config, folder, workers if scheduler is None else 0)
         experiment, identity = admitted.experiment, admitted.identity
+        store = Store(out, again=experiment.asked_again)
         store.check(identity, resume)
         with open_engine(workers, scheduler, quiet) as engine, hold_lock(store.lock, out):
             store = store.begin(identity, resume)

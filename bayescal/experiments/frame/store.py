@@ -42,10 +42,13 @@ class Store:
     out : Path
     run : str
         What determines the run's numbers, as a hash; a task of another run counts as not finished.
+    again : bool
+        Whether results of the same config, of other data, may be replaced.
     """
 
     out: Path
     run: str = ""
+    again: bool = False
 
     @property
     def partial(self) -> Path:
@@ -82,8 +85,9 @@ class Store:
         if not self.out.is_dir() or (not provenance.is_file() and any(self.out.iterdir())):
             raise InputError(f"{self.out}: exists and holds no results, expected a new or a results directory")
         if provenance.is_file():
-            found, wanted = read_json(provenance).get("config_sha256"), hash_identity(identity)
-            if found != wanted:
+            known, wanted = read_json(provenance), hash_identity(identity)
+            found, asked_again = known.get("config_sha256"), self.again and known.get("config") == identity["config"]
+            if found != wanted and not asked_again:
                 raise InputError(
                     f"{self.out}: holds results of another config (sha256 {str(found)[:12]}), expected those of "
                     f"this one ({wanted[:12]}); choose another --out or remove it"

@@ -158,8 +158,6 @@ def _place_legs(config: NextConfig, folder: Path, measured: MeasuredReadings) ->
         raise InputError(
             f"workspace: found {', '.join(section)} of a machine on legs, expected position_mm and rotation_deg"
         )
-    if section is None and config.requirements:
-        raise InputError("workspace: found [requirements] without [workspace], expected both")
     priors = legs.posterior.priors
     means = {name: one.mean for name, one in priors.items()}
     knowledge = Knowledge(legs.machine, {name: one.sd for name, one in priors.items()}, {**legs.fixed, **means})

@@ -25,6 +25,7 @@ class NextPose(OfAnother[NextConfig, NextInputs]):
     """After the poses measured so far: which pose to measure next, what it will bring, and whether to stop."""
 
     schema = NextConfig
+    asked_again = True
 
     def read(self, config: NextConfig, folder: Path) -> NextInputs:
         """Return the study's variants with the poses measured so far."""

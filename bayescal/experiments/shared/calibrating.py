@@ -99,7 +99,8 @@ def load_calibrated(
     if found.source.problems and not force:
         problems = "; ".join(found.source.problems)
         raise InputError(
-            f"{path}: variant {found.source.variant!r} did not converge ({problems}), expected one that did, or --force"
+            f"{path}: variant {found.source.variant!r} did not converge ({problems}), expected one that did; --force, "
+            "in Python bc.load_results(folder, force=True), takes it all the same"
         )
     return found
 

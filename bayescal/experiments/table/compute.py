@@ -46,7 +46,7 @@ def compute_table(inputs: TableInputs, run: Run) -> Results:
     problems = estimate.list_problems()
     if problems and not inputs.config.force:
         found = f"variant {inputs.variant.name!r} did not converge ({'; '.join(problems)})"
-        raise NumericalError(f"{found}, expected one that did, or --force")
+        raise NumericalError(f"{found}, expected one that did; --force takes it all the same")
     table = find_table(inputs, estimate.kept, estimate.mode)
     actuators = inputs.actuators.channels
     text = format_polynomial(table.polynomial, inputs.actuators.names, [one.unit for one in actuators])

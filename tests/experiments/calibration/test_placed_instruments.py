@@ -476,7 +476,7 @@ def test_refusals_are_one_line_and_write_nothing(case, copied, tmp_path, call):
         ("x_sd_mm", None, "found columns 'cov_x_x' and 'x_sd_mm', expected one of them"),
         ("corr_x_y", None, "found columns 'cov_x_y' and 'corr_x_y', expected one of them"),
         (None, "cov_x_x", "cov_x_y: found no variance of both, expected it in columns cov_"),
-        ("cov_y_x", None, "found column 'cov_y_x', did you mean"),
+        ("cov_y_x", None, "found column 'cov_y_x', expected pose, use, "),
     ],
 )
 def test_noise_is_stated_once(column, change, message, tmp_path, call):

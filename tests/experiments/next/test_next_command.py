@@ -130,12 +130,27 @@ def test_a_study_is_asked_between_its_variants(question, call, no_pictures):
     assert "is right with" in said
 
 
+def test_a_study_is_asked_for_requirements_anywhere_and_again_after_more_poses(question, call, no_pictures):
+    study, out = question.with_name("study.toml"), question.parent / "out"
+    table = study.parent / "data" / "actuators.csv"
+    original = table.read_text()
+    try:
+        for text in (original, original.replace(",calibration,", ",verification,", 1)):
+            table.write_text(text)
+            asked = ("--require", "z=0.02", "--variant", "six_pus/none")
+            code, said, complaint = call("next", study, *asked, "--out", out)
+            assert (code, complaint) == (0, ""), complaint
+            assert "requirement" in said
+    finally:
+        table.write_text(original)
+
+
 def test_options_of_a_study_that_cannot_be_are_one_line(question, refuse):
     study = question.with_name("study.toml")
     for path, options, fault in (
         (study, ["--variant", "six_pus/none"], "found one variant and no requirements, expected --require NAME=VALUE"),
         (study, ["--require", "z"], "--require: found 'z', expected NAME=VALUE such as x=0.05"),
-        (study, ["--require", "z=0.02"], "workspace: found [requirements] without [workspace], expected both"),
+        (study, ["--require", "lead=0.02"], "requirements: found 'lead', expected some of x, y, z"),
         (question, ["--require", "z=0.02"], "which asks a question itself, expected a study"),
         (question.with_name("simulate.toml"), [], "kind: found 'simulation', expected 'study'"),
     ):

@@ -265,7 +265,7 @@ def test_a_posterior_that_did_not_converge_makes_a_table_by_force_alone(tmp_path
     assert code == 3
     (line,) = studies.list_errors(err)
     assert "did not converge" in line
-    assert line.endswith("expected one that did, or --force")
+    assert line.endswith("expected one that did; --force takes it all the same")
     assert not (tmp_path / "out").exists()
     assert call(*arguments, "--force")[0] == 0
     lookup = pd.read_csv(tmp_path / "out" / "lookup.csv")

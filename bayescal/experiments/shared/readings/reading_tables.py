@@ -139,6 +139,16 @@ def _are_any_correlated(tables: Sequence[Table], known: Mapping[str, _Column]) -
     return any(name in known and known[name].role == "corr" for one in tables for name in one.columns)
 
 
+def _hint(name: str, channels: Sequence[Channel], known: Mapping[str, _Column]) -> str:
+    """Return what a column's name lacks, or which one is near."""
+    for one in channels:
+        if name == one.stem or name.startswith((f"{one.stem}_sd", f"{one.stem}_")):
+            return f", whose unit is none of {', '.join(units_like(one.unit))}"
+    usual = [f"{one.stem}_{one.unit}" for one in channels] + [key for key, one in known.items() if one.role == "given"]
+    close = difflib.get_close_matches(name, usual, n=1)
+    return f", did you mean {close[0]!r}?" if close else ""
+
+
 def _check(table: Table, known: Mapping[str, _Column], channels: Sequence[Channel], section: DataTableConfig) -> Table:
     if "pose" not in table.columns:
         raise InputError(f"{table.path}: found no column 'pose', expected the poses' names")
@@ -148,10 +158,10 @@ def _check(table: Table, known: Mapping[str, _Column], channels: Sequence[Channe
             continue
         if name not in known:
             expected = ", ".join(f"{one.stem}_{one.unit}" for one in channels)
-            close = difflib.get_close_matches(name, known, n=1, cutoff=0.4)
-            hint = f", did you mean {close[0]!r}?" if close else ""
+            hint = _hint(name, channels, known)
             raise InputError(
-                f"{table.path}: found column {name!r}{hint}, expected pose, use, {expected}, or its name in data.ignore"
+                f"{table.path}: found column {name!r}{hint}, expected pose, use, {expected}; leave out others, or name "
+                "them in data.ignore"
             )
         column = known[name]
         if column.places and (other := taken.setdefault((column.role, column.places), name)) != name:

@@ -94,7 +94,7 @@ UNDECIDED = (
 )
 CLEAR = 3.0
 """Nats by which one term alone has to be better than any other alone to be named, and all together than each alone."""
-OUTSTANDING = 1.5  # times the median of the others, from which on one member is named
+OUTSTANDING = 2.5  # times the median of the others, from which on one member is named
 WHY = (
     "What a model leaves out is systematic: it repeats with the pose, and the geometry imitates a part of it. Without "
     "a model error the parameters take that up, and their intervals are too narrow. So each {member} has the terms "
