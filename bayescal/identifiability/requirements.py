@@ -58,6 +58,11 @@ class Requirement:
         part = error[..., self.where]
         return np.abs(part[..., 0]) if part.shape[-1] == 1 else np.asarray(np.linalg.norm(part, axis=-1))
 
+    def sum_up(self, error: Array) -> float:
+        """Return the required quantity of errors (W, c) over W poses: the largest, or the root mean square."""
+        size = self.take(error)
+        return float(size.max() if self.of == "every_pose" else np.sqrt(np.mean(size**2)))
+
     def variance(self, covariance: Array) -> Array:
         """Return the variance of the quantity from covariances (..., c, c), summed over a norm's parts."""
         return np.asarray(np.diagonal(covariance, axis1=-2, axis2=-1)[..., self.where].sum(axis=-1))
@@ -228,9 +233,9 @@ class Forecast:
         return good / DRAWS, everywhere / DRAWS, together / DRAWS
 
     def share_of_limit(self, vector: Array, requirements: Sequence[Requirement]) -> tuple[float, str]:
-        """Return the largest share of a limit that a move along a direction takes anywhere, and of which limit."""
+        """Return the largest share of a limit that a move along a direction takes, as required, and of which limit."""
         effect = self.effect(vector)
-        shares = {r.name: float(r.take(effect).max()) / r.limit for r in requirements}
+        shares = {r.name: r.sum_up(effect) / r.limit for r in requirements}
         worst = max(shares, key=lambda name: shares[name])
         return shares[worst], worst
 

@@ -135,7 +135,7 @@ class Audit:
     def harm(self, direction: Direction) -> tuple[Harm, float, str]:
         """Return whether what remains unknown along a direction matters, the share of a limit, and of which.
 
-        The share is that of 1.96 standard deviations that remain, anywhere in the workspace.
+        The share is that of 1.96 standard deviations that remain, as is required: anywhere in the workspace, or rms.
         """
         requirements = self.inputs.requirements
         if not requirements or not np.isfinite(self.forecast.slope).all():

@@ -234,18 +234,20 @@ def _state_harm(results: AuditResults) -> Iterator[Statement]:
         return
     worst = max(known, key=lambda ridge: ridge.share)
     which_limit = f"of a requirement ({name_requirement(worst.limit)})"
+    over = "rms over" if results.summary.get("required_of") == "rms" else "anywhere in"
+    taken = f"taken as 1.96 standard deviations {over} the workspace"
     matter = [ridge for ridge in results.ridges if ridge.effect in ("noticeable", "harmful")]
     if not matter:
         text = (
             f"What remains unknown {which} moves the predicted pose by {say_most(format_share(worst.share))} "
-            f"{which_limit}, taken as 1.96 standard deviations anywhere in the workspace: none of them matters."
+            f"{which_limit}, {taken}: none of them matters."
         )
         yield Statement(text, "good", lead)
         return
     text = (
         f"{len(matter)} of {count(n, 'combination')} that are not determined "
         f"{'matters' if len(matter) == 1 else 'matter'} to the pose: what remains unknown along that of {worst.pivot} "
-        f"moves the predicted pose by {format_share(worst.share)} {which_limit}"
+        f"moves the predicted pose by {format_share(worst.share)} {which_limit}, {taken}"
     )
     others = "; the others are harmless" if len(matter) < n else ""
     level: Level = "bad" if any(ridge.effect == "harmful" for ridge in matter) else "warning"

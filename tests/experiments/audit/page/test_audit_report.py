@@ -265,7 +265,8 @@ def test_harm_is_bad_news():
     level, text = say(make(change))["What stays hidden"]
     assert level == "bad"
     assert text.startswith("1 of 4 combinations that are not determined matters to the pose")
-    assert "along that of l[1] moves the predicted pose by 230 % of a requirement (x); the others are harmless" in text
+    assert "along that of l[1] moves the predicted pose by 230 % of a requirement (x), taken as 1.96" in text
+    assert "standard deviations anywhere in the workspace; the others are harmless" in text
 
     def less(summary):
         summary["directions"][3] |= {"effect_on_pose": "noticeable", "share_of_limit": 0.3}
