@@ -25,6 +25,7 @@ from bayescal.numerics.geometry import Array
 STEP = 0.75  # posterior sds at the mode
 MOST_STEPS = 24  # to either side
 DROP = 8.0  # nats below the mode, where a ridge has ended
+HALVINGS = 3  # of a step where a ridge seems to end
 CORRECTIONS = 6  # Newton steps of the coordinates that follow
 SETTLED = 1e-2  # nats that another one would gain
 ACROSS = 0.5  # conditional sds of the differences that these are made of
@@ -132,36 +133,49 @@ class _Lane:
         width = np.sqrt(mode.covariance[base, base])
         self.base, self.others, self.points = base, others, list[_Point]()
         self._start, self._step = mode.y, side * STEP * width
-        self._lean = self._step * mode.covariance[others, base] / width**2
+        self._lean, self._halved = self._step * mode.covariance[others, base] / width**2, 0
         inner = np.linalg.cholesky(np.linalg.inv(mode.covariance)[np.ix_(others, others)])
         self.factor = np.zeros((len(mode.y), len(others)))
         self.factor[others] = np.linalg.inv(inner).T
+
+    def shorten(self) -> bool:
+        """Halve the steps, since a ridge may end at a fold; return whether they are still worth taking."""
+        self._step, self._lean, self._halved = 0.5 * self._step, 0.5 * self._lean, self._halved + 1
+        return bool(self.points) and self._halved <= HALVINGS
 
     def predict(self) -> Array:
         """Return where the ridge goes next, as the last points lie."""
         if not self.points:
             return self._start
-        y, known = self.points[-1].y.copy(), [point.y[self.others] for point in self.points[-3:]]
+        y, last = self.points[-1].y.copy(), self.points[-3:]
         y[self.base] += self._step
-        if len(known) == 1:
+        if len(last) == 1:
             y[self.others] += self._lean
         else:
-            y[self.others] = 2.0 * known[-1] - known[-2] if len(known) == 2 else 3.0 * (known[2] - known[1]) + known[0]
+            place = np.array([point.y[self.base] for point in last])
+            others = [np.delete(place, k) for k in range(len(last))]  # Lagrange's polynomial through the last points
+            shares = [np.prod((y[self.base] - one) / (own - one)) for own, one in zip(place, others, strict=True)]
+            y[self.others] = np.array(shares) @ np.stack([point.y[self.others] for point in last])
         return y
 
 
 def _follow(posterior: Target, lanes: Sequence[_Lane], floor: float) -> None:
-    """Add points to lanes until the density is below the floor or has no such place, by prediction and correction."""
+    """Add points to lanes until the density is below the floor or has no such place, by prediction and correction.
+
+    Where a step leads nowhere shorter ones are tried: what follows may turn away faster than it did.
+    """
     running = list(lanes)
     for _ in range(1 + MOST_STEPS):
         if not running:
             break
         found = _correct(posterior, running)
+        goes_on = []
         for lane, point in zip(running, found, strict=True):
             if point is not None:
                 lane.points.append(point)
-        pairs = zip(running, found, strict=True)
-        running = [lane for lane, point in pairs if point is not None and point.log_density > floor]
+            if lane.shorten() if point is None else point.log_density > floor:
+                goes_on.append(lane)
+        running = goes_on
 
 
 def _correct(posterior: Target, lanes: Sequence[_Lane]) -> list[_Point | None]:

@@ -118,7 +118,9 @@ class Case:
             covariance = np.broadcast_to(np.diag(machine.noise[n:] ** 2), (len(commands), 6, 6))
             return place_poses(names, commands, values[:, n:], covariance)
         values[:, :n] = commands
-        return Measurements(names, values, np.tile(machine.noise, (len(commands), 1)))
+        stands = np.isfinite(values).all(axis=1)  # a machine that has moved may not reach a corner
+        names, values = tuple(np.array(names)[stands].tolist()), values[stands]
+        return Measurements(names, values, np.tile(machine.noise, (len(values), 1)))
 
     def judge(self, sessions: list[Measurements], by: CalibratedMachine | None = None) -> Recheck:
         """Return what a recheck says of sessions, by the machine as it was calibrated or by less known of it."""
