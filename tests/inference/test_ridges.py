@@ -190,7 +190,7 @@ def test_a_coordinate_that_nothing_follows_is_bent_alone():
 
 
 def test_a_ridge_that_turns_fast_is_followed_by_shorter_steps():
-    """Whole steps ended half a nat below the mode, and of a proposal that knew no more of it 22 % of the draws counted."""
+    """Whole steps ended half a nat below the mode; of a proposal that knew no more of it 22 % of the draws counted."""
     posterior = CASES["mirror of u_y between bounds"].posterior()
     seeds = (np.random.SeedSequence(seed) for seed in (3, 5))
     _, importance = integrate_posterior(posterior, *seeds, 128, EvidenceConfig())
