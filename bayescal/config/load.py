@@ -125,6 +125,7 @@ def _describe(fault: Any, schema: type[Section], path: Path, text: str) -> str:
     if fault["type"] == "union_tag_invalid":
         text = f"{where}: found {fault['ctx']['tag']!r}, expected one of {fault['ctx']['expected_tags']}"
         return text.replace(MEASURED, "")
+    message = message.replace("a valid dictionary or object to extract fields from", "a table of keys")
     if message.startswith("Input should be "):
         return f"{where}: found {_short(fault['input'])}, expected {message.removeprefix('Input should be ')}"
     return f"{where}: found {_short(fault['input'])}, expected: {message[0].lower()}{message[1:]}"

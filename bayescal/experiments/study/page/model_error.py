@@ -162,7 +162,7 @@ class _Found(NamedTuple):
     """What was found of one variant's model error.
 
     Rows of its table by term; rms of each member's mean, µm; evidence of each term alone less that of all, nat; the
-    least size of each term that is stated, µm.
+    least size of each term that is stated, µm; whether the log-evidence is higher with a model error than without.
     """
 
     label: str
@@ -170,6 +170,7 @@ class _Found(NamedTuple):
     members: dict[str, float]
     alone: dict[str, float]
     floors: dict[str, float]
+    is_needed: bool
 
     @property
     def functions(self) -> dict[str, Row]:
@@ -203,7 +204,8 @@ class _Found(NamedTuple):
     @property
     def seen(self) -> list[str]:
         """The terms of which the data show an error."""
-        return [name for name in (*self.functions, INDEPENDENT) if is_seen(self.beyond(name))]
+        terms = [*self.functions, INDEPENDENT] if self.is_needed else [*self.functions]
+        return [name for name in terms if is_seen(self.beyond(name))]
 
     def beyond(self, name: str) -> Mapping[str, Any] | None:
         """Return the size of a term, or of all together, beyond what is stated; None where there is no such term."""
@@ -234,7 +236,8 @@ def _find(study: StudyResults, name: str) -> _Found:
     alone = {row["term"]: row["log_odds"] for row in study.rows("model_error_alone", name)}
     floors = _list_floors(study, name)
     floors |= {TOGETHER: math.sqrt(sum(one**2 for term, one in floors.items() if term != INDEPENDENT))}
-    return _Found(study.label(name), sizes, members, alone, floors)
+    is_needed = "zero" not in study.settings or study.gain(name) > 0.0
+    return _Found(study.label(name), sizes, members, alone, floors, is_needed)
 
 
 def _list_floors(study: StudyResults, name: str) -> dict[str, float]:
@@ -302,7 +305,7 @@ def _describe_independent(found: _Found) -> str:
     size = found.sizes.get(INDEPENDENT)
     if size is None:
         return ""
-    if is_seen(size):
+    if INDEPENDENT in found.seen:
         return f"Random errors from pose to pose have τ = {_format_size(size)} µm beyond the noise."
     most = format_significant(size["q95_um"], 2)
     return f"No random error from pose to pose is seen beyond the noise (τ: 95 % upper limit {most} µm)."

@@ -190,6 +190,13 @@ def test_says_what_is_allowed_for_of_errors_without_a_trace(make_results, floor,
     assert said in text
 
 
+def test_random_errors_are_not_said_to_be_seen_where_the_evidence_is_higher_without(make_results):
+    rises = set_fit("pus/linear", "zero", log_evidence=200.0)
+    (statement,) = state_terms(read(make_results, all_unseen(independent=SEEN), change=rises))
+    assert "Measure one pose several times" not in statement.text
+    assert "No random error from pose to pose is seen beyond the noise (τ: 95 % upper limit 17 µm)" in statement.text
+
+
 def test_what_is_stated_is_no_finding_and_what_is_beyond_it_is(make_results):
     for k, (together, seen) in enumerate({(39.0, 23.0, 60.0): False, (160.0, 120.0, 200.0): True}.items()):
         sizes = all_unseen(smooth=together, together=together)
