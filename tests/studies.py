@@ -216,8 +216,8 @@ def copy_small(config: Path, folder: Path) -> Path:
 
 
 def list_errors(err: str) -> list[str]:
-    """Return the lines on standard error that tell no progress."""
-    return [line for line in err.splitlines() if not PROGRESS.fullmatch(line)]
+    """Return the lines on standard error that are neither progress nor what `validate` says of the data, too."""
+    return [one for one in err.splitlines() if not (PROGRESS.fullmatch(one) or one.startswith("warning: "))]
 
 
 def snapshot(folder: Path) -> dict[str, bytes | None]:

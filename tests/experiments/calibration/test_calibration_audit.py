@@ -195,7 +195,7 @@ REFUSED = {
     "unknown sensor": ('"cam_y"]', '"cam_z"]', "variant 'camera': sensor 'cam_z': unknown here"),
     "variant twice": ('name = "probe"', 'name = "both"', "variants: found 'both' twice"),
     "too few candidates": ("candidates = 30", "candidates = 3", "found 3 candidates for 4 poses"),
-    "workspace beyond reach": ("[sensors]", "[workspace]\nx = [900.0, 901.0]\n[sensors]", "found hardly a pose"),
+    "workspace beyond reach": ("[sensors]", "[workspace]\nx = [900.0, 901.0]\n[sensors]", "found almost no pose"),
     "unknown symbol": ("l = { prior", "length = { prior", "parameters: found 'length'"),
     "profiles": ("seed = 4", 'seed = 4\nprofiles = ["l"]', "profiles: found it beside readings of channels"),
     "draws of a posterior": (

@@ -320,7 +320,7 @@ POINT_FAULTS = {
         "found no noise",
     ),
     "half a noise": ("points.toml", swap_column("azimuth_arcsec = 1.0\n", ""), "together"),
-    "one station twice": ("stations.csv", swap_column("south", "north"), "stands already on line"),
+    "one station twice": ("stations.csv", swap_column("south", "north"), "is already on line"),
     "no frame for targets": (
         "study.toml",
         swap_column("[parameters]\n", FRAMES + "[parameters]\n"),
