@@ -1,5 +1,7 @@
 """Where the lines are drawn: one place for those who judge and those who report it."""
 
+from typing import Final
+
 # what a posterior has to reach to count as converged
 RHAT_LIMIT = 1.01
 ESS_BULK_LIMIT = 1000.0
@@ -69,5 +71,7 @@ NOISE_BOUNDS = BOUNDS | {"mm": (1e-7, 1e2), "deg": (1e-9, 360.0), "rad": (1e-11,
 """Of keys with noise in their names: a tenth of a nanometre to a decimetre."""
 WIDTH_BOUNDS: dict[str, tuple[float, float]] = {"mm": (1e-7, 1e5), "rad": (1e-9, 7.0), "1": (1e-9, 10.0)}
 """Of what is not known of a parameter, by its unit: a tenth of a nanometre to a hundred metres, a full turn, ten."""
+LASTING: Final = ("linear", "own", "smooth")
+"""Terms of a model error that a geometry imitates."""
 UNSEEN_UM = 10.0
 """Root mean square of errors that leave no trace, which pages tell of where nothing is stated of them."""

@@ -8,6 +8,7 @@ from typing import Annotated, ClassVar, Final, Literal, Self, get_args
 from pydantic import AfterValidator, Field
 
 from bayescal.config.sections import NotNegative, PerLeg, Positive, PositivePerLeg, Section, check_once
+from bayescal.limits import LASTING
 from bayescal.numerics.units import MICROMETRE
 
 
@@ -45,8 +46,6 @@ type TermName = Literal["independent", "linear", "own", "smooth", "drift"]
 TERMS: Final[tuple[TermName, ...]] = get_args(TermName.__value__)
 """What a model error may be made of, in the order in which pages tell it."""
 ALONE: Final[list[TermName]] = ["independent"]
-LASTING: Final[tuple[TermName, ...]] = ("linear", "own", "smooth")
-"""Terms that a geometry imitates."""
 TAU_UM: Final = 10.0
 FUNCTIONS_UM: Final = 20.0
 OF_NOISE: Final = 2.0

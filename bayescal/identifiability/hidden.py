@@ -21,8 +21,7 @@ from typing import Any, Final
 import numpy as np
 
 from bayescal.density.posterior import Posterior
-from bayescal.density.schema import LASTING
-from bayescal.limits import UNSEEN_UM
+from bayescal.limits import LASTING, UNSEEN_UM
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import MICROMETRE
 

@@ -17,14 +17,13 @@ import pandas as pd
 from matplotlib.figure import Figure as Drawing
 from matplotlib.lines import Line2D
 
-from bayescal.density.schema import LASTING
 from bayescal.experiments.frame.results import Row
 from bayescal.experiments.shared.headline import say_odds
 from bayescal.experiments.shared.hidden import show_hidden
 from bayescal.experiments.study.page.parameters import draw_intervals, label_legs
 from bayescal.experiments.study.page.results import INDEPENDENT, TERMS, TOGETHER, VARIANT, StudyResults
 from bayescal.experiments.study.page.styles import Styles, add_legend, assign_styles
-from bayescal.limits import UNSEEN_UM
+from bayescal.limits import LASTING, UNSEEN_UM
 from bayescal.report.blocks import Block, Column, Figure, Fold, Section, Statement, Table, make_table
 from bayescal.report.numbers import (
     MICROMETRES,
