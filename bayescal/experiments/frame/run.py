@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 
 LATE = "which showed only when it was computed"
 """Said of what is at fault with inputs that passed the gate."""
-LONG, LARGE = 60.0, 1.0  # s and GiB beside processes' own, from which on a run says beforehand what it takes
+LONG, LARGE = 60.0, 1.0  # s and GiB beside processes' own, from which on a run says what it takes before it begins
 MANY_PICTURES = 10  # fewer are drawn before other processes have started
 
 

@@ -142,7 +142,7 @@ def _are_any_correlated(tables: Sequence[Table], known: Mapping[str, _Column]) -
 def _hint(name: str, channels: Sequence[Channel], known: Mapping[str, _Column]) -> str:
     """Return what a column's name lacks, or which one is near."""
     for one in channels:
-        if name == one.stem or name.startswith((f"{one.stem}_sd", f"{one.stem}_")):
+        if name == one.stem or name.startswith(f"{one.stem}_"):
             return f", whose unit is none of {', '.join(units_like(one.unit))}"
     usual = [f"{one.stem}_{one.unit}" for one in channels] + [key for key, one in known.items() if one.role == "given"]
     close = difflib.get_close_matches(name, usual, n=1)

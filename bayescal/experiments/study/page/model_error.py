@@ -216,7 +216,8 @@ class _Found(NamedTuple):
     @property
     def is_seen_together(self) -> bool:
         """Whether the data show systematic errors, of whatever sort."""
-        return is_seen(self.beyond(TOGETHER) or next(iter(self.functions.values()), None), len(self.functions))
+        name = TOGETHER if TOGETHER in self.sizes else next(iter(self.functions), "")
+        return is_seen(self.beyond(name), len(self.functions))
 
 
 def is_seen(size: Mapping[str, Any] | None, n_terms: int = 1) -> bool:
@@ -370,15 +371,8 @@ def _tabulate_terms(found: _Found) -> Table:
         along, causes = (KINDS[name].along, KINDS[name].causes) if name in KINDS else ("systematic errors together", "")
         there = found.is_seen_together if name == TOGETHER else is_seen(found.beyond(name))
         alone = [format_fixed(found.alone.get(name, math.nan), 1, sign=True)] if found.alone else []
-        rows.append(
-            [
-                along,
-                _format_size(size),
-                *alone,
-                "seen" if there else "as stated" if found.floors.get(name) else "no trace",
-                causes,
-            ]
-        )
+        trace = "as stated" if found.floors.get(name) else "no trace"
+        rows.append([along, _format_size(size), *alone, "seen" if there else trace, causes])
     if "none" in found.alone:
         rows.append(["no systematic error", NOTHING, format_fixed(found.alone["none"], 1, sign=True), "", ""])
     notes = [Statement(SIZES), *([Statement(ALONE)] if found.alone else [])]

@@ -190,6 +190,13 @@ def test_says_what_is_allowed_for_of_errors_without_a_trace(make_results, floor,
     assert said in text
 
 
+def test_a_single_term_that_is_no_larger_than_stated_is_no_finding(make_results):
+    folder = make_results(more=tabulate({"own": (39.0, 23.0, 60.0)}), draws=False)
+    edit_config(folder, lambda config: config["model_error"].update(at_least_um={"own": 50.0}))
+    (statement,) = state_terms(read_study(folder))
+    assert "no systematic error beyond the 50 µm rms that are stated is seen" in statement.text
+
+
 def test_random_errors_are_not_said_to_be_seen_where_the_evidence_is_higher_without(make_results):
     rises = set_fit("pus/linear", "zero", log_evidence=200.0)
     (statement,) = state_terms(read(make_results, all_unseen(independent=SEEN), change=rises))
