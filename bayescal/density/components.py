@@ -18,8 +18,7 @@ from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
-from scipy.linalg import cho_solve, cholesky, solve_triangular
-from scipy.linalg.lapack import dpotrf, dtrtrs
+from scipy.linalg.lapack import dpotrf, dpotri, dpotrs, dtrtrs
 
 from bayescal.numerics.geometry import Array
 
@@ -55,7 +54,7 @@ class White:
 
     def rows(self, seen: Array) -> Array:
         """Return white rows of (M, ...)."""
-        return np.asarray(solve_triangular(self.factor, seen, lower=True, check_finite=False))
+        return np.asarray(dtrtrs(self.factor, seen, lower=1)[0])
 
     def square(self, seen: Array) -> Array:
         """Return XᵀS⁻¹X of X (M, m), shape (m, m)."""
@@ -64,7 +63,7 @@ class White:
 
     def solve(self, seen: Array) -> Array:
         """Return S⁻¹ times (M, ...)."""
-        return np.asarray(cho_solve((self.factor, True), seen, check_finite=False))
+        return np.asarray(dpotrs(self.factor, seen, lower=1)[0])
 
     @property
     def half_log_det(self) -> float:
@@ -103,7 +102,7 @@ class Components:
 
     def factorise(self, variances: Array) -> White:
         """Return S of variances (G + C,)."""
-        return White(cholesky(self.covariances(variances[None])[0], lower=True, check_finite=False))
+        return White(factorise(self.covariances(variances[None])[0]))
 
     def square(self, seen: Array) -> Callable[[Array], tuple[Array, float]]:
         """Return what takes variances (G + C,) to XᵀS⁻¹X of X (M, m), shape (m, m), and ½ log |S|."""
@@ -170,14 +169,23 @@ def assemble(own: Array, parts: Array, weights: Array) -> Array:
     return total
 
 
+def factorise(covariance: Array) -> Array:
+    """Return a lower Cholesky factor in Fortran's order, numbers above it undefined; a covariance (M, M) is used up.
+
+    LAPACK itself is called: of matrices that small scipy's checks take as long.
+    """
+    factor, info = dpotrf(covariance.T, lower=1, clean=0, overwrite_a=1)  # in place: the transpose is in that order
+    if info:
+        raise np.linalg.LinAlgError(f"found a covariance that is not positive definite at row {info}")
+    return np.asarray(factor)
+
+
 def carry(covariance: Array, rows: Array) -> tuple[Array, Array]:
     """Return ½ log |S| and eᵀS⁻¹e of rows e (B, M), shapes (B,); covariances (B, M, M) are used up."""
     white, half_log_det = np.empty_like(rows), np.empty(len(rows))
-    for k, one in enumerate(covariance):  # in place: the transpose is in Fortran's order, the factor its upper triangle
-        factor, info = dpotrf(one.T, lower=0, clean=0, overwrite_a=1)
-        if info:
-            raise np.linalg.LinAlgError(f"found a covariance that is not positive definite at row {info}")
-        white[k] = dtrtrs(factor, rows[k], lower=0, trans=1)[0]
+    for k, one in enumerate(covariance):
+        factor = factorise(one)
+        white[k] = dtrtrs(factor, rows[k], lower=1)[0]
         half_log_det[k] = np.log(np.diag(factor)).sum()
     return half_log_det, np.einsum("bm,bm->b", white, white)
 
@@ -192,13 +200,18 @@ def leave_out(covariance: Array, rows: Array, n_poses: int) -> tuple[Array, Arra
     """Return by how much each pose's rows deviate from what all others predict, and their precision then.
 
     With A = S⁻¹ and α = A e the density of e_n given the others is normal with precision A_nn, shape (B, P, n, n), and
-    its deviation from its mean is A_nn⁻¹ α_n, shape (B, P, n).
+    its deviation from its mean is A_nn⁻¹ α_n, shape (B, P, n). Covariances are used up.
     """
     shape = n_poses, rows.shape[1] // n_poses
-    inverse = np.linalg.inv(covariance)
-    alpha = (inverse @ rows[..., None]).reshape(-1, *shape)
-    precision = np.einsum("bpipj->bpij", inverse.reshape(-1, *shape, *shape))
-    return np.linalg.solve(precision, alpha[..., None])[..., 0], precision
+    alpha, precision = np.empty_like(rows), np.empty((len(rows), *shape, shape[1]))
+    for k, one in enumerate(covariance):
+        factor = factorise(one)
+        alpha[k] = dpotrs(factor, rows[k], lower=1)[0]
+        inverse = np.asarray(dpotri(factor, lower=1, overwrite_c=1)[0]).T  # its upper triangle, row by row
+        precision[k] = np.einsum("pjpi->pij", inverse.reshape(*shape, *shape))
+    below = np.tril(precision)
+    precision = below + np.swapaxes(np.tril(precision, -1), -1, -2)
+    return np.linalg.solve(precision, alpha.reshape(-1, *shape)[..., None])[..., 0], precision
 
 
 def weigh_left_out(deviation: Array, precision: Array) -> tuple[Array, Array]:
@@ -250,14 +263,18 @@ class LinearGeometry:
 
     def given(self, zeta: Array) -> GeometryGiven:
         """Return the geometry given ζ (k,): with J of the white rows e, H = P + JᵀJ and mean H⁻¹ (p - Jᵀ e)."""
-        (both, half_log_det), m = self.rows.square(zeta), len(self.pull)
-        factor = cholesky(self.precision + both[:m, :m], lower=True, check_finite=False)
-        inverse = solve_triangular(factor, np.eye(m), lower=True, check_finite=False)
-        step = inverse @ (self.pull - both[:m, m])
-        log_mass = 0.5 * (step @ step - both[m, m]) - half_log_det - np.log(np.diag(factor)).sum()
-        mean = self.centre + inverse.T @ step
-        return GeometryGiven(mean, inverse.T @ inverse, float(log_mass) + self.log_prior(zeta))
+        factor, step, log_mass = self._solve(zeta)
+        inverse = np.asarray(dtrtrs(factor, np.eye(len(step)), lower=1)[0])
+        return GeometryGiven(self.centre + inverse.T @ step, inverse.T @ inverse, log_mass)
 
     def log_mass(self, zeta: Array) -> float:
         """Return the density of the errors' unknowns alone at ζ (k,), but for a constant."""
-        return self.given(zeta).log_mass
+        return self._solve(zeta)[2]
+
+    def _solve(self, zeta: Array) -> tuple[Array, Array, float]:
+        """Return H's lower factor L, L⁻¹ (p - Jᵀ e), and the density of ζ (k,) alone."""
+        (both, half_log_det), m = self.rows.square(zeta), len(self.pull)
+        factor = factorise(self.precision + both[:m, :m])
+        step = np.asarray(dtrtrs(factor, self.pull - both[:m, m], lower=1)[0])
+        log_mass = 0.5 * (step @ step - both[m, m]) - half_log_det - np.log(np.diag(factor)).sum()
+        return factor, step, float(log_mass) + self.log_prior(zeta)

@@ -26,10 +26,9 @@ from copy import copy
 from dataclasses import replace
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
 
 from bayescal.data.measured_poses import MeasuredPoses
-from bayescal.density.components import MOST_ROWS, Components, LinearRows, batches
+from bayescal.density.components import MOST_ROWS, Components, LinearRows, White, batches, factorise
 from bayescal.density.elimination import whiten_covariance
 from bayescal.density.errors import FUNCTION_SCALES, OF_SORT, Amplitudes, LegErrors
 from bayescal.density.few_columns import LowRankComponents, list_gram_arrays
@@ -372,20 +371,20 @@ class FunctionLikelihood(Likelihood):
 
     # --- prediction ----------------------------------------------------------------------------------------------
 
-    def _across(self, poses: LegRows, amplitudes: Array) -> Array:
-        """Return the covariance of √w g at other poses with e, (B, Q, N, M), of amplitudes (B, N + C)."""
-        kernels, n = self.functions.between(self.place_of(poses), self.place), self.n_legs
-        whole = np.stack([_for_legs(one, n) for one in kernels])
-        summed = np.einsum("bt,tiqp->biqp", amplitudes[:, n:] ** 2, whole, optimize=True)
-        found = np.einsum("biqp,pai->bqipa", summed, self._seen, optimize=True)
-        return (np.sqrt(poses.actuator_weight)[..., None, None] * found).reshape(*found.shape[:3], -1)
+    def _list_parts(self, poses: LegRows) -> tuple[Array, Array]:
+        """Return covariances by each sort of size 1: of rows of Q other poses with e, and of them between each other.
 
-    def _own(self, poses: LegRows, amplitudes: Array) -> Array:
-        """Return the covariance of √w g at and between other poses, (B, N, Q, Q)."""
-        place, n, root = self.place_of(poses), self.n_legs, np.sqrt(poses.actuator_weight).T
-        whole = np.stack([_for_legs(one, n) for one in self.functions.between(place, place)])
-        summed = np.einsum("bt,tiqr->biqr", amplitudes[:, n:] ** 2, whole, optimize=True)
-        return np.asarray(summed * root[:, :, None] * root[:, None, :])
+        Shapes (C, Q K, M) and (C, Q K, Q K).
+        """
+        place, shown = self.place_of(poses), poses.rows_of_legs * np.sqrt(poses.actuator_weight)[:, None, :]
+        size = shown.shape[0] * shown.shape[1]
+
+        def show(other: Place, seen: Array) -> Array:
+            kernels = (_for_legs(one, self.n_legs) for one in self.functions.between(place, other))
+            found = [np.einsum("qki,iqp,pai->qkpa", shown, one, seen, optimize=True) for one in kernels]
+            return np.stack(found).reshape(len(found), size, -1)
+
+        return show(self.place, self._seen), show(place, shown)
 
     def leave_out(self, theta: Array, model_error: Array) -> tuple[Array, Array]:
         """Return each pose's rows as read minus expected from all other poses, (B, P, K), and their covariance.
@@ -409,25 +408,28 @@ class FunctionLikelihood(Likelihood):
         """
         known, _ = self._split(self.base.errors(theta))
         rows = poses.errors(theta)
-        condition = self._condition if isinstance(self.components, Components) else self._condition_columns
-        found = [condition(poses, *one) for one in zip(rows, known, model_error, strict=True)]
+        if isinstance(self.components, Components):
+            parts = self._list_parts(poses)
+            found = [self._condition(poses, parts, *one) for one in zip(rows, known, model_error, strict=True)]
+        else:
+            found = [self._condition_columns(poses, *one) for one in zip(rows, known, model_error, strict=True)]
         deviation, own, together = zip(*found, strict=True)
         return np.stack(deviation), np.stack(own), np.array(together)
 
-    def _condition(self, poses: LegRows, rows: Array, known: Array, amplitudes: Array) -> tuple[Array, Array, float]:
+    def _condition(
+        self, poses: LegRows, parts: tuple[Array, Array], rows: Array, known: Array, amplitudes: Array
+    ) -> tuple[Array, Array, float]:
         """Return the same for rows (Q, K), seen rows (M,) of the calibration poses and amplitudes (N + C,)."""
-        shown, q = poses.rows_of_legs, len(rows)
-        white = self.components.factorise(amplitudes**2)
-        across = np.einsum("qki,qim->qkm", shown, self._across(poses, amplitudes[None])[0])
-        seen = white.rows(across.reshape(rows.size, -1).T)
-        total = np.einsum("qki,iqr,rli->qkrl", shown, self._own(poses, amplitudes[None])[0], shown, optimize=True)
-        np.einsum("qkql->qkl", total)[:] += poses.error_covariance(amplitudes[: self.n_legs])
-        total = total.reshape(rows.size, -1) - seen.T @ seen
+        white, variances, (q, k) = self.components.factorise(amplitudes**2), amplitudes[self.n_legs :] ** 2, rows.shape
+        across, total = (np.tensordot(variances, one, axes=1) for one in parts)
+        np.einsum("qkql->qkl", total.reshape(q, k, q, k))[:] += poses.error_covariance(amplitudes[: self.n_legs])
+        seen = white.rows(across.T)
+        total -= seen.T @ seen
         deviation = rows - (seen.T @ white.rows(known)).reshape(rows.shape)
-        factor = cholesky(total, lower=True, check_finite=False)
-        square = solve_triangular(factor, deviation.ravel(), lower=True, check_finite=False)
-        own = np.einsum("qkql->qkl", total.reshape(q, -1, q, rows.shape[1]))
-        return deviation, own, -0.5 * float(square @ square) - float(np.log(np.diag(factor)).sum())
+        own = np.einsum("qkql->qkl", total.reshape(q, k, q, k)).copy()
+        held = White(factorise(total))
+        square = held.rows(deviation.ravel())
+        return deviation, own, -0.5 * float(square @ square) - held.half_log_det
 
     def _condition_columns(
         self, poses: LegRows, rows: Array, known: Array, amplitudes: Array

@@ -24,7 +24,6 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.linalg import cholesky
 
 from bayescal.density.calibration.model_error import IndependentErrors, ThinFunctionsOfPose
 from bayescal.density.calibration.poses import MANY_ROWS
@@ -35,6 +34,7 @@ from bayescal.density.components import (
     White,
     assemble,
     batches,
+    factorise,
     leave_out,
     weigh,
     weigh_left_out,
@@ -270,7 +270,7 @@ class FrozenRows:
                 return thin.square(both), thin.half_log_det
             own = self._blocks(likelihood, errors, one[None])
             total = self._assemble(own, errors.amplitudes(one[None]) ** 2)[0]
-            white = White(cholesky(total, lower=True, check_finite=False))
+            white = White(factorise(total))
             return white.square(both), white.half_log_det
 
         return LinearRows(*none, square)
