@@ -37,6 +37,7 @@ from bayescal.machines.readings import ReadingModel
 from bayescal.numerics.geometry import Array
 
 SIZES: Final = 50  # draws of the errors' sizes
+N_DRIFTS: Final = 8  # sizes of a drift that stand for all
 SMOOTH: Final = "smooth"
 LATER: Final = 10**9  # place in measuring order of rows that are none of the calibration's
 
@@ -57,6 +58,8 @@ class KnownFunctions:
         Names of the C sorts.
     square : ndarray, shape (C,)
         Posterior mean of each sort's variance, mm² at the tool.
+    drifts : ndarray, shape (J,)
+        Sizes of a drift, each as probable as any other, in units of the root of its mean variance; ones without drifts.
     independent : ndarray, shape (N,)
         Posterior mean of the variance of errors that are drawn anew at every pose, in the channels' units.
     mean : ndarray, shape (A,)
@@ -73,6 +76,7 @@ class KnownFunctions:
     time: Array
     sorts: tuple[str, ...]
     square: Array
+    drifts: Array
     independent: Array
     mean: Array
     covariance: Array
@@ -97,6 +101,7 @@ class KnownFunctions:
         random = [one.variance(own, thin.likelihood.data) for one, own in pairs if isinstance(one, IndependentErrors)]
         independent = np.sum([one.mean(axis=(0, 1)) for one in random], axis=0) if random else np.zeros(n_channels)
         mean, covariance = _integrate(thin, y.mean(axis=0), some)
+        sizes = {one.sort: one.amplitude(own) for one, own in functions}
         return cls(
             first.names,
             first.home,
@@ -105,7 +110,8 @@ class KnownFunctions:
             place.travel,
             place.time,
             tuple(one.sort for one, _ in functions),
-            np.array([np.mean(one.amplitude(own) ** 2) for one, own in functions]),
+            np.array([np.mean(size**2) for size in sizes.values()]),
+            _spread_sizes(sizes[DRIFT]) if DRIFT in sizes else np.ones(N_DRIFTS),
             independent[first.places],
             mean,
             covariance,
@@ -203,6 +209,7 @@ class KnownFunctions:
             "travel": (("row", "channel"), self.travel, "1", "readings from home in units of the range"),
             "time": (("row",), self.time, "1", "place in measuring order"),
             "square": (("sort",), self.square, "mm2", "variance at the tool"),
+            "drifts": (("quantile",), self.drifts, "1", "sizes of a drift over the root of its mean variance"),
             "independent": (("channel",), self.independent, f"{unit} squared", "variance of errors from pose to pose"),
             "mean": (("coefficient",), self.mean, "mm", "of coefficients of functions"),
             "covariance": (both, self.covariance, "1", "of parameters in their units, then of coefficients"),
@@ -233,7 +240,7 @@ class KnownFunctions:
         return np.asarray(np.kron(np.eye(n), np.linalg.lstsq(self._smooth(), smooth)[0]), dtype=np.float64)
 
 
-ARRAYS: Final = ("home", "range", "levers", "travel", "time", "square", "independent", "mean", "covariance")
+ARRAYS: Final = ("home", "range", "levers", "travel", "time", "square", "drifts", "independent", "mean", "covariance")
 
 
 def read_known(path: Path, group: str | None = None) -> tuple[KnownFunctions, list[str]]:
@@ -247,6 +254,12 @@ def read_known(path: Path, group: str | None = None) -> tuple[KnownFunctions, li
     found = read_netcdf(path, group)
     channels, sorts, beside = ([str(one) for one in found[key].values] for key in ("channel", "sort", "parameter"))
     return KnownFunctions.of_arrays({str(key): one for key, one in found.items()}, channels, sorts), beside
+
+
+def _spread_sizes(size: Array) -> Array:
+    """Return sizes of equal probability of draws (T, ...), in units of their root mean square, shape (J,)."""
+    middle = np.quantile(size, (np.arange(N_DRIFTS) + 0.5) / N_DRIFTS)
+    return np.asarray(middle / max(float(np.sqrt(np.mean(size**2))), np.finfo(float).tiny))
 
 
 def _thin(posterior: CalibrationPosterior) -> CalibrationPosterior:

@@ -14,7 +14,7 @@ from bayescal.calibrated.exported import FUNCTIONS, _read_functions, list_poster
 from bayescal.calibrated.functions import KnownFunctions
 from bayescal.calibrated.machine import CalibratedMachine, Errors, build_calibrated
 from bayescal.calibrated.predict import command_poses, draw_poses, predict_poses
-from bayescal.calibrated.recheck.statistics import choose_suspects, compute_knowledge, judge_recheck
+from bayescal.calibrated.recheck.statistics import choose_suspects, compute_knowledge, judge_recheck, weigh_left_over
 from bayescal.density.calibration import terms
 from bayescal.density.calibration.likelihood import CalibrationLikelihood
 from bayescal.density.calibration.measurements import Measurements
@@ -247,3 +247,26 @@ def test_an_exported_machine_knows_its_errors(erring, calibrated, tmp_path):
     path.write_bytes(b"nothing")
     with pytest.raises(InputError, match="cannot be read as systematic errors"):
         _read_functions(path, calibrated.names)
+
+
+def test_a_drift_of_a_size_that_is_hardly_known_is_seldom_odd(erring, calibrated):
+    """Drifts are drawn by their sizes: as little is left over by chance as is said; by a mean size far too often."""
+    sizes, rng = np.array([0.2, 0.3, 0.4, 0.5, 0.7, 0.9, 1.3, 2.1]), np.random.default_rng(5)
+    square = np.where(np.array(calibrated.functions.sorts) == "drift", 0.02**2, calibrated.functions.square)
+    known = replace(calibrated, functions=replace(calibrated.functions, square=square, drifts=sizes))
+    session = erring.read(erring.theta, erring.draw(N_AGAIN))
+    knowledge = compute_knowledge(known, choose_suspects(known, ["s0"]), session)
+    n, k = knowledge.rows.shape[:2]
+    root = np.linalg.cholesky(known.functions.follow(n))
+    unknown = knowledge.rows[..., : -1 - knowledge.n_shifts]
+    chances = []
+    for size in np.tile(sizes, 50):
+        walk = root @ rng.standard_normal((n, knowledge.drifting.shape[-1]))
+        error = unknown @ rng.standard_normal(unknown.shape[-1]) + rng.standard_normal((n, k))
+        error += size * np.einsum("pkd,pd->pk", knowledge.drifting, walk)
+        drawn = replace(knowledge, rows=np.concatenate([knowledge.rows[..., :-1], error[..., None]], axis=-1))
+        by_mean = replace(drawn, functions=replace(known.functions, drifts=np.ones(8)))
+        chances.append([weigh_left_over([one], False) for one in (drawn, by_mean)])
+    said, by_mean = np.mean(np.array(chances) < 0.02, axis=0)
+    assert said < 0.035  # 0.02 and two standard errors
+    assert by_mean > 0.06

@@ -159,10 +159,15 @@ class Knowledge:
         """XᵀX of each pose, shape (P, q + N + 1, q + N + 1)."""
         return np.swapaxes(self.rows, 1, 2) @ self.rows
 
-    def total(self, chosen: Sequence[int] | None = None) -> Array:
+    @property
+    def drifts(self) -> Array:
+        """Sizes that a drift may have as probably as any other, of its root mean square, (J,)."""
+        return self.functions.drifts if self.functions is not None and self.drifting.any() else np.ones(1)
+
+    def total(self, chosen: Sequence[int] | None = None, drift: float = 1.0) -> Array:
         """Return XᵀX of all poses, or of some in the order in which they are measured; drifts join the noise."""
         some = slice(None) if chosen is None else np.array(chosen, dtype=int)
-        rows, drifting = self.rows[some], self.drifting[some]
+        rows, drifting = self.rows[some], drift * self.drifting[some]
         if self.functions is None or not drifting.any():
             return np.asarray(self.gram[some].sum(axis=0))
         n, k = rows.shape[:2]
@@ -467,7 +472,7 @@ class Recheck:
         That it is this one, where one shifted.
     left_over : float
         With which probability as much is left over by chance, beside the shift of the most probable parameter, where
-        the calibration does not hold.
+        the calibration does not hold; on average over the sizes that a drift may have.
     """
 
     suspects: Suspects
@@ -517,10 +522,6 @@ def judge_recheck(
     own = np.diagonal(information, axis1=1, axis2=2)
     statistic = score / np.sqrt(own)
     holds = bool(np.abs(statistic).max() <= test.threshold)
-    square = knowledge.left_over(pooled[-1])
-    n_rows = sum(one.n_rows for one in parts)
-    explained = 0.0 if holds else float((statistic[-1] ** 2).max())
-    odd = chdtrc(n_rows - (not holds), square - explained)
     return Recheck(
         suspects,
         holds,
@@ -530,5 +531,20 @@ def judge_recheck(
         score[-1] / own[-1],
         1.0 / np.sqrt(own[-1]),
         softmax(0.5 * statistic[-1] ** 2 - 0.5 * np.log(own[-1])),
-        float(odd),
+        weigh_left_over(parts, not holds),
     )
+
+
+def weigh_left_over(sessions: Sequence[Knowledge], shifted: bool) -> float:
+    """Return with which probability as much is left over by chance, beside the most probable shift or none.
+
+    It is the mean over the sizes that a drift may have: what is rare with one of its mean size is not where the size is
+    hardly known.
+    """
+    first, n_rows, found = sessions[0], sum(one.n_rows for one in sessions), []
+    for size in first.drifts.tolist():
+        pooled = np.sum([one.total(drift=size) for one in sessions], axis=0)
+        score, information = first.score(pooled)
+        explained = float((score**2 / np.diagonal(information)).max()) if shifted else 0.0
+        found.append(chdtrc(n_rows - shifted, first.left_over(pooled) - explained))
+    return float(np.mean(found))
