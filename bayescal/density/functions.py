@@ -29,6 +29,7 @@ import numpy as np
 
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.density.components import MOST_ROWS, Components, LinearRows, White, batches, factorise
+from bayescal.density.directions import list_directions
 from bayescal.density.elimination import whiten_covariance
 from bayescal.density.errors import FUNCTION_SCALES, OF_SORT, Amplitudes, LegErrors
 from bayescal.density.few_columns import LowRankComponents, list_gram_arrays
@@ -46,8 +47,11 @@ from bayescal.density.sorts import (
     PoseFunctions,
 )
 from bayescal.errors import InputError
-from bayescal.numerics.geometry import Array
+from bayescal.machines.kinematics import solve_forward_kinematics
+from bayescal.numerics.geometry import Array, rotation_vector_from_matrix
 
+ANGLES = np.arange(6) >= 3
+"""Which numbers of a pose are angles."""
 AT_ONCE, FEWEST = 2**16, 16
 """Poses of vectors that are taken together, and vectors however many poses there are."""
 COVARIANCES = 3.0
@@ -344,15 +348,30 @@ class FunctionLikelihood(Likelihood):
     def funnel(self, sampling: LegSampling, errors: LegErrors, y: Array) -> None:
         """Return None: how the geometry depends on the errors is known in closed form, see `linear_rows`."""
 
-    def linear_rows(self, sampling: LegSampling, errors: LegErrors, y: Array) -> LinearRows:
+    def linear_rows(self, sampling: LegSampling, errors: LegErrors, y: Array, cause: str = "") -> LinearRows | None:
         """Return the rows as a linear model of the geometry about y, shape (n,); see `Elimination.linear_rows`."""
         theta, change = self._around(sampling, y)
         rows, slope = self.error_jacobian(theta)
         seen, unseen = self._split(rows)
         by_seen, by_unseen = self._split_slopes(turn_to_coordinates(slope, change))
+        if cause:
+            columns = list_directions(cause, self._place_poses(), ANGLES, self.n_legs)
+            if columns is None:
+                return None
+            by_seen = np.concatenate([by_seen, (self._seen @ columns).reshape(len(by_seen), -1)], axis=1)
+            by_unseen = np.pad(by_unseen, ((0, 0), (0, columns.shape[-1])))
         square = self.components.square(np.column_stack([by_seen, seen]))
         pull = -by_unseen.T @ unseen.ravel()
         return LinearRows(by_unseen.T @ by_unseen, pull, lambda zeta: square(errors.amplitudes(zeta) ** 2))
+
+    def _place_poses(self) -> Array:
+        """Return the nominal machine's poses from home, mm and rad, shape (P, 6); NaN where it has none."""
+        machine, home = self.machine, self.machine.mechanism.initial_actuator_positions
+        actuators = np.concatenate([home[None], self.base.actuators])
+        found = solve_forward_kinematics(machine, machine.layout.nominal, actuators, check=False)
+        turned = found.rotation[0].T @ found.rotation[1:]
+        place = np.concatenate([found.position[1:] - found.position[0], rotation_vector_from_matrix(turned)], axis=1)
+        return np.where(found.converged.all(), place, np.nan)
 
     def _around(self, sampling: LegSampling, y: Array) -> tuple[Array, Array]:
         theta = sampling.theta_from_y(y[None, : sampling.size])[0]

@@ -191,12 +191,13 @@ class Elimination[S: Sampling, E: Errors](ABC):
     def funnel_errors(self, errors: E, zeta: Array) -> Array:
         """Return the errors that the geometry's uncertainty depends on, (B, k) to (B, N)."""
 
-    def linear_rows(self, sampling: S, errors: E, y: Array) -> LinearRows | None:
+    def linear_rows(self, sampling: S, errors: E, y: Array, cause: str = "") -> LinearRows | None:
         """Return the rows about y, shape (m + k,), as linear in the geometry, with a covariance that depends on ζ.
 
-        None, by default, where the rows of a pose depend on no other's, so that `funnel` tells enough.
+        Columns of a named cause (`bayescal.density.directions`) stand behind the geometry's. None, by default, where
+        the rows of a pose depend on no other's, so that `funnel` tells enough; and where a cause has no columns.
         """
-        del sampling, errors, y
+        del sampling, errors, y, cause
         return None
 
     @abstractmethod
@@ -411,19 +412,24 @@ class Posterior[L: Elimination[Any, Any], S: Sampling, E: Errors]:
         """Return how the geometry depends on the errors at y, shape (n,); None where it does not."""
         return self.likelihood.funnel(self.sampling, self.errors, y)
 
-    def linear_geometry(self, y: Array) -> LinearGeometry | None:
-        """Return the geometry as linear in the rows about y, shape (n,); None where `funnel` tells what errors do."""
-        rows = self.likelihood.linear_rows(self.sampling, self.errors, y)
+    def linear_geometry(self, y: Array, cause: str = "") -> LinearGeometry | None:
+        """Return the geometry as linear in the rows about y, shape (n,); None where `funnel` tells what errors do.
+
+        The columns of a named cause, if any, stand behind the geometry's, without a prior.
+        """
+        rows = self.likelihood.linear_rows(self.sampling, self.errors, y, cause)
         if rows is None:
             return None
         m, (theta, change) = self.n_geometry, self.around(y)
         slope = self.sampling.prior_slope(change)
-        pull = rows.pull - self.sampling.prior_residual(y[:m], theta) @ slope
-        pull = pull + self.sampling.log_volume_slope(y[:m], theta, change)
-        precision = rows.information + slope.T @ slope
+        precision, pull, centre = rows.information.copy(), rows.pull.copy(), np.zeros(len(rows.pull))
+        precision[:m, :m] += slope.T @ slope
+        pull[:m] -= self.sampling.prior_residual(y[:m], theta) @ slope
+        pull[:m] += self.sampling.log_volume_slope(y[:m], theta, change)
+        centre[:m] = y[:m]
 
         def log_prior(zeta: Array) -> float:
             deviations = self.errors.deviations(zeta)
             return float(-0.5 * deviations @ deviations)
 
-        return LinearGeometry(y[:m].copy(), rows, precision, pull, log_prior, self.errors.natural)
+        return LinearGeometry(centre, rows, precision, pull, log_prior, self.errors.natural)

@@ -10,10 +10,14 @@ others would have had.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
 
+from bayescal.density.components import LinearGeometry
+from bayescal.density.directions import CAUSES
 from bayescal.density.errors import OF_SORT
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import FUNCTIONS
@@ -29,6 +33,8 @@ NONE: Final = "none"
 def weigh_causes(posterior: Posterior[Any, Any, Any], y: Array, rng: np.random.Generator) -> dict[str, float]:
     """Return log-evidences with one sort of functions alone, less that with all, nat; ``none`` where there is none.
 
+    So, too, of the named causes of `bayescal.density.directions`, where the machine can have them.
+
     Parameters
     ----------
     posterior : Posterior
@@ -43,7 +49,7 @@ def weigh_causes(posterior: Posterior[Any, Any, Any], y: Array, rng: np.random.G
     if linear is None:
         return {}
 
-    def weigh(absent: list[int]) -> float:
+    def weigh(absent: list[int], log_mass: Callable[[Array], float] = linear.log_mass) -> float:
         free = [k for k in range(len(names)) if k not in absent]
         known = 0.5 * ABSENT**2 * len(absent) - 0.5 * np.log(2.0 * np.pi) * len(free)
 
@@ -53,9 +59,32 @@ def weigh_causes(posterior: Posterior[Any, Any, Any], y: Array, rng: np.random.G
             return full
 
         start = np.array([max(zeta[k], BEGIN) if absent and k in functions else zeta[k] for k in free])
-        mode = find_scales_mode(lambda values: linear.log_mass(fill(values)), start)
-        return known + sample_scales(lambda values: linear.log_mass(fill(values)), mode, DRAWS, 1, rng).log_evidence
+        mode = find_scales_mode(lambda values: log_mass(fill(values)), start)
+        return known + sample_scales(lambda values: log_mass(fill(values)), mode, DRAWS, 1, rng).log_evidence
 
     together = weigh([])
     alone = {names[k].removeprefix(OF_SORT): [j for j in functions if j != k] for k in functions}
-    return {name: weigh(absent) - together if absent else 0.0 for name, absent in {NONE: functions, **alone}.items()}
+    found = {name: weigh(absent) - together if absent else 0.0 for name, absent in {NONE: functions, **alone}.items()}
+    place = functions[0]  # a cause has the prior of a sort, and its coordinate
+    for cause in CAUSES:
+        log_mass = _tell(posterior.linear_geometry(y, cause), posterior.n_geometry, place)
+        if log_mass is not None:
+            found[cause] = weigh(functions[1:], log_mass) - together
+    return found
+
+
+def _tell(linear: LinearGeometry | None, m: int, place: int) -> Callable[[Array], float] | None:
+    """Return the density of ζ alone where a coordinate is the size s of a cause's coefficients, N(0, s²)."""
+    if linear is None:
+        return None
+    n = len(linear.pull) - m
+
+    def log_mass(zeta: Array) -> float:
+        size, without = float(linear.sizes(zeta[None])[0, place]), zeta.copy()
+        without[place] = ABSENT
+        precision = linear.precision.copy()
+        precision[m:, m:] += np.eye(n) / size**2
+        there = replace(linear, precision=precision).log_mass(without) - n * np.log(size)
+        return there + 0.5 * (ABSENT**2 - zeta[place] ** 2)
+
+    return log_mass

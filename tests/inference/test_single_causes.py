@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import calibrations
 import numpy as np
 import pandas as pd
@@ -43,6 +45,55 @@ def test_the_cause_is_far_better_than_any_other_alone(tmp_path):
     assert found[NONE] < found["linear"]
 
 
+def find_places(folder, s):
+    """Return where the nominal delta's carriages (P, 3) hold its tool, from the middle of all, in half ranges."""
+    path = folder / "own_machine" / "study.toml"
+    model = ReadingStudy.load(load(path)[1], path.parent).variants["all"].whole
+    pose, found = model.locate(model.layout.nominal, s)
+    assert found.all()
+    return (pose - pose.mean(axis=0)) / (0.5 * np.ptp(pose, axis=0))
+
+
+def bend(place):
+    """Return what a load on the frame does: the same in all carriages, of the place linear and quadratic, mm."""
+    return np.repeat((place @ [0.1, -0.08, 0.05] + place**2 @ [0.2, 0.25, -0.2])[:, None], 3, axis=1)
+
+
+def twist(place):
+    """Return squares and products of the place, each carriage with its own coefficients, mm."""
+    x, y, z = place.T
+    return 0.25 * np.stack([x**2 - x * y, y * z - z**2, x * z + y**2], axis=1)
+
+
+@pytest.mark.parametrize(("error", "cause"), [(bend, "gravity"), (twist, "joints")])
+def test_causes_that_are_smooth_are_told_apart(tmp_path, error, cause):
+    found, _ = weigh(write(tmp_path, lambda s: error(find_places(tmp_path, s))))
+    assert max(found, key=found.get) == cause
+    assert found[cause] - found["smooth"] > 3.0
+
+
+def test_a_direction_weighs_what_its_columns_in_the_rows_do(tmp_path):
+    """Density of the sizes against one normal density of all rows, whose covariance has the columns in it."""
+    _, posterior = weigh(write(tmp_path, lambda s: bend(find_places(tmp_path, s))))
+    y = find_modes(posterior)[0].y
+    m, linear, extended = posterior.n_geometry, posterior.linear_geometry(y), posterior.linear_geometry(y, "gravity")
+    zeta, size = y[m:], 0.03
+    n = len(extended.pull) - m
+    precision = extended.precision.copy()
+    precision[m:, m:] += np.eye(n) / size**2
+    told = replace(extended, precision=precision).log_mass(zeta) - n * np.log(size)
+    both, _ = extended.rows.square(zeta)
+    j, u, e = np.split(np.linalg.cholesky(both + 1e-9 * np.eye(len(both))).T, [m, m + n], axis=1)
+
+    def weigh_rows(covariance):
+        wide = covariance + j @ np.linalg.solve(linear.precision, j.T)
+        deviation = e[:, 0] + j @ np.linalg.solve(linear.precision, linear.pull)
+        return -0.5 * (np.linalg.slogdet(wide)[1] + deviation @ np.linalg.solve(wide, deviation))
+
+    without, within = (weigh_rows(np.eye(len(u)) + one * u @ u.T) for one in (0.0, size**2))
+    assert told - linear.log_mass(zeta) == pytest.approx(within - without, abs=1e-4)
+
+
 def test_without_errors_none_is_best(tmp_path):
     found, _ = weigh(write(tmp_path))
     assert max(found, key=found.get) == NONE
@@ -51,7 +102,7 @@ def test_without_errors_none_is_best(tmp_path):
 def test_draws_hardly_matter(tmp_path):
     path = write(tmp_path)
     one, other = weigh(path)[0], weigh(path, seed=2)[0]
-    assert list(one) == [NONE, "linear", "own", "smooth", "drift"]
+    assert list(one) == [NONE, "linear", "own", "smooth", "drift", "joints", "gravity"]
     np.testing.assert_allclose([*one.values()], [*other.values()], atol=0.5)
 
 

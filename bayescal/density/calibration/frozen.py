@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bayescal.density.calibration.model_error import IndependentErrors, ThinFunctionsOfPose
+from bayescal.density.calibration.model_error import FunctionsOfPose, IndependentErrors, ThinFunctionsOfPose
 from bayescal.density.calibration.poses import MANY_ROWS
 from bayescal.density.calibration.terms import Errors
 from bayescal.density.components import (
@@ -39,6 +39,7 @@ from bayescal.density.components import (
     weigh,
     weigh_left_out,
 )
+from bayescal.density.directions import list_directions
 from bayescal.density.elimination import Whitening
 from bayescal.density.few_columns import LowRankComponents, Thin, leave_out_by, weigh_by
 from bayescal.numerics.geometry import Array
@@ -249,13 +250,20 @@ class FrozenRows:
         good = np.isfinite(rows).all(axis=1) & np.isfinite(rest).all(axis=1)
         return np.where(good[:, None], rows, 0.0), np.where(good[:, None], rest, -np.inf)
 
-    def linear_rows(self, likelihood: CalibrationLikelihood, theta: Array, change: Array, errors: Errors) -> LinearRows:
-        """Return rows about a machine (D,) with dθ/dy (D, m) as linear in the geometry."""
+    def linear_rows(
+        self, likelihood: CalibrationLikelihood, theta: Array, change: Array, errors: Errors, cause: str = ""
+    ) -> LinearRows | None:
+        """Return rows about a machine (D,) with dθ/dy (D, m) as linear in the geometry, and in a cause's directions."""
         at = likelihood.stand(theta[None], self.white)
         error, _, by_parameters = likelihood.rows(theta, change, self.white, at.pose)
         left = np.swapaxes(self.left, -1, -2)
         residual = (left @ error[..., None]).ravel()[self.kept]
         slope = -(left @ by_parameters).reshape(left.shape[0] * left.shape[1], -1)[self.kept]
+        if cause:
+            shown = self._show_directions(likelihood, errors, cause, at.pose[0])
+            if shown is None:
+                return None
+            slope = np.concatenate([slope, shown], axis=1)
         m = slope.shape[1]
 
         both, none = np.column_stack([slope, residual]), (np.zeros((m, m)), np.zeros(m))
@@ -274,6 +282,22 @@ class FrozenRows:
             return white.square(both), white.half_log_det
 
         return LinearRows(*none, square)
+
+    def _show_directions(
+        self, likelihood: CalibrationLikelihood, errors: Errors, cause: str, pose: Array
+    ) -> Array | None:
+        """Return what a named cause's directions do to the rows, (M, A), at poses (P, q); None where it has none."""
+        model, data = likelihood.model, likelihood.data
+        own = next(one.own for one in errors.terms if isinstance(one, FunctionsOfPose))
+        angles = np.array([one.unit == "rad" for one in model.coordinates])
+        columns = list_directions(cause, pose - model.home_pose, angles, len(own.places))
+        if columns is None:
+            return None
+        act = np.zeros((*data.sd.shape, columns.shape[-1]))
+        act[:, own.places] = columns / own.levers[:, None]
+        act = act if likelihood.error_gain is None else likelihood.error_gain @ act
+        seen = self.white.rows(np.where(data.present[..., None], act, 0.0)[None])[0]
+        return (np.swapaxes(self.left, -1, -2) @ seen).reshape(-1, columns.shape[-1])[self.kept]
 
     # --- rows of channels that were read -------------------------------------------------------------------------
 

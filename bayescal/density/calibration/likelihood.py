@@ -385,7 +385,7 @@ class CalibrationLikelihood(PoseElimination, Elimination[AffineSampling, Errors]
         mine = there * errors.groups(there.shape[1])[:, None]
         return np.sqrt(np.einsum("bpk,gpk->bg", square, mine) / np.maximum(mine.sum(axis=(1, 2)), 1))
 
-    def linear_rows(self, sampling: AffineSampling, errors: Errors, y: Array) -> LinearRows | None:
+    def linear_rows(self, sampling: AffineSampling, errors: Errors, y: Array, cause: str = "") -> LinearRows | None:
         """Return rows as linear in the geometry about y, shape (n,); None where all of their noise is known.
 
         None, too, before a machine is known that explains the readings, where errors common to all rows are not frozen,
@@ -394,8 +394,8 @@ class CalibrationLikelihood(PoseElimination, Elimination[AffineSampling, Errors]
         theta = sampling.theta_from_y(y[None, : sampling.size])
         change = sampling.jacobian(theta[0])
         if self.frozen is not None:
-            return self.frozen.linear_rows(self, theta[0], change, errors)
-        if self.expansion is None or errors.has_columns or errors.outliers.expected or not errors.has_noise:
+            return self.frozen.linear_rows(self, theta[0], change, errors, cause)
+        if cause or self.expansion is None or errors.has_columns or errors.outliers.expected or not errors.has_noise:
             return None
         _, at = self.explain(theta, errors, y[None, sampling.size :])
         error, slope, by_parameters = self._linearise(theta, at.pose, with_parameters=True)

@@ -6,12 +6,13 @@ Its terms are what all poses have alike, drawn anew at every pose (τ), and func
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
 import pandas as pd
 
+from bayescal.density.directions import CAUSES
 from bayescal.density.errors import TAU
 from bayescal.density.functions import FunctionLikelihood, LegRows
 from bayescal.density.legs import LegPosterior, Likelihood
@@ -90,9 +91,15 @@ def evaluate_functions(
         **{name: one[back] for name, one in by_pose.items()},
         **{OF_FUNCTIONS + name: one for name, one in functions.items()},
         HIDDEN: hide_in_posterior(posterior, flat, unseen),
-        ALONE: np.array([*weigh_causes(posterior, flat.mean(axis=0), rngs[3]).values()]),
+        ALONE: _list_causes(weigh_causes(posterior, flat.mean(axis=0), rngs[3]), likelihood.functions.sorts),
         **together,
     }
+
+
+def _list_causes(weights: Mapping[str, float], sorts: Sequence[str]) -> Array:
+    """Return weights of none, all sorts and named causes, NaN for what cannot be; empty where nothing is weighed."""
+    names = (NONE, *sorts, *CAUSES) if weights else ()
+    return np.array([weights.get(name, np.nan) for name in names])
 
 
 def tabulate_model_error(inputs: StudyInputs, fits: Mapping[Task, Fit]) -> dict[str, pd.DataFrame]:
@@ -119,7 +126,9 @@ def tabulate_model_error(inputs: StudyInputs, fits: Mapping[Task, Fit]) -> dict[
             poses.append(_tabulate_poses(inputs, task.variant, of))
             n = len(of[HIDDEN])
             if len(of[ALONE]):
-                alone.append(tabulate_causes(task.variant, dict(zip((NONE, *sorts), of[ALONE], strict=True))))
+                weights = dict(zip((NONE, *sorts, *CAUSES), of[ALONE].tolist(), strict=True))
+                there = {name: weight for name, weight in weights.items() if np.isfinite(weight)}
+                alone.append(tabulate_causes(task.variant, there))
             hidden.append(tabulate_hidden(task.variant, fit.names[:n], fit.units[:n], of[HIDDEN], fit.sd[:n]))
     found = {"model_error": terms, "model_error_members": members, "model_error_poses": poses}
     found |= {"model_error_hidden": hidden, "model_error_alone": alone}

@@ -74,7 +74,7 @@ KINDS: dict[str, Kind] = {
     ),
     "smooth": Kind(
         "a smooth function of the positions",
-        "joints, bending, gravity",
+        "bending, joints, guides that are not straight",
         "Compare a model with joints that err or parts that bend, and measure more poses",
     ),
     "drift": Kind(
@@ -82,7 +82,19 @@ KINDS: dict[str, Kind] = {
         "temperature, settling",
         "Let the machine warm up and return to one pose now and then: what changes there is drift",
     ),
+    "joints": Kind(
+        "quadratic in the pose's angles (coordinates, where it has none)",
+        "joints whose axes do not meet, or that run out",
+        "Look at the joints of {member}, or compare a model with joints that err",
+    ),
+    "gravity": Kind(
+        "a function of the pose, alike in all {member}s",
+        "weight that bends frame or guides, an instrument that is off by a scale",
+        "Measure with another load: what changes bends under its weight",
+    ),
 }
+DIRECTIONS = ("joints", "gravity")
+"""Causes that have no term of their own and are tried by themselves."""
 NO_TRACE = (0.10, 0.32, 0.46, 0.56)
 """Lower end of a 90 % interval over the median of the size of one to four terms together without any trace of them:
 each is then about flat from zero to what the data allow, and several together are never near zero."""
@@ -107,7 +119,8 @@ SIZES = (
     "two thirds."
 )
 ALONE = (
-    "Alone: log-evidence of this sort of systematic errors and no other, less that of all together. One cause is named "
+    "Alone: log-evidence of this sort of systematic errors and no other, less that of all sorts that have a size "
+    "together; those without one are tried by themselves. One cause is named "
     "where it explains the data as well as all together and 20 to 1 better than any other alone."
 )
 NO_FLOOR = (
@@ -189,15 +202,15 @@ class _Found(NamedTuple):
 
     @property
     def cause(self) -> str:
-        """The term that alone is as good as all together and better than any other alone; empty where none is."""
+        """What alone is as good as all together and better than any other alone; empty where nothing is."""
         first = name_cause(self.alone)
-        return first if first in self.functions else ""
+        return first if first in (*self.functions, *DIRECTIONS) else ""
 
     @property
     def rivals(self) -> list[str]:
-        """The terms any of which alone is about as good as all together, largest first, where none is to be named."""
+        """What alone is about as good as all together, largest first, where nothing is to be named."""
         best = max(self.alone.values(), default=-math.inf)
-        near = [name for name in self.functions if self.alone.get(name, -math.inf) > best - CLEAR]
+        near = [name for name in (*self.functions, *DIRECTIONS) if self.alone.get(name, -math.inf) > best - CLEAR]
         return near if best >= -CLEAR and not self.cause and len(near) > 1 else []
 
     @property
@@ -249,6 +262,12 @@ def _list_floors(study: StudyResults, name: str) -> dict[str, float]:
     return {term: stated / math.sqrt(len(lasting)) for term in lasting if stated > 0.0}
 
 
+def find_cause(study: StudyResults, name: str) -> str:
+    """Return along what all that a variant's model leaves out may be, where that alone explains the data best."""
+    found = _find(study, name)
+    return KINDS[found.cause].along.format(member=found.member) if found.cause else ""
+
+
 def state_terms(study: StudyResults) -> list[Statement]:
     """Return in a sentence what the model of the variant to use leaves out, and what to do about it."""
     described = _list_described(study)
@@ -258,8 +277,8 @@ def state_terms(study: StudyResults) -> list[Statement]:
 def _advise(found: _Found) -> Statement:
     """Say what to do, how large the systematic error is, in which leg or channel and along what."""
     seen = [name for name in found.seen if name in found.functions]
-    # terms that imitate each other: only their sum is known
-    if not seen and found.is_seen_together:
+    # terms that imitate each other: only their sum is known; and one cause alone may be seen where all together are not
+    if not seen and (found.is_seen_together or found.cause):
         seen = list(found.functions)
     if not seen or found.whole is None:
         scatters = INDEPENDENT in found.seen
@@ -279,9 +298,11 @@ def _describe_cause(found: _Found, main: Kind) -> str:
     """Say along what the largest part changes, and whether that alone explains all."""
     if found.cause:
         lead = found.alone[found.cause] - max(one for name, one in found.alone.items() if name != found.cause)
-        return f"all of it may be {main.along} ({main.causes}), {say_odds(lead)} against any other single cause"
+        along = main.along.format(member=found.member)
+        return f"all of it may be {along} ({main.causes}), {say_odds(lead)} against any other single cause"
     if found.rivals:
-        return f"whether it is {join_words([KINDS[name].along for name in found.rivals], 'or')} the data do not say"
+        rivals = [KINDS[name].along.format(member=found.member) for name in found.rivals]
+        return f"whether it is {join_words(rivals, 'or')} the data do not say"
     text = f"the largest part is {main.along} ({main.causes})"
     several = found.alone and max(found.alone.values()) < -CLEAR
     return f"{text}, but no single cause explains all of it" if several else text
@@ -373,6 +394,10 @@ def _tabulate_terms(found: _Found) -> Table:
         alone = [format_fixed(found.alone.get(name, math.nan), 1, sign=True)] if found.alone else []
         trace = "as stated" if found.floors.get(name) else "no trace"
         rows.append([along, _format_size(size), *alone, "seen" if there else trace, causes])
+    for name in DIRECTIONS:
+        if name in found.alone:
+            said = KINDS[name].along.format(member=found.member), format_fixed(found.alone[name], 1, sign=True)
+            rows.append([said[0], NOTHING, said[1], "", KINDS[name].causes])
     if "none" in found.alone:
         rows.append(["no systematic error", NOTHING, format_fixed(found.alone["none"], 1, sign=True), "", ""])
     notes = [Statement(SIZES), *([Statement(ALONE)] if found.alone else [])]

@@ -25,7 +25,7 @@ from bayescal.experiments.shared.headline import (
 from bayescal.experiments.study.page.data import state_claims, state_comparison, state_data
 from bayescal.experiments.study.page.errors import state_held_back, state_outliers
 from bayescal.experiments.study.page.functions import state_functions
-from bayescal.experiments.study.page.model_error import LEAD, state_terms
+from bayescal.experiments.study.page.model_error import LEAD, find_cause, state_terms
 from bayescal.experiments.study.page.parameters import state_undetermined
 from bayescal.experiments.study.page.results import StudyResults, get_number
 from bayescal.experiments.study.page.soundness import (
@@ -473,6 +473,10 @@ def _state_model_error(study: StudyResults) -> list[Statement]:
         text = (
             f"To {names} the {error} makes no difference: without it "
             f"log-evidence changes by less than {format_fixed(NOTHING_GAINED, 1)} nat"
+        )
+    elif all(one < 0 for one in gains) and functions and (cause := find_cause(study, leaders[0])):
+        text = (
+            f"All sorts of model error together lower {their} log-evidence by {change} nat, one alone does not: {cause}"
         )
     elif all(one < 0 for one in gains) and functions:
         text = (

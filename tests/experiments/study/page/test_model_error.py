@@ -120,6 +120,14 @@ ALONE = {"none": -60.0, "linear": -4.0, "own": 5.5, "smooth": -17.0, "drift": -6
         ),
         (ALONE | {"own": -9.0}, "the largest part is linear in the own position … but no single cause explains all"),
         (ALONE | {"own": 1.0, "none": 3.0}, "Check lead … the largest part is linear in the own position"),
+        (
+            ALONE | {"joints": 80.0, "gravity": -60.0},
+            "Look at the joints of … all of it may be quadratic in the pose's angles … against any other",
+        ),
+        (
+            ALONE | {"joints": -60.0, "gravity": 5.0},
+            "Measure more poses … own position or a function of the pose, alike in all",
+        ),
     ],
 )
 def test_one_cause_is_named_where_it_is_better_than_any_other(make_results, alone, said):
@@ -134,6 +142,17 @@ def test_one_cause_is_named_where_it_is_better_than_any_other(make_results, alon
     shown = {row[0].text: row[2].text for row in table.rows}
     assert shown["with time, in measuring order"] == "−68.0"
     assert shown["no systematic error"].startswith("−60" if alone["none"] < 0.0 else "+3")
+    assert ("a function of the pose, alike in all legs" in shown) == ("gravity" in alone)
+
+
+def test_a_cause_that_has_no_term_is_said_where_all_terms_together_are_not_seen(make_results):
+    more = tabulate(all_unseen(), LEGS)
+    rows = [("pus/linear", term, value) for term, value in {"none": 6.0, "linear": 4.0, "gravity": 19.0}.items()]
+    more["model_error_alone"] = pd.DataFrame(rows, columns=["variant", "term", "log_odds"])
+    study = read_study(make_results(None, more=more, draws=False))
+    (statement,) = state_terms(study)
+    assert statement.text.startswith("Measure with another load")
+    assert "all of it may be a function of the pose, alike in all legs" in statement.text
 
 
 def test_each_term_has_its_size_and_whether_the_data_show_it(make_results):
