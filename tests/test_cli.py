@@ -256,6 +256,14 @@ def test_a_narrow_uniform_prior_is_no_failure(call, study, quick):
     assert Path("out/summary.json").exists()
 
 
+def test_a_bare_number_for_a_tolerance_is_told_how_to_state_it(call, study):
+    studies.edit(Path(study), '{ prior = "normal", sd = 2.0 }', "0.3")
+    code, _, err = call("validate", study)
+    assert code == 2
+    (error,) = studies.list_errors(err)
+    assert 'found 0.3, expected a tolerance as { prior = "normal", sd = 0.3 }' in error
+
+
 def test_console_script_refuses_in_one_line(study, tmp_path):
     script = Path(sys.executable).with_name("bayescal")
     done = subprocess.run(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from typing import Annotated, ClassVar, Final, Literal, Self, get_args
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field
 
 from bayescal.config.sections import NotNegative, PerLeg, Positive, PositivePerLeg, Section, check_once
 from bayescal.limits import LASTING
@@ -39,7 +39,18 @@ class FixedConfig(Section):
     """What is added to the nominal value, one for all legs or one per leg [unit of the parameter]."""
 
 
-type PriorConfig = Annotated[NormalConfig | UniformConfig | FixedConfig, Field(discriminator="prior")]
+def _check_table(value: object) -> object:
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        raise ValueError(
+            f'found {value:g}, expected a tolerance as {{ prior = "normal", sd = {value:g} }}, or prior = "uniform" with '
+            'half_width, or "fixed"'
+        )
+    return value
+
+
+type PriorConfig = Annotated[
+    NormalConfig | UniformConfig | FixedConfig, Field(discriminator="prior"), BeforeValidator(_check_table)
+]
 
 
 type TermName = Literal["independent", "linear", "own", "smooth", "drift"]
