@@ -13,7 +13,6 @@ from bayescal.errors import NumericalError
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.shared.estimate import Estimate, estimate_posterior
-from bayescal.experiments.shared.slip_search import find_slip
 from bayescal.experiments.table.inputs import (
     Plan,
     Polynomial,
@@ -50,8 +49,8 @@ def compute_table(inputs: TableInputs, run: Run) -> Results:
     table = find_table(inputs, estimate.kept, estimate.mode)
     actuators = inputs.actuators.channels
     text = format_polynomial(table.polynomial, inputs.actuators.names, [one.unit for one in actuators])
-    summary, slip = summarise(inputs, table, problems), find_slip([inputs.variant.list_readings()])
-    summary |= {} if slip is None else {"slip": slip.record()}
+    summary = summarise(inputs, table, problems)
+    summary |= {} if inputs.slip is None else {"slip": inputs.slip.record()}
     return Results(summary, tabulate(inputs, table), {POLYNOMIAL_FILE: text})
 
 

@@ -18,6 +18,8 @@ from bayescal.errors import InputError, name_faults
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.shared.readings.inputs import ReadingInputs, Variant, read_inputs
 from bayescal.experiments.shared.readings.knowledge import look
+from bayescal.experiments.shared.slip_search import find_slip
+from bayescal.experiments.shared.slips import FoundSlip
 from bayescal.experiments.shared.study_schema import StudyConfig
 from bayescal.experiments.table.schema import TableConfig
 from bayescal.machines.readings import Given, ReadingModel
@@ -58,6 +60,11 @@ class TableInputs:
     def variant(self) -> Variant:
         """The variant that the table is made of."""
         return next(iter(self.study.variants.values()))
+
+    @cached_property
+    def slip(self) -> FoundSlip | None:
+        """What may have happened to readings that no machine within its priors comes near, looked for once."""
+        return find_slip([self.variant.list_readings()])
 
     @cached_property
     def actuators(self) -> ReadingModel:

@@ -10,7 +10,6 @@ from bayescal.experiments.frame.results import Results
 from bayescal.experiments.shared.of_another import OfAnother
 from bayescal.experiments.shared.readings.memory import list_variant
 from bayescal.experiments.shared.search_memory import KEPT_READINGS, list_sampling
-from bayescal.experiments.shared.slip_search import find_slip
 from bayescal.experiments.table.compute import compute_table
 from bayescal.experiments.table.inputs import TableInputs, read_table
 from bayescal.experiments.table.page import build_page
@@ -49,8 +48,7 @@ class LookUpTable(OfAnother[TableConfig, TableInputs]):
 
     def doubt(self, inputs: TableInputs) -> list[str]:
         """Return what may have happened to readings that no machine within its priors comes near."""
-        said = find_slip([inputs.variant.list_readings()])
-        return [] if said is None else [said.say()]
+        return [] if inputs.slip is None else [inputs.slip.say()]
 
     def compute(self, inputs: TableInputs, run: Run) -> Results:
         """Return the table."""
