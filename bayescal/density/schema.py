@@ -42,8 +42,8 @@ class FixedConfig(Section):
 def _check_table(value: object) -> object:
     if isinstance(value, int | float) and not isinstance(value, bool):
         raise ValueError(
-            f'found {value:g}, expected a tolerance as {{ prior = "normal", sd = {value:g} }}, or prior = "uniform" with '
-            'half_width, or "fixed"'
+            f'found {value:g}, expected a tolerance as {{ prior = "normal", sd = {value:g} }}, or prior = "uniform" '
+            'with half_width, or "fixed"'
         )
     return value
 
