@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -28,10 +28,23 @@ ABSENT: Final = -8.0  # coordinate of a size of practically zero: what lies belo
 BEGIN: Final = 0.5  # of the search for a size, where others are not there: data may want more than beside these
 DRAWS: Final = 200
 NONE: Final = "none"
+QUANTILES: Final = (0.5, 0.05, 0.95)
 
 
-def weigh_causes(posterior: Posterior[Any, Any, Any], y: Array, rng: np.random.Generator) -> dict[str, float]:
-    """Return log-evidences with one sort of functions alone, less that with all, nat; ``none`` where there is none.
+class Alone(NamedTuple):
+    """What there is of a single cause and no other: log-evidence less that of all sorts together, nat, and its size.
+
+    The size's median and 90 % interval are mm, root mean square; NaN where nothing is there.
+    """
+
+    log_odds: float
+    median: float
+    low: float
+    high: float
+
+
+def weigh_causes(posterior: Posterior[Any, Any, Any], y: Array, rng: np.random.Generator) -> dict[str, Alone]:
+    """Return what there is of one sort of functions alone; ``none`` of none at all.
 
     So, too, of the named causes of `bayescal.density.directions`, where the machine can have them.
 
@@ -49,28 +62,32 @@ def weigh_causes(posterior: Posterior[Any, Any, Any], y: Array, rng: np.random.G
     if linear is None:
         return {}
 
-    def weigh(absent: list[int], log_mass: Callable[[Array], float] = linear.log_mass) -> float:
+    def weigh(kept: list[int], log_mass: Callable[[Array], float] = linear.log_mass) -> tuple[float, Array]:
+        absent = [k for k in functions if k not in kept]
         free = [k for k in range(len(names)) if k not in absent]
         known = 0.5 * ABSENT**2 * len(absent) - 0.5 * np.log(2.0 * np.pi) * len(free)
 
         def fill(values: Array) -> Array:
-            full = np.full(len(names), ABSENT)
-            full[free] = values
+            full = np.full((*values.shape[:-1], len(names)), ABSENT)
+            full[..., free] = values
             return full
 
         start = np.array([max(zeta[k], BEGIN) if absent and k in functions else zeta[k] for k in free])
         mode = find_scales_mode(lambda values: log_mass(fill(values)), start)
-        return known + sample_scales(lambda values: log_mass(fill(values)), mode, DRAWS, 1, rng).log_evidence
+        found = sample_scales(lambda values: log_mass(fill(values)), mode, DRAWS, DRAWS, rng)
+        sizes = linear.sizes(fill(found.draws))[:, kept]
+        quantiles = np.quantile(sizes[:, 0], QUANTILES) if len(kept) == 1 else np.full(len(QUANTILES), np.nan)
+        return known + found.log_evidence, quantiles
 
-    together = weigh([])
-    alone = {names[k].removeprefix(OF_SORT): [j for j in functions if j != k] for k in functions}
-    found = {name: weigh(absent) - together if absent else 0.0 for name, absent in {NONE: functions, **alone}.items()}
+    together, _ = weigh(functions)
+    kept = {NONE: [], **{names[k].removeprefix(OF_SORT): [k] for k in functions}}
+    weighed = {name: weigh(some) for name, some in kept.items()}
     place = functions[0]  # a cause has the prior of a sort, and its coordinate
     for cause in CAUSES:
         log_mass = _tell(posterior.linear_geometry(y, cause), posterior.n_geometry, place)
         if log_mass is not None:
-            found[cause] = weigh(functions[1:], log_mass) - together
-    return found
+            weighed[cause] = weigh([place], log_mass)
+    return {name: Alone(value - together, *size.tolist()) for name, (value, size) in weighed.items()}
 
 
 def _tell(linear: LinearGeometry | None, m: int, place: int) -> Callable[[Array], float] | None:

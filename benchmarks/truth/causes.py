@@ -35,7 +35,8 @@ def weigh_twin(name: str, row: str, size: float, seed: int, folder: Path) -> dic
     kind, config = load(folder / "study.toml")
     inputs = read_inputs(kind, config, folder)
     posterior = inputs.subject(inputs.list_tasks()[0]).posterior
-    return weigh_causes(posterior, find_modes(posterior)[0].y, np.random.default_rng(seed))
+    found = weigh_causes(posterior, find_modes(posterior)[0].y, np.random.default_rng(seed))
+    return {name: one.log_odds for name, one in found.items()}
 
 
 def main() -> None:

@@ -34,7 +34,8 @@ def write(folder, error=None):
 def weigh(path, seed=1):
     study = ReadingStudy.load(load(path)[1], path.parent)
     posterior = study.variants["all"].posterior().anchored()
-    return weigh_causes(posterior, find_modes(posterior)[0].y, np.random.default_rng(seed)), posterior
+    found = weigh_causes(posterior, find_modes(posterior)[0].y, np.random.default_rng(seed))
+    return {name: one.log_odds for name, one in found.items()}, posterior
 
 
 def test_the_cause_is_far_better_than_any_other_alone(tmp_path):

@@ -23,7 +23,7 @@ from bayescal.experiments.shared.function_errors import tabulate_causes
 from bayescal.experiments.shared.hidden import tabulate_hidden
 from bayescal.experiments.shared.trees import spread
 from bayescal.identifiability.hidden import hide_in_posterior
-from bayescal.inference.causes import NONE, weigh_causes
+from bayescal.inference.causes import NONE, Alone, weigh_causes
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import MICROMETRE
 
@@ -96,10 +96,11 @@ def evaluate_functions(
     }
 
 
-def _list_causes(weights: Mapping[str, float], sorts: Sequence[str]) -> Array:
-    """Return weights of none, all sorts and named causes, NaN for what cannot be; empty where nothing is weighed."""
+def _list_causes(weights: Mapping[str, Alone], sorts: Sequence[str]) -> Array:
+    """Return `Alone` of none, all sorts and named causes, NaN for what cannot be; empty where nothing is weighed."""
     names = (NONE, *sorts, *CAUSES) if weights else ()
-    return np.array([weights.get(name, np.nan) for name in names])
+    nothing = [np.nan] * len(Alone._fields)
+    return np.array([weights.get(name, nothing) for name in names])
 
 
 def tabulate_model_error(inputs: StudyInputs, fits: Mapping[Task, Fit]) -> dict[str, pd.DataFrame]:
@@ -126,8 +127,8 @@ def tabulate_model_error(inputs: StudyInputs, fits: Mapping[Task, Fit]) -> dict[
             poses.append(_tabulate_poses(inputs, task.variant, of))
             n = len(of[HIDDEN])
             if len(of[ALONE]):
-                weights = dict(zip((NONE, *sorts, *CAUSES), of[ALONE].tolist(), strict=True))
-                there = {name: weight for name, weight in weights.items() if np.isfinite(weight)}
+                weights = zip((NONE, *sorts, *CAUSES), of[ALONE].tolist(), strict=True)
+                there = {name: Alone(*one) for name, one in weights if np.isfinite(one[0])}
                 alone.append(tabulate_causes(task.variant, there))
             hidden.append(tabulate_hidden(task.variant, fit.names[:n], fit.units[:n], of[HIDDEN], fit.sd[:n]))
     found = {"model_error": terms, "model_error_members": members, "model_error_poses": poses}

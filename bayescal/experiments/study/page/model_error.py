@@ -83,7 +83,7 @@ KINDS: dict[str, Kind] = {
         "Let the machine warm up and return to one pose now and then: what changes there is drift",
     ),
     "joints": Kind(
-        "quadratic in the pose's angles (coordinates, where it has none)",
+        "quadratic in the pose, in each {member} another",
         "joints whose axes do not meet, or that run out",
         "Look at the joints of {member}, or compare a model with joints that err",
     ),
@@ -119,8 +119,8 @@ SIZES = (
     "two thirds."
 )
 ALONE = (
-    "Alone: log-evidence of this sort of systematic errors and no other, less that of all sorts that have a size "
-    "together; those without one are tried by themselves. One cause is named "
+    "Alone: log-evidence of this sort of systematic errors and no other, less that of all together. What stands “by "
+    "itself” takes no part in these, and has the size that it would have without them. One cause is named "
     "where it explains the data as well as all together and 20 to 1 better than any other alone."
 )
 NO_FLOOR = (
@@ -173,14 +173,16 @@ def name_cause(alone: Mapping[str, float]) -> str:
 class _Found(NamedTuple):
     """What was found of one variant's model error.
 
-    Rows of its table by term; rms of each member's mean, µm; evidence of each term alone less that of all, nat; the
-    least size of each term that is stated, µm; whether the log-evidence is higher with a model error than without.
+    Rows of its table by term; rms of each member's mean, µm; evidence of each cause alone less that of all, nat, and
+    rows of the sizes of those without a term; the least size of each term that is stated, µm; whether the log-evidence
+    is higher with a model error than without.
     """
 
     label: str
     sizes: dict[str, Row]
     members: dict[str, float]
     alone: dict[str, float]
+    directions: dict[str, Row]
     floors: dict[str, float]
     is_needed: bool
 
@@ -192,8 +194,8 @@ class _Found(NamedTuple):
 
     @property
     def whole(self) -> Row | None:
-        """The size of all systematic errors together."""
-        return self.sizes.get(TOGETHER) or next(iter(self.functions.values()), None)
+        """The size of all systematic errors together; of the one cause that explains all, where it has no term."""
+        return self.directions.get(self.cause) or self.sizes.get(TOGETHER) or next(iter(self.functions.values()), None)
 
     @property
     def member(self) -> str:
@@ -246,11 +248,13 @@ def _find(study: StudyResults, name: str) -> _Found:
     square = (calibration["mean_um"] ** 2).groupby(calibration["member"], sort=False).mean()
     members = {str(member): math.sqrt(value) for member, value in square.items()}
     sizes = {row["term"]: row for row in study.rows("model_error", name)}
-    alone = {row["term"]: row["log_odds"] for row in study.rows("model_error_alone", name)}
+    alone = {row["term"]: row for row in study.rows("model_error_alone", name)}
+    directions = {term: row for term, row in alone.items() if term in DIRECTIONS}
     floors = _list_floors(study, name)
     floors |= {TOGETHER: math.sqrt(sum(one**2 for term, one in floors.items() if term != INDEPENDENT))}
     is_needed = "zero" not in study.settings or study.gain(name) > 0.0
-    return _Found(study.label(name), sizes, members, alone, floors, is_needed)
+    odds = {term: float(row["log_odds"]) for term, row in alone.items()}
+    return _Found(study.label(name), sizes, members, odds, directions, floors, is_needed)
 
 
 def _list_floors(study: StudyResults, name: str) -> dict[str, float]:
@@ -286,9 +290,10 @@ def _advise(found: _Found) -> Statement:
         return Statement(f"{first}{_describe_absent(found)}", "plain" if scatters else "good", LEAD)
     main, outstanding = KINDS[found.cause or seen[0]], _name_outstanding(found)
     advice = UNDECIDED if found.rivals else main.advice.format(member=outstanding or f"every {found.member}")
+    members = "" if found.cause in found.directions else f", {_describe_members(found)}"
     text = (
         f"{advice}. {found.label} leaves out a "
-        f"systematic error of {_format_size(found.whole)} µm rms (90 % interval), {_describe_members(found)}; "
+        f"systematic error of {_format_size(found.whole)} µm rms (90 % interval){members}; "
         f"{_describe_cause(found, main)}. The intervals allow for it. {_describe_independent(found)}"
     )
     return Statement(text.rstrip(), lead=LEAD)
@@ -394,10 +399,10 @@ def _tabulate_terms(found: _Found) -> Table:
         alone = [format_fixed(found.alone.get(name, math.nan), 1, sign=True)] if found.alone else []
         trace = "as stated" if found.floors.get(name) else "no trace"
         rows.append([along, _format_size(size), *alone, "seen" if there else trace, causes])
-    for name in DIRECTIONS:
-        if name in found.alone:
-            said = KINDS[name].along.format(member=found.member), format_fixed(found.alone[name], 1, sign=True)
-            rows.append([said[0], NOTHING, said[1], "", KINDS[name].causes])
+    for name, size in found.directions.items():
+        along, trace = KINDS[name].along.format(member=found.member), "seen" if name == found.cause else ""
+        alone = [format_fixed(found.alone[name], 1, sign=True)]
+        rows.append([f"{along}, by itself", _format_size(size), *alone, trace, KINDS[name].causes])
     if "none" in found.alone:
         rows.append(["no systematic error", NOTHING, format_fixed(found.alone["none"], 1, sign=True), "", ""])
     notes = [Statement(SIZES), *([Statement(ALONE)] if found.alone else [])]

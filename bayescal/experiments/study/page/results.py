@@ -90,7 +90,7 @@ COLUMNS: dict[str, dict[str, tuple[str, ...]]] = {
         "texts": ("variant", "pose", "use", "member"),
         "numbers": ("mean_um", "low_um", "high_um"),
     },
-    "model_error_alone": {"texts": ("variant", "term"), "numbers": ("log_odds",)},
+    "model_error_alone": {"texts": ("variant", "term"), "numbers": ("log_odds", "median_um", "q05_um", "q95_um")},
     "claims": {
         "texts": ("claim", "section", "statement", "expected", "found", "unit", "verdict", "why"),
         "numbers": ("value",),

@@ -110,6 +110,12 @@ def test_the_advice_follows_the_largest_term_that_is_seen(make_results, sizes, m
 ALONE = {"none": -60.0, "linear": -4.0, "own": 5.5, "smooth": -17.0, "drift": -68.0}
 
 
+def tabulate_alone(alone):
+    """Return the table of single causes, which have sizes of 14 [9, 21] µm by themselves."""
+    rows = [("pus/linear", term, value, 14.0, 9.0, 21.0) for term, value in alone.items()]
+    return pd.DataFrame(rows, columns=["variant", "term", "log_odds", "median_um", "q05_um", "q95_um"])
+
+
 @pytest.mark.parametrize(
     ("alone", "said"),
     [
@@ -122,7 +128,7 @@ ALONE = {"none": -60.0, "linear": -4.0, "own": 5.5, "smooth": -17.0, "drift": -6
         (ALONE | {"own": 1.0, "none": 3.0}, "Check lead … the largest part is linear in the own position"),
         (
             ALONE | {"joints": 80.0, "gravity": -60.0},
-            "Look at the joints of … all of it may be quadratic in the pose's angles … against any other",
+            "Look at the joints of … all of it may be quadratic in the pose, in each leg another … against any other",
         ),
         (
             ALONE | {"joints": -60.0, "gravity": 5.0},
@@ -132,8 +138,7 @@ ALONE = {"none": -60.0, "linear": -4.0, "own": 5.5, "smooth": -17.0, "drift": -6
 )
 def test_one_cause_is_named_where_it_is_better_than_any_other(make_results, alone, said):
     more = tabulate(all_unseen(own=SEEN, linear=(4.0, 0.4, 8.0), together=SEEN), LEGS)
-    rows = [("pus/linear", term, value) for term, value in alone.items()]
-    more["model_error_alone"] = pd.DataFrame(rows, columns=["variant", "term", "log_odds"])
+    more["model_error_alone"] = tabulate_alone(alone)
     study = read_study(make_results(None, more=more, draws=False))
     (statement,) = state_terms(study)
     places = [statement.text.find(words) for words in said.split(" … ")]
@@ -142,16 +147,16 @@ def test_one_cause_is_named_where_it_is_better_than_any_other(make_results, alon
     shown = {row[0].text: row[2].text for row in table.rows}
     assert shown["with time, in measuring order"] == "−68.0"
     assert shown["no systematic error"].startswith("−60" if alone["none"] < 0.0 else "+3")
-    assert ("a function of the pose, alike in all legs" in shown) == ("gravity" in alone)
+    assert ("a function of the pose, alike in all legs, by itself" in shown) == ("gravity" in alone)
 
 
 def test_a_cause_that_has_no_term_is_said_where_all_terms_together_are_not_seen(make_results):
     more = tabulate(all_unseen(), LEGS)
-    rows = [("pus/linear", term, value) for term, value in {"none": 6.0, "linear": 4.0, "gravity": 19.0}.items()]
-    more["model_error_alone"] = pd.DataFrame(rows, columns=["variant", "term", "log_odds"])
+    more["model_error_alone"] = tabulate_alone({"none": 6.0, "linear": 4.0, "gravity": 19.0})
     study = read_study(make_results(None, more=more, draws=False))
     (statement,) = state_terms(study)
     assert statement.text.startswith("Measure with another load")
+    assert "a systematic error of 14 [9, 21] µm rms (90 % interval); all" in statement.text  # its own size
     assert "all of it may be a function of the pose, alike in all legs" in statement.text
 
 
