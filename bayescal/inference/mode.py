@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -29,6 +29,7 @@ WORTH_KEEPING = 12.0  # a mode this many nats below the best holds no mass that 
 WORTH_COMBINING = 7.0  # a combination of jumps expected to hold less than e^-7 of the best is not climbed
 MOST_COMBINATIONS = 63  # all of six jumps
 N_SCATTERED = 3  # draws of the prior from which the search begins anew
+LAST_STEPS = 4  # by differences
 MOST_STEPS, HALVINGS = 30, 6  # of geometry at the errors that are most probable
 SETTLED = 1e-2  # squared posterior sds that geometry there may still be off
 KNOWN = 1.0  # square of the distance in posterior sds within which least squares have led back to a known mode
@@ -317,8 +318,28 @@ def _characterise(posterior: Target, y: Array, log_density: float) -> Mode:
         return Mode(y, log_density, covariance, bool(step @ np.linalg.solve(given.covariance, step) < SETTLED))
     gradient, curvature = posterior.gradient(y)
     covariance = _invert_negative(posterior, y, curvature)
-    converged = bool(gradient @ covariance @ gradient < DECREMENT_TOLERANCE)
-    return Mode(y, log_density, covariance, converged)
+    if gradient @ covariance @ gradient < DECREMENT_TOLERANCE:
+        return Mode(y, log_density, covariance, True)
+    return _settle(posterior, Mode(y, log_density, covariance, False))
+
+
+def _settle(posterior: Target, mode: Mode) -> Mode:
+    """Return a mode after Newton's steps by differences, for gradients that are no more exact than a climb's end."""
+    factor = np.linalg.cholesky(mode.covariance)
+    for _ in range(LAST_STEPS):
+        slope, hessian = difference_twice(posterior.log_density, mode.y, factor, HESSIAN_STEP)
+        try:
+            white = np.linalg.solve(np.linalg.cholesky(-hessian), slope)
+        except np.linalg.LinAlgError:
+            return mode
+        if white @ white < DECREMENT_TOLERANCE:
+            return replace(mode, converged=True)
+        y = mode.y - factor @ np.linalg.solve(hessian, slope)
+        found = float(posterior.log_density(y[None])[0])
+        if not found > mode.log_density:
+            return mode
+        mode = replace(mode, y=y, log_density=found)
+    return mode
 
 
 def _invert_negative(posterior: Target, y: Array, curvature: Array) -> Array:
