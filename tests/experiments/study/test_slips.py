@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import studies
+from shares import run_rest
 
 from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load_experiment
@@ -90,7 +91,7 @@ def test_likely_cause_is_found_by_trying_it(drawn, what, call):
     assert said in out
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", run_rest(range(20), 3))
 def test_no_clean_twin_is_suspected(drawn, seed, tmp_path):
     studies.write_texts(tmp_path, studies.tiny_texts())
     config = load_experiment(tmp_path / "simulate.toml")
