@@ -215,6 +215,11 @@ def test_models_of_flexures_need_them(folder, model, section):
         assert f"found no [{section}], expected" in fail(folder, "mechanism.toml")
 
 
+def test_a_model_of_another_drive_is_refused(folder):
+    choose(folder, "six_ups")
+    assert "model 'six_ups': found actuators at the base in mechanism" in fail(folder, "mechanism.toml")
+
+
 def test_one_stiffness_for_all_legs(folder):
     choose(folder, "stiffness", "k1_d = { prior = 'uniform', half_width = [1, 2, 3, 4, 5, 6] }", '["k1_d"]')
     assert "parameters.k1_d: found 6 values, expected 1" in fail_variant(folder, "stiffness/none")
