@@ -45,10 +45,6 @@ def load(folder: Path):
     return load_inputs(load_experiment(folder / "study.toml"), folder)
 
 
-def test_home_is_where_the_tests_have_it(drawn):
-    assert np.all(load(drawn).mechanism.initial_actuator_positions == HOME)
-
-
 @pytest.mark.parametrize(
     "what", ["legs exchanged", *(pytest.param(one, marks=pytest.mark.slow) for one in NAMED if one != "legs exchanged")]
 )
