@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import re
 import shutil
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.frame.results import Results, read_results
@@ -191,6 +195,30 @@ def edit(path: Path, old: str, new: str) -> None:
     text = path.read_text()
     assert old in text, f"{path} has no {old!r}"
     path.write_text(text.replace(old, new, 1))
+
+
+@contextmanager
+def changed_table(path: Path, change: Callable[[list[list[str]]], list[list[str]]]) -> Iterator[None]:
+    """Change a CSV table's rows below its comments, lists of cells with the header first, until the block ends."""
+    original = path.read_text()
+    comments = [line for line in original.splitlines() if line.startswith("#")]
+    rows = change([line.split(",") for line in original.splitlines() if not line.startswith("#")])
+    path.write_text("\n".join([*comments, *(",".join(row) for row in rows)]) + "\n")
+    try:
+        yield
+    finally:
+        path.write_text(original)
+
+
+def change_actuators(mend: Callable[[np.ndarray], np.ndarray]) -> Callable[[list[list[str]]], list[list[str]]]:
+    """Return what changes all actuator positions (P, N) of a table."""
+
+    def apply(rows: list[list[str]]) -> list[list[str]]:
+        rho = mend(np.array([row[2:] for row in rows[1:]], dtype=float))
+        mended = zip(rows[1:], rho, strict=True)
+        return [rows[0], *([*row[:2], *(f"{x:.6f}" for x in one)] for row, one in mended)]
+
+    return apply
 
 
 def find_line(path: Path, start: str) -> int:

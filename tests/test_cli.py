@@ -288,16 +288,6 @@ def test_simulate_writes_the_survey(call, study):
     assert Path("other/targets.csv").read_text() != Path("new/data/targets.csv").read_text()
 
 
-@pytest.mark.runs
-@pytest.mark.parametrize("folder", ["telescope", "m2_hexapod"])
-def test_shipped_data_come_from_the_shipped_config(call, tmp_path, folder):
-    shipped = studies.EXPERIMENTS / folder
-    assert call("simulate", shipped / "simulate.toml", "--out", tmp_path)[0] == 0
-    assert {path.name for path in tmp_path.iterdir()} == {path.name for path in (shipped / "data").iterdir()}
-    for path in tmp_path.iterdir():
-        studies.assert_same_text(path.read_text(), (shipped / "data" / path.name).read_text(), path.name)
-
-
 def test_simulation_out_of_reach_is_3(call, study):
     studies.edit(Path("simulate.toml"), "unit_mm = 1.3", "unit_mm = 2000.0")
     before = studies.snapshot(Path())

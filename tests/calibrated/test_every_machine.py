@@ -166,6 +166,8 @@ def test_exported_and_read_again_predicts_alike(machine, tmp_path):
     written = export_machine(machine, tmp_path / "out")
     again = read_exported(tmp_path / "out")
     assert {path.suffix for path in written} >= {".toml", ".csv", ".nc"}
+    assert (again.source, again.names) == (machine.source, machine.names)
+    np.testing.assert_array_equal(again.draws, machine.draws)
     commands, given = visit(machine, 4)
     one, other = predict_poses(machine, commands, given), predict_poses(again, commands, given)
     np.testing.assert_allclose(other.tool, one.tool, rtol=0, atol=1e-9)

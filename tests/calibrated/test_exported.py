@@ -15,8 +15,8 @@ import telescope_machines as machines
 
 from bayescal.calibrated.exported import check_covariance, format_mechanism, read_exported
 from bayescal.calibrated.formats import export_machine
-from bayescal.calibrated.machine import Source, build_calibrated, express_parameters, settle_machine
-from bayescal.calibrated.predict import command_poses, predict_poses
+from bayescal.calibrated.machine import build_calibrated, express_parameters, settle_machine
+from bayescal.calibrated.predict import predict_poses
 from bayescal.errors import InputError
 from bayescal.machines.deformations import NoDeformation
 from bayescal.machines.kinematics import Machine, build_machine, solve_forward_kinematics
@@ -59,37 +59,6 @@ def test_settled_machine_has_the_same_poses(model, n_legs, deformation, rng):
     np.testing.assert_allclose(nominal.position, expected.position[0], **SAME)
     before = solve_forward_kinematics(machine, machine.layout.nominal, actuators)
     assert np.abs(before.position - expected.position[0]).max() > 1e-2  # the calibration matters
-
-
-@pytest.mark.parametrize("build_guided", [guided_machines.build_hexaglide, guided_machines.build_hanging])
-def test_actuators_in_any_direction(build_guided, rng):
-    mechanism = build_guided()
-    machine = build_machine(SixPus, mechanism, NoDeformation())
-    made_up = calibrated.build_made_up(machine, rng)
-    draws = calibrated.draw_machines(machine, 1, rng, scale=0.0)[0]
-    settled = settle_machine(machine, draws)
-    actuators = calibrated.measurable_actuators(machine, 4, rng) * 0.3 + 0.7 * mechanism.initial_actuator_positions
-    found = solve_forward_kinematics(settled, settled.layout.nominal, actuators)
-    assert_same_poses(found, solve_forward_kinematics(machine, draws, actuators))
-    np.testing.assert_array_equal(made_up.theta, made_up.model.layout.nominal)
-
-
-@pytest.mark.parametrize(("model", "n_legs", "deformation"), CASES)
-def test_exported_and_read_again(model, n_legs, deformation, rng, tmp_path):
-    machine = build(model, n_legs, deformation)
-    made_up = calibrated.build_made_up(machine, rng, 20, source=Source("x", "y z", 'quoted "text"', ("R-hat 1.2",)))
-    export_machine(made_up, tmp_path / "out")
-    again = read_exported(tmp_path / "out")
-    assert (again.source, again.names) == (made_up.source, made_up.names)
-    np.testing.assert_allclose(again.covariance, made_up.covariance, rtol=1e-12)
-    np.testing.assert_array_equal(again.draws, made_up.draws)
-    actuators = calibrated.measurable_actuators(machine, 4, rng)
-    one, other = predict_poses(made_up, actuators), predict_poses(again, actuators)
-    np.testing.assert_allclose(other.position, one.position, **SAME)
-    np.testing.assert_allclose(other.rotation, one.rotation, **SAME_TURN)
-    np.testing.assert_allclose(other.covariance, one.covariance, rtol=1e-6, atol=1e-18)
-    first, second = (command_poses(m, one.tool) for m in (made_up, again))
-    np.testing.assert_allclose(second.commands, first.commands, **SAME)
 
 
 def test_measured_matrix_keeps_its_uncertainty(rng, tmp_path):

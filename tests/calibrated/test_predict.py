@@ -14,7 +14,6 @@ from bayescal.calibrated.predict import command_poses, draw_poses, predict_poses
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.errors import InputError
 from bayescal.machines.readings import Legs
-from bayescal.numerics.geometry import compute_pose_error, matrix_from_rotation_vector, rotation_vector_from_matrix
 
 
 @pytest.mark.parametrize("deformation", ["none", "matrix"])
@@ -27,17 +26,6 @@ def test_errors_of_the_legs_are_those_of_the_density(deformation, rng):
     likelihood = PoseLikelihood(made_up.legs, replace(poses, covariance=np.zeros((6, 6, 6))), 1e-3)
     expected = likelihood.pose_covariance(np.full(6, 2e-3))
     np.testing.assert_allclose(predict_poses(made_up, actuators).covariance, expected, rtol=1e-6, atol=1e-16)
-
-
-def test_command_undoes_predict(rng):
-    made_up = calibrated.build_made_up(machines.build_machine("matrix"), rng, n_draws=50)
-    actuators = calibrated.measurable_actuators(made_up.legs, 1100, rng)  # more than a chunk
-    prediction = predict_poses(made_up, actuators)
-    assert prediction.found.all()
-    assert prediction.covariance.shape == (1100, 6, 6)
-    command = command_poses(made_up, prediction.tool)
-    np.testing.assert_allclose(command.commands, actuators, rtol=0, atol=1e-8)
-    assert command.covariance.shape == (1100, 6, 6)
 
 
 def test_poses_out_of_reach_say_why(rng):
@@ -98,18 +86,6 @@ def test_same_random_numbers_same_draws(rng):
     assert first.shape == (20, 3, 6)
     with pytest.raises(InputError, match="found no draws"):
         draw_poses(replace(made_up, draws=None), actuators, 20, rng)
-
-
-def test_turned_far_at_the_edge(rng):
-    """Rotation vectors: covariances are about the base axes, wherever the platform points."""
-    made_up = calibrated.build_made_up(machines.build_machine("none", model="six_ups"), rng, n_draws=50)
-    turn = matrix_from_rotation_vector(np.array([0.0, 0.0, 2e-3]))
-    home = predict_poses(made_up, made_up.legs.mechanism.initial_actuator_positions[None])
-    pose = np.concatenate([home.position, rotation_vector_from_matrix(turn @ home.rotation)], axis=1)
-    command = command_poses(made_up, pose)
-    again = predict_poses(made_up, command.commands)
-    error = compute_pose_error(again.position, again.rotation, home.position, home.rotation)
-    np.testing.assert_allclose(error, [[0, 0, 0, 0, 0, 2e-3]], atol=1e-9)
 
 
 def test_along_a_bent_ridge_draws_tell_mean_and_covariance(rng):

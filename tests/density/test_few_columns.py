@@ -1,4 +1,4 @@
-"""Rows of many poses, by few columns: against the dense covariance of the same functions, and in memory."""
+"""Rows of many poses, by few columns: against the dense covariance, and in memory; legs' are in `test_functions`."""
 
 import tracemalloc
 from dataclasses import replace
@@ -6,14 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import telescope_machines as machines
-from scipy.stats import multivariate_normal
-from test_functions import AMPLITUDES, N_HELD, N_POSES, build, build_posterior, two  # noqa: F401 - a fixture
+from test_functions import build_posterior
 
 from bayescal.density.components import Components
 from bayescal.density.few_columns import Interpolated, LowRankComponents
 from bayescal.density.functions import FunctionLikelihood
 from bayescal.density.pose_likelihood import PoseLikelihood
-from bayescal.density.prediction import draw_functions, predict_given
 from bayescal.density.sorts import SORTS, Place, PoseFunctions
 
 P, N, LEGS, A = 7, 3, 2, 4
@@ -116,105 +114,6 @@ def test_norms_take_no_matrix_of_all_poses():
     kernels = [SORTS[name].between(some, some) for name in SORTS]
     expected = [np.diagonal(one, axis1=1, axis2=2).mean() for one in kernels]
     assert norms == pytest.approx(expected, rel=0.03)
-
-
-# --- legs ------------------------------------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def thin(two, monkeypatch):  # noqa: F811
-    calibration, held, theta = two
-    monkeypatch.setattr("bayescal.density.functions.MOST_ROWS", 20)
-    likelihood = build(calibration, held)
-    assert isinstance(likelihood.components, LowRankComponents)
-    return likelihood, held, theta
-
-
-def plain_normal(likelihood, held, theta, amplitudes):
-    """Return rows of all poses and their covariance, with the kernels that few columns make."""
-    both = (likelihood.base, held)
-    place = likelihood.place.join(likelihood.place_of(held))
-    rows = np.concatenate([one.errors(theta[None])[0] for one in both])
-    shown = np.concatenate([one.rows_of_legs * np.sqrt(one.actuator_weight)[:, None] for one in both])
-    alone = np.sqrt(amplitudes[:6] ** 2 + amplitudes[6:] ** 2 @ likelihood.functions.left)
-    n, k = rows.shape
-    total = np.zeros((n, k, n, k))
-    total[np.arange(n), :, np.arange(n)] = np.concatenate([one.error_covariance(alone) for one in both])
-    for size, kernel in zip(amplitudes[6:], likelihood.functions.between(place, place), strict=True):
-        whole = np.broadcast_to(kernel, (6, n, n))
-        total += size**2 * np.einsum("pki,ipq,qli->pkql", shown, whole, shown)
-    return rows.ravel(), total.reshape(n * k, -1), k
-
-
-def test_density_is_that_of_the_same_kernels_as_a_whole(thin):
-    likelihood, held, theta = thin
-    found, expected = [], []
-    for amplitudes in (AMPLITUDES, 0.3 * AMPLITUDES, np.linspace(0.5, 2.0, 10) * AMPLITUDES):
-        rows, covariance, k = plain_normal(likelihood, held, theta, amplitudes)
-        own = slice(0, N_POSES * k)
-        found.append(likelihood(theta[None], amplitudes)[0])
-        expected.append(multivariate_normal.logpdf(rows[own], cov=covariance[own, own]))
-    assert np.diff(found) == pytest.approx(np.diff(expected), abs=1e-6)
-
-
-def test_predictions_are_those_of_the_same_kernels_as_a_whole(thin):
-    likelihood, held, theta = thin
-    rows, covariance, k = plain_normal(likelihood, held, theta, AMPLITUDES)
-    known, other = np.split(np.arange(len(rows)), [N_POSES * k])
-    given = covariance[np.ix_(other, known)] @ np.linalg.inv(covariance[np.ix_(known, known)])
-    mean = given @ rows[known]
-    left = covariance[np.ix_(other, other)] - given @ covariance[np.ix_(known, other)]
-    deviation, own, together = likelihood.predict(held, theta[None], AMPLITUDES[None])
-    assert deviation[0].ravel() == pytest.approx(rows[other] - mean, abs=1e-9)
-    blocks = np.einsum("qkql->qkl", left.reshape(N_HELD, k, N_HELD, k))
-    assert own[0] == pytest.approx(blocks, rel=1e-6, abs=1e-12)
-    joint = multivariate_normal.logpdf(rows[other], mean, left) + 0.5 * len(mean) * np.log(2.0 * np.pi)
-    assert together[0] == pytest.approx(joint, abs=1e-6)
-    twice = np.array([theta, theta]), np.array([AMPLITUDES, AMPLITUDES])
-    calibration = predict_given(likelihood, None, *twice, np.array([1]), np.random.default_rng(5))
-    assert calibration.pointwise == pytest.approx(likelihood.pointwise(*twice), abs=1e-7)
-
-
-@pytest.mark.runs
-def test_functions_are_drawn_given_the_data(thin):
-    likelihood, held, theta = thin
-    rows, covariance, k = plain_normal(likelihood, held, theta, AMPLITUDES)
-    own, n_draws = N_POSES * k, 1500
-    mean, drawn = likelihood.draw(
-        held, np.tile(theta, (n_draws, 1)), np.tile(AMPLITUDES, (n_draws, 1)), np.random.default_rng(7)
-    )
-    assert mean.shape == drawn.shape == (n_draws, 4, N_POSES + N_HELD, 6)
-    place = likelihood.place.join(likelihood.place_of(held))
-    shown = likelihood.base.rows_of_legs * np.sqrt(likelihood.base.actuator_weight)[:, None, :]
-    kernels = likelihood.functions.between(place, place)
-    for sort, leg in ((0, 2), (1, 4), (2, 1), (3, 0)):
-        kernel = AMPLITUDES[6 + sort] ** 2 * kernels[sort][leg % len(kernels[sort])]
-        across = np.einsum("qp,pk->qpk", kernel[:, :N_POSES], shown[:, :, leg]).reshape(len(kernel), -1)
-        given = across @ np.linalg.inv(covariance[:own, :own])
-        assert mean[0, sort, :, leg] == pytest.approx(given @ rows[:own], rel=1e-6, abs=1e-9)
-        left = np.sqrt(np.maximum(np.diag(kernel - given @ across.T), 0.0))
-        away = drawn[:, sort, :, leg] - given @ rows[:own]
-        assert np.abs(away.mean(axis=0)).max() < 4.5 * left.max() / np.sqrt(n_draws)
-        assert away.std(axis=0) == pytest.approx(left, rel=0.09, abs=1e-9)
-    several = draw_functions(likelihood, held, theta[None], AMPLITUDES[None], np.random.default_rng(8))
-    assert several.mean == pytest.approx(mean[0].sum(axis=0), rel=1e-9, abs=1e-12)
-
-
-@pytest.mark.runs
-@pytest.mark.parametrize("shared", [True, False])
-def test_slopes_are_those_of_the_density(thin, shared):
-    likelihood, _, truth = thin
-    posterior = build_posterior(likelihood, shared)
-    m = posterior.n_geometry
-    off = np.random.default_rng(3).standard_normal(posterior.n_parameters)
-    y = posterior.adopt(truth[None], 0.3 * off[None, m:] - 0.5)[0]
-    step = 1e-4 * np.eye(len(y))
-    gradient, hessian = posterior.newton(y)
-    by_differences = (posterior.log_density(y + step) - posterior.log_density(y - step)) / 2e-4
-    assert gradient == pytest.approx(by_differences, rel=1e-4, abs=1e-3 * np.abs(by_differences).max())
-    ahead, behind = (np.array([posterior.gradient(y + sign * one)[0] for one in step]) for sign in (1.0, -1.0))
-    curvature = (ahead - behind) / 2e-4
-    assert hessian[m:, m:] == pytest.approx(curvature[m:, m:], rel=1e-3, abs=1e-2)
 
 
 def test_many_poses_take_no_matrix_of_all_rows():

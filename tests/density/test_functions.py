@@ -4,15 +4,17 @@ import numpy as np
 import pytest
 import telescope_machines as machines
 from scipy.stats import multivariate_normal
+from shares import run_rest
 
 from bayescal.data.instruments.readings import PoseReadings
 from bayescal.density import functions
 from bayescal.density.errors import FunctionScales, LegErrors, ModelError
+from bayescal.density.few_columns import LowRankComponents
 from bayescal.density.functions import FunctionLikelihood
 from bayescal.density.instruments import InstrumentLikelihood
 from bayescal.density.legs import build_leg_posterior
 from bayescal.density.pose_likelihood import PoseLikelihood
-from bayescal.density.prediction import predict_given
+from bayescal.density.prediction import draw_functions, predict_given
 from bayescal.density.priors import HalfCauchyPrior, NormalPrior
 from bayescal.density.sorts import SORTS
 from bayescal.errors import InputError
@@ -43,6 +45,21 @@ def two(request):
     return *made, np.concatenate([theta, np.zeros(12)])
 
 
+WAYS = ["all columns", "few columns"]
+FEW_AMONG_RUNS = pytest.mark.parametrize("joined", run_rest(WAYS, 1), indirect=True)
+
+
+@pytest.fixture(params=WAYS)
+def joined(request, two, monkeypatch):
+    """Return the density of functions of calibration poses, by whole matrices or by few columns; others; a machine."""
+    calibration, held, theta = two
+    if request.param == "few columns":
+        monkeypatch.setattr(functions, "MOST_ROWS", 20)
+    likelihood = build(calibration, held)
+    assert isinstance(likelihood.components, LowRankComponents) == (request.param == "few columns")
+    return likelihood, held, theta
+
+
 def build(base, *others, sorts=tuple(SORTS)):
     names = [name for one in (base, *others) for name in one.pose_names]
     return FunctionLikelihood(base, sorts, machines.ACTUATOR_RANGE, {name: k / 12 for k, name in enumerate(names)})
@@ -64,31 +81,37 @@ def plain_kernel(z, t, k, leg):
     return result
 
 
-def plain_normal(calibration, held, theta, amplitudes):
-    """Return rows of all poses, one behind the other, and their covariance by the plain formula."""
-    both = (calibration, held)
-    z = np.concatenate([one.actuators for one in both]) - machines.INITIAL_POSITION
+def list_kernels(likelihood, held):
+    """Return kernels of all poses by sort and leg (4, 6, P, P), normalised, and what few columns leave to each pose."""
+    place = likelihood.place.join(likelihood.place_of(held))
+    if isinstance(likelihood.components, LowRankComponents):
+        shape = (6, len(place.time), len(place.time))
+        made = likelihood.functions.between(place, place)
+        return np.array([np.broadcast_to(one, shape) for one in made]), likelihood.functions.left
+    z = np.concatenate([one.actuators for one in (likelihood.base, held)]) - machines.INITIAL_POSITION
     z, t = z / machines.ACTUATOR_RANGE, np.arange(N_POSES + N_HELD) / 12
+    found = np.array([[plain_kernel(z, t, sort, leg) for leg in range(6)] for sort in range(4)])
+    norm = np.diagonal(found, axis1=2, axis2=3)[..., :N_POSES].mean(axis=(1, 2))
+    return found / norm[:, None, None, None], np.zeros(4)
+
+
+def plain_normal(likelihood, held, theta, amplitudes):
+    """Return rows of all poses, one behind the other, and their covariance by the plain formula."""
+    both, (kernels, left) = (likelihood.base, held), list_kernels(likelihood, held)
     rows = np.concatenate([one.errors(theta[None])[0] for one in both])
     shown = np.concatenate([one.rows_of_legs * np.sqrt(one.actuator_weight)[:, None] for one in both])
-    noise = np.concatenate([one.error_covariance(amplitudes[:6]) for one in both])
+    alone = np.sqrt(amplitudes[:6] ** 2 + amplitudes[6:] ** 2 @ left)
     n, k = rows.shape
     total = np.zeros((n, k, n, k))
-    total[np.arange(n), :, np.arange(n)] = noise
-    for sort in range(4):
-        kernels = [plain_kernel(z, t, sort, leg) for leg in range(6)]
-        norm = np.mean([np.diag(one)[:N_POSES] for one in kernels])
-        for leg, kernel in enumerate(kernels):
-            total += amplitudes[6 + sort] ** 2 * np.einsum(
-                "pk,pq,ql->pkql", shown[:, :, leg], kernel / norm, shown[:, :, leg]
-            )
+    total[np.arange(n), :, np.arange(n)] = np.concatenate([one.error_covariance(alone) for one in both])
+    for size, kernel in zip(amplitudes[6:], kernels, strict=True):
+        total += size**2 * np.einsum("pki,ipq,qli->pkql", shown, kernel, shown)
     return rows.ravel(), total.reshape(n * k, -1), k
 
 
-def test_density_is_that_of_all_rows_together(two):
-    calibration, held, theta = two
-    likelihood = build(calibration, held)
-    rows, covariance, k = plain_normal(likelihood.base, held, theta, AMPLITUDES)
+def test_density_is_that_of_all_rows_together(joined):
+    likelihood, held, theta = joined
+    rows, covariance, k = plain_normal(likelihood, held, theta, AMPLITUDES)
     own = slice(0, N_POSES * k)
     expected = multivariate_normal.logpdf(rows[own], cov=covariance[own, own])
     # constants of the base are those of its own density without functions
@@ -117,10 +140,9 @@ def test_vectors_some_at_a_time_have_the_densities_of_all_together(two, monkeypa
     assert likelihood(vectors, amplitudes) == pytest.approx(whole, rel=1e-12)
 
 
-def test_each_pose_given_all_others(two):
-    calibration, held, theta = two
-    likelihood = build(calibration, held)
-    rows, covariance, k = plain_normal(likelihood.base, held, theta, AMPLITUDES)
+def test_each_pose_given_all_others(joined):
+    likelihood, held, theta = joined
+    rows, covariance, k = plain_normal(likelihood, held, theta, AMPLITUDES)
     whole = likelihood(theta[None], AMPLITUDES)[0]
     for pose in (0, 4):
         rest = np.setdiff1d(np.arange(N_POSES * k), np.arange(pose * k, (pose + 1) * k))
@@ -134,10 +156,9 @@ def test_each_pose_given_all_others(two):
     assert np.isfinite(whole)
 
 
-def test_held_back_poses_given_calibration(two):
-    calibration, held, theta = two
-    likelihood = build(calibration, held)
-    rows, covariance, k = plain_normal(likelihood.base, held, theta, AMPLITUDES)
+def test_held_back_poses_given_calibration(joined):
+    likelihood, held, theta = joined
+    rows, covariance, k = plain_normal(likelihood, held, theta, AMPLITUDES)
     known, other = np.split(np.arange(len(rows)), [N_POSES * k])
     given = covariance[np.ix_(other, known)] @ np.linalg.inv(covariance[np.ix_(known, known)])
     mean = given @ rows[known]
@@ -165,13 +186,12 @@ def test_held_back_poses_given_calibration(two):
     seen = held.gain @ (rows[other] - mean).reshape(N_HELD, k, 1)
     known_part = np.isfinite(found.replicates.errors[0])
     assert found.replicates.errors[0][known_part] == pytest.approx(seen[..., 0][known_part], abs=1e-9)
-    assert known_part.all() == (calibration.of_poses is not None)
+    assert known_part.all() == (likelihood.base.of_poses is not None)
 
 
-def test_calibration_poses_are_predicted_without_themselves(two):
-    calibration, held, theta = two
-    likelihood = build(calibration, held)
-    rows, covariance, k = plain_normal(likelihood.base, held, theta, AMPLITUDES)
+def test_calibration_poses_are_predicted_without_themselves(joined):
+    likelihood, held, theta = joined
+    rows, covariance, k = plain_normal(likelihood, held, theta, AMPLITUDES)
     deviation, left = likelihood.leave_out(theta[None], AMPLITUDES[None])
     own = N_POSES * k
     for pose in (0, 5):
@@ -186,10 +206,9 @@ def test_calibration_poses_are_predicted_without_themselves(two):
     assert found.together is None
 
 
-def test_white_rows_have_the_square_of_all_rows_together(two):
-    calibration, held, theta = two
-    likelihood = build(calibration, held)
-    rows, covariance, k = plain_normal(likelihood.base, held, theta, AMPLITUDES)
+def test_white_rows_have_the_square_of_all_rows_together(joined):
+    likelihood, held, theta = joined
+    rows, covariance, k = plain_normal(likelihood, held, theta, AMPLITUDES)
     own = slice(0, N_POSES * k)
     slope = np.random.default_rng(2).standard_normal((N_POSES, k, 3))
     white = likelihood.whiten(AMPLITUDES)(np.concatenate([rows[own].reshape(N_POSES, k, 1), slope], axis=-1))
@@ -199,24 +218,20 @@ def test_white_rows_have_the_square_of_all_rows_together(two):
     assert np.einsum("pki,pkj->ij", white, white) == pytest.approx(expected, rel=1e-6)
 
 
-def test_functions_drawn_given_the_data(two):
-    calibration, held, theta = two
-    likelihood = build(calibration, held)
-    rows, covariance, k = plain_normal(likelihood.base, held, theta, AMPLITUDES)
+@FEW_AMONG_RUNS
+def test_functions_drawn_given_the_data(joined):
+    likelihood, held, theta = joined
+    rows, covariance, k = plain_normal(likelihood, held, theta, AMPLITUDES)
     own = N_POSES * k
     n_draws = 4000
     machines_, scales = np.tile(theta, (n_draws, 1)), np.tile(AMPLITUDES, (n_draws, 1))
     mean, drawn = likelihood.draw(held, machines_, scales, np.random.default_rng(7))
     assert mean.shape == drawn.shape == (n_draws, 4, N_POSES + N_HELD, 6)
-    # the plain normal of leg 3's linear function at all poses together with the rows
-    both = (likelihood.base, held)
-    z = np.concatenate([one.actuators for one in both]) - machines.INITIAL_POSITION
-    z, t = z / machines.ACTUATOR_RANGE, np.arange(N_POSES + N_HELD) / 12
+    kernels, _ = list_kernels(likelihood, held)
     shown = likelihood.base.rows_of_legs * np.sqrt(likelihood.base.actuator_weight)[:, None]
-    for sort, leg in ((0, 2), (1, 4), (3, 0)):
-        norm = np.mean([np.diag(plain_kernel(z, t, sort, one))[:N_POSES] for one in range(6)])
-        kernel = AMPLITUDES[6 + sort] ** 2 * plain_kernel(z, t, sort, leg) / norm
-        across = np.einsum("qp,pk->qpk", kernel[:, :N_POSES], shown[:, :, leg]).reshape(len(z), -1)
+    for sort, leg in ((0, 2), (1, 4), (2, 1), (3, 0)):
+        kernel = AMPLITUDES[6 + sort] ** 2 * kernels[sort, leg]
+        across = np.einsum("qp,pk->qpk", kernel[:, :N_POSES], shown[:, :, leg]).reshape(len(kernel), -1)
         given = across @ np.linalg.inv(covariance[:own, :own])
         expected = given @ rows[:own]
         assert mean[0, sort, :, leg] == pytest.approx(expected, rel=1e-6, abs=1e-9)
@@ -224,6 +239,8 @@ def test_functions_drawn_given_the_data(two):
         away = drawn[:, sort, :, leg] - expected
         assert np.abs(away.mean(axis=0)).max() < 4.5 * left.max() / np.sqrt(n_draws)
         assert away.std(axis=0) == pytest.approx(left, rel=0.06, abs=1e-9)
+    several = draw_functions(likelihood, held, theta[None], AMPLITUDES[None], np.random.default_rng(8))
+    assert several.mean == pytest.approx(mean[0].sum(axis=0), rel=1e-9, abs=1e-12)
 
 
 @pytest.mark.parametrize("floors", [{}, {"linear": 0.01, "smooth": 0.003}])
@@ -252,10 +269,11 @@ def build_posterior(likelihood, shared=True):
     return build_leg_posterior(likelihood, priors, ModelError(0.01, shared=shared), terms=terms)
 
 
+@FEW_AMONG_RUNS
 @pytest.mark.parametrize("shared", [True, False])
-def test_slopes_are_those_of_the_density(two, shared):
-    calibration, held, truth = two
-    posterior = build_posterior(build(calibration, held), shared)
+def test_slopes_are_those_of_the_density(joined, shared):
+    likelihood, _, truth = joined
+    posterior = build_posterior(likelihood, shared)
     m = posterior.n_geometry
     off = np.random.default_rng(3).standard_normal(posterior.n_parameters)
     # at the truth: farther off the derivatives of the rows, which the base supplies, leave second orders out

@@ -90,7 +90,7 @@ SETTINGS = {"deadline": None, "derandomize": True, "database": None}
 ONCE = [HealthCheck.function_scoped_fixture, HealthCheck.too_slow, HealthCheck.data_too_large]
 
 
-@settings(max_examples=50, suppress_health_check=ONCE, **SETTINGS)
+@settings(max_examples=25, suppress_health_check=ONCE, **SETTINGS)
 @given(data=st.data())
 def test_validate_and_run_have_one_gate(ground, tmp_path, data):
     hold_changed(ground, tmp_path, data)

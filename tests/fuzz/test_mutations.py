@@ -18,15 +18,17 @@ from bayescal.experiments import USES as ASKED
 pytestmark = pytest.mark.usefixtures("no_pictures", "wary")
 
 STEP = 25
-FIRST = {"inputs": 300, "tables": 50}
-"""How many cases of a sort are quick."""
+FIRST = {"inputs": 100, "tables": 50}
+RUNS = {"inputs": 300, "tables": 50}
+"""How many cases of a sort are quick, and how many with the runs; all others are slow."""
 CASES = [(sort, first) for sort, one in SORTS.items() if sort != "disturbed" for first in range(0, one.n, STEP)]
 FOUND = (283,)
 """Cases of tables whose faults are mended: a covariance that is not symmetric."""
 
 
 def mark(sort: str, first: int) -> object:
-    return pytest.param(sort, first, marks=[] if first < FIRST.get(sort, 0) else pytest.mark.slow)
+    mark = pytest.mark.runs if first < RUNS.get(sort, 0) else pytest.mark.slow
+    return pytest.param(sort, first, marks=[] if first < FIRST.get(sort, 0) else mark)
 
 
 @pytest.mark.parametrize(("sort", "first"), [mark(*case) for case in CASES])

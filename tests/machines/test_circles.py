@@ -1,4 +1,4 @@
-"""Directions as gain and azimuth about the leg: a bijection that keeps area, and straight ridges."""
+"""Directions as gain and azimuth about the leg: slopes and area, and straight ridges; see `density.test_posterior`."""
 
 from __future__ import annotations
 
@@ -28,29 +28,6 @@ def directions_near(rng, n):
     return turned[..., 0]
 
 
-def test_bijection(circles, rng):
-    u = directions_near(rng, 50)
-    w, psi = circles.polar(u)
-    u_x, u_y = circles.directions(w, psi)
-    np.testing.assert_allclose(u_x, u[..., 0], rtol=0, atol=1e-14)
-    np.testing.assert_allclose(u_y, u[..., 1], rtol=0, atol=1e-14)
-
-
-def test_nominal_direction_has_azimuth_zero_and_the_nominal_gain(circles):
-    w, psi = circles.polar(UP)
-    np.testing.assert_allclose(w, circles.gain, atol=1e-15)
-    np.testing.assert_allclose(psi, 0.0, atol=1e-12)
-    np.testing.assert_allclose(w, np.sum(UP * LEGS, axis=1) / np.linalg.norm(LEGS, axis=1), atol=1e-15)
-
-
-def test_one_gain_for_every_azimuth(circles, rng):
-    w, _ = circles.polar(UP)
-    u_x, u_y = circles.directions(w, 0.8 * rng.standard_normal((20, 3)))
-    u = np.stack([u_x, u_y, np.sqrt(1 - u_x**2 - u_y**2)], axis=-1)
-    np.testing.assert_allclose(circles.polar(u)[0], np.broadcast_to(w, (20, 3)), rtol=0, atol=1e-14)
-    assert np.ptp(u_x, axis=0).min() > 0.1
-
-
 def test_slopes_and_area(circles, rng):
     u = directions_near(rng, 1)[0]
     w, psi = circles.polar(u)
@@ -61,13 +38,6 @@ def test_slopes_and_area(circles, rng):
         np.testing.assert_allclose(found, (high - low) / (2 * step), rtol=1e-6, atol=1e-8)
     area = by_w[:, 0] * by_psi[:, 1] - by_w[:, 1] * by_psi[:, 0]
     np.testing.assert_allclose(np.abs(area), u[:, 2], rtol=1e-12)
-
-
-def test_no_direction_and_one_that_points_down_are_nan(circles):
-    u_x, _ = circles.directions(np.array([1.01, 0.5, -0.99]), np.zeros(3))
-    assert np.isnan(u_x[0])
-    assert np.isfinite(u_x[1])
-    assert np.isnan(u_x[2])
 
 
 def test_leg_close_to_its_direction_has_no_circle():

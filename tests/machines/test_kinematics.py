@@ -28,33 +28,6 @@ from bayescal.machines.models.six_ups import SixUps
 from bayescal.machines.read import build_named_machine, load_mechanism
 from bayescal.numerics.geometry import matrix_from_rotation_vector
 
-N_POSES = 10_000
-SLOW_MODELS = ("stiffness", "stiffness_fixed")  # a thousand poses of these in the fast suite
-
-
-@pytest.mark.parametrize("deformation", machines.deformation_names())
-@pytest.mark.parametrize(
-    ("model", "n_poses"),
-    [
-        *((model, 1_000 if model in SLOW_MODELS else N_POSES) for model in machines.model_names()),
-        *(pytest.param(model, N_POSES, marks=pytest.mark.slow) for model in SLOW_MODELS),
-    ],
-)
-def test_inverse_undoes_forward(deformation, model, n_poses, rng):
-    machine = machines.build_machine(deformation, model=model)
-    theta = machines.telescope_truth(machine)
-    actuators = machines.INITIAL_POSITION + machines.ACTUATOR_RANGE * rng.uniform(-1, 1, (n_poses, 6))
-    forward = solve_forward_kinematics(machine, theta, actuators)
-    assert forward.converged.all()
-    found = solve_inverse_kinematics(machine, theta, forward.position, forward.rotation)
-    assert found.converged.all()
-    np.testing.assert_allclose(found.actuators, actuators, rtol=0, atol=1e-9)
-    if deformation != "none":
-        rigid = machines.build_machine("none", model=model)
-        shorter = theta[: rigid.layout.size]
-        other = solve_inverse_kinematics(rigid, shorter, forward.position[:100], forward.rotation[:100])
-        assert np.abs(other.actuators - actuators[:100]).max() > 1e-3  # the deformation matters
-
 
 class Own(SixPus):
     """The same closure by another class, of which nothing is known."""

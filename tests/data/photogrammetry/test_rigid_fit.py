@@ -1,4 +1,4 @@
-"""The robust pose: exact without noise, calibrated with it, unmoved by wrong targets."""
+"""The robust pose: its efficiency, its transform against SciPy, unmoved by wrong targets; see `test_fit_contract`."""
 
 from __future__ import annotations
 
@@ -73,18 +73,6 @@ def test_variance_factor_tends_to_the_asymptotic_one():
     assert 1.0 < compute_variance_factor(6) < compute_variance_factor(12) < 1 / 0.95
 
 
-@pytest.mark.parametrize("n_targets", [3, 4])
-def test_exact_without_noise(n_targets):
-    rng = np.random.default_rng(1)
-    reference = rng.uniform(-100, 100, (n_targets, 3))
-    position, rotation, measured = simulate(reference, 20, 0.0, rng)
-    fit = fit_rigid_body(reference, measured, NOISE)
-    np.testing.assert_allclose(fit.position, position, atol=1e-10)
-    np.testing.assert_allclose(fit.rotation, rotation, atol=1e-12)
-    assert fit.converged.all()
-    assert np.all(fit.chi2 < 1e-12)
-
-
 def test_weighted_transform_agrees_with_scipy():
     rng = np.random.default_rng(2)
     reference = rng.uniform(-100, 100, (9, 3))
@@ -107,21 +95,6 @@ def test_planar_and_mirrored_targets_give_a_proper_rotation():
     solid = rng.uniform(-100, 100, (8, 3))
     mirrored = weighted_rigid_transform(solid, solid * [1, 1, -1], np.ones(8))[1]
     assert np.linalg.det(mirrored) == pytest.approx(1.0)
-
-
-@pytest.mark.parametrize("n_targets", [4, 6, 12, 40])
-@pytest.mark.parametrize("shape", ["box", "cylinder"])
-def test_errors_have_the_stated_covariance(n_targets, shape):
-    rng = np.random.default_rng(100 + n_targets)
-    reference = rng.uniform(-100, 100, (n_targets, 3)) if shape == "box" else cylinder(n_targets, rng)
-    n_poses = 1000
-    position, rotation, measured = simulate(reference, n_poses, NOISE, rng)
-    fit = fit_rigid_body(reference, measured, NOISE)
-    square = whiten(compute_pose_error(position, rotation, fit.position, fit.rotation), fit.covariance)
-    assert abs(square.mean() - 6) < 3.5 * np.sqrt(12 / n_poses)
-    dof = 3 * n_targets - 6
-    assert fit.chi2.mean() / dof == pytest.approx(1.0, abs=4 * np.sqrt(2 / dof / n_poses))
-    assert fit.converged.mean() > 0.995
 
 
 @pytest.mark.parametrize("n_targets", [6, 7, 12, 84])

@@ -57,12 +57,6 @@ def halve_noise(subject: Subject) -> Subject:
     return with_poses(replace(legs, actuator_noise=legs.actuator_noise / 2.0, actuator_variance=variance), poses)
 
 
-def change_actuators(subject: Subject, change) -> Subject:
-    """Return a study whose actuator positions are changed by a function of (P, N)."""
-    legs = subject.measured.legs
-    return with_poses(legs, replace(legs.poses, actuators=change(legs.poses.actuators)))
-
-
 def tighten(subject: Subject, symbol: str, factor: float) -> Subject:
     """Return a study with the tolerance of a symbol so many times too tight."""
     posterior = subject.posterior

@@ -42,7 +42,10 @@ def plant(subject, slip, seed):
 
 
 @pytest.mark.parametrize("slip", run_rest(SLIPS, 2))
-@pytest.mark.parametrize("machine", ["linear delta", pytest.param("serial arm", marks=pytest.mark.runs)])
+@pytest.mark.parametrize(
+    "machine",
+    ["linear delta", *(pytest.param(one, marks=pytest.mark.runs) for one in ("serial arm", "hexapod by poses"))],
+)
 def test_a_planted_slip_is_named_first(subjects, machine, slip):
     measured, fault, words = plant(subjects[machine], slip, 1)
     found = search_cause(measured.readings).first

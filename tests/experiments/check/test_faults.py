@@ -33,7 +33,6 @@ from bayescal.experiments.check.kind import configure_check
 from bayescal.experiments.shared.slip_search import search_cause
 from bayescal.experiments.shared.soundness import find_misfit
 from bayescal.inference.mode import find_modes
-from bayescal.numerics.geometry import matrix_from_rotation_vector, rotation_vector_from_matrix
 
 CHECKS = ["Derivatives", "Likely cause", "Modes", "Noise", "Tolerances"]
 
@@ -150,47 +149,6 @@ def test_noise_of_targets_stated_at_half_is_named():
     found = judge_noise(checked.with_poses(legs, legs.poses))
     assert (found.fault, found.level) == ("noise", "bad")
     assert "State target_noise_um 2 times as large" in found.text
-
-
-@pytest.mark.runs
-@pytest.mark.parametrize("factor", [1 / 25.4, 10.0, -1.0])
-def test_a_unit_slip_of_the_actuators_is_named(factor):
-    start = checked.tiny_subject().measured.legs.machine.mechanism.initial_actuator_positions
-    slipped = checked.change_actuators(checked.make_clean(4), lambda rho: start + factor * (rho - start))
-    faults, said = look(slipped)
-    assert faults == ["unit"]
-    assert "displacements of rho from home seem to be" in said["Likely cause"].text
-
-
-@pytest.mark.runs
-def test_shifted_rows_are_named():
-    found = checked.change_actuators(checked.make_clean(4), lambda rho: np.roll(rho, 1, axis=0))
-    found = state_cause(search_cause(found.measured.readings))
-    assert (found.fault, found.level) == ("rows", "bad")
-    assert "rows of rho seem to be shifted by one" in found.text
-
-
-@pytest.mark.runs
-def test_rotations_in_degrees_are_named():
-    subject = checked.make_clean(4)
-    poses = subject.measured.legs.poses
-    turned = matrix_from_rotation_vector(np.degrees(rotation_vector_from_matrix(poses.rotation)))
-    turned = checked.with_poses(subject.measured.legs, replace(poses, rotation=turned))
-    found = state_cause(search_cause(turned.measured.readings))
-    assert (found.fault, "in degrees" in found.text) == ("unit", True)
-
-
-@pytest.mark.runs
-@pytest.mark.parametrize("legs", [(0, 1), (2, 5)])
-def test_two_exchanged_legs_are_named(legs):
-    def exchange(rho):
-        rho = rho.copy()
-        rho[:, list(legs)] = rho[:, list(legs)[::-1]]
-        return rho
-
-    faults, said = look(checked.change_actuators(checked.make_clean(5), exchange))
-    assert faults == ["legs"]
-    assert f"readings of rho[{legs[0] + 1}] and rho[{legs[1] + 1}] seem to be exchanged" in said["Likely cause"].text
 
 
 @pytest.mark.parametrize(("symbol", "said"), [("kappa", "by kappa are wrong"), ("l", "by l are wrong: off by up to 1")])

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
 import session_studies
+import studies
 import test_kind_contract as contract
 
 from bayescal.errors import InputError
@@ -15,23 +15,12 @@ from bayescal.experiments.frame.load import load
 from bayescal.experiments.shared.slips import ROWS, FoundSlip, state_denied, state_slip
 
 
-def change_actuators(path: Path, mend) -> None:
-    """Change the actuator positions of a table, (P, N), in its calibration rows."""
-    lines = path.read_text().splitlines()
-    places = [k for k, line in enumerate(lines) if ",calibration," in line]
-    cells = [lines[k].split(",") for k in places]
-    rho = mend(np.array([row[2:] for row in cells], dtype=float))
-    for k, row, one in zip(places, cells, rho, strict=True):
-        lines[k] = ",".join([*row[:2], *(f"{x:.6f}" for x in one)])
-    path.write_text("\n".join(lines) + "\n")
-
-
 def test_the_next_pose_of_exchanged_legs_is_doubted(tmp_path):
     path = contract.write_next(tmp_path)
     experiment, config = load(path)
-    assert experiment.doubt(experiment.read(config, tmp_path)) == []
-    change_actuators(tmp_path / "data" / "actuators.csv", lambda rho: rho[:, [0, 2, 1, 3, 4, 5]])
-    (doubt,) = experiment.doubt(experiment.read(config, tmp_path))
+    exchange = studies.change_actuators(lambda rho: rho[:, [0, 2, 1, 3, 4, 5]])
+    with studies.changed_table(tmp_path / "data" / "actuators.csv", exchange):
+        (doubt,) = experiment.doubt(experiment.read(config, tmp_path))
     assert "times better if corrected: readings of rho[2] and rho[3] seem to be exchanged" in doubt
 
 
@@ -43,28 +32,20 @@ def test_what_is_found_is_said_first():
     assert state_slip({}) == []
 
 
-def test_sessions_whose_rows_are_shifted_are_refused(tmp_path):
-    path = session_studies.write_sessions(tmp_path)
-    experiment, config = load(path)
-    change_actuators(tmp_path / "data" / "2" / "actuators.csv", lambda rho: np.roll(rho, 1, axis=0))
-    with pytest.raises(
-        InputError, match=r"session 'S2': .* rows of rho seem to be shifted by one.* denied_slips of the session"
-    ):
-        experiment.read(config, tmp_path)
-
-
 @pytest.mark.parametrize(("denied", "refused"), [(["rows"], False), (["legs", "unit"], True)])
-def test_a_denied_slip_is_said_and_not_refused(tmp_path, denied, refused):
+def test_a_slip_of_a_session_is_refused_unless_denied_and_then_said(tmp_path, denied, refused):
     path = session_studies.write_sessions(tmp_path)
     experiment, config = load(path)
-    change_actuators(tmp_path / "data" / "2" / "actuators.csv", lambda rho: np.roll(rho, 1, axis=0))
     second = config.sessions[1].model_copy(update={"denied_slips": denied})
     config = config.model_copy(update={"sessions": [config.sessions[0], second, *config.sessions[2:]]})
-    if refused:
-        with pytest.raises(InputError, match="rows of rho seem to be shifted by one"):
-            experiment.read(config, tmp_path)
-        return
-    (said,) = experiment.read(config, tmp_path).denied
+    shift = studies.change_actuators(lambda rho: np.roll(rho, 1, axis=0))
+    with studies.changed_table(tmp_path / "data" / "2" / "actuators.csv", shift):
+        if refused:
+            said = r"session 'S2': .* rows of rho seem to be shifted by one.* denied_slips of the session"
+            with pytest.raises(InputError, match=said):
+                experiment.read(config, tmp_path)
+            return
+        (said,) = experiment.read(config, tmp_path).denied
     assert said.startswith("Session 'S2': the data fit ")
     (statement,) = state_denied({"denied_slips": [said]})
     assert (statement.level, statement.lead) == ("warning", "Data")

@@ -32,7 +32,6 @@ pytestmark = pytest.mark.runs
 
 FOLDER = studies.EXPERIMENTS / "pose_selection"
 SHIPPED = ("yu2023_table1", "rr8096_figure14", "hexapod_i_optimal")
-DETERMINISTIC = ("selections", "selection_summary", "poses", "traces", "random_sets", "published", "errors")
 
 
 def shrink(name: str):
@@ -116,21 +115,6 @@ def test_plans_are_read_by_audits(result):
     for path in plans:
         moves = pd.read_csv(path, comment="#").to_numpy()
         assert moves.shape == (int(path.stem.rpartition("_")[2]), legs)
-
-
-@pytest.mark.slow  # the contract of all kinds has the same of small ones
-def test_same_seed_gives_same_bytes_whatever_the_workers(tmp_path):
-    config = shrink("rr8096_figure14")
-    config = config.model_copy(update={"selections": config.selections[:2]})  # without the continuous ones, to be quick
-    for name, workers in (("one", 1), ("two", 2)):
-        run_experiment(config, FOLDER, tmp_path / name, workers)
-    for name in DETERMINISTIC:
-        paths = [tmp_path / run / f"{name}.csv" for run in ("one", "two")]
-        assert paths[0].is_file() == paths[1].is_file()
-        if paths[0].is_file():
-            assert paths[0].read_bytes() == paths[1].read_bytes()
-    run_experiment(config.model_copy(update={"seed": 1}), FOLDER, tmp_path / "other")
-    assert (tmp_path / "one/poses.csv").read_bytes() != (tmp_path / "other/poses.csv").read_bytes()
 
 
 def test_published_columns(result):

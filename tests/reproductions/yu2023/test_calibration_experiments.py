@@ -8,7 +8,7 @@ import re
 
 import pandas as pd
 import pytest
-import studies
+from experiments.frame.test_kind_contract import leave_out_pictures, read_all
 from hexapod_settings import SHIPPED, copy_tiny
 from rich.console import Console
 
@@ -60,20 +60,10 @@ def test_shipped_experiment_runs_tiny(tiny):
 def test_page_comes_from_the_files_alone(tiny, pictures):
     """With its pictures, which the first one has not."""
     out = tiny[2]
-    before = leave_out_pictures(studies.snapshot(out))
+    before = leave_out_pictures(read_all(out))
     write_report(out, trust=True)
-    assert leave_out_pictures(studies.snapshot(out)) == before
+    assert leave_out_pictures(read_all(out)) == before
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in (out / "figures").iterdir())
-
-
-PICTURED = rb'(?s)<div class="picture">.*?</div>|(?<="report.html": )"\w+"|"figures/[^"]*": "\w+"'
-"""What a page shows of pictures, and what a manifest says of these."""
-
-
-def leave_out_pictures(files):
-    """Return files by name without what is in pictures."""
-    kept = {name: b"" if name.endswith(".png") else content for name, content in files.items()}
-    return {name: content and re.sub(PICTURED, b"", content) for name, content in kept.items()}
 
 
 @pytest.mark.parametrize("tiny", ["table4"], indirect=True)
