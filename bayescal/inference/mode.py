@@ -317,57 +317,60 @@ def _characterise(posterior: Target, y: Array, log_density: float) -> Mode:
         covariance[:m, :m], step = given.covariance, given.mean - y[:m]
         return Mode(y, log_density, covariance, bool(step @ np.linalg.solve(given.covariance, step) < SETTLED))
     gradient, curvature = posterior.gradient(y)
-    covariance = _invert_negative(posterior, y, curvature)
-    if gradient @ covariance @ gradient < DECREMENT_TOLERANCE:
-        return Mode(y, log_density, covariance, True)
-    return _settle(posterior, Mode(y, log_density, covariance, False))
+    factor, white = _factor_negative(posterior, y, curvature)
+    converged = bool(np.sum((factor.T @ gradient) ** 2) < DECREMENT_TOLERANCE)
+    mode = Mode(y, log_density, factor @ factor.T, converged)
+    return mode if white @ white < DECREMENT_TOLERANCE else _settle(posterior, mode)
 
 
 def _settle(posterior: Target, mode: Mode) -> Mode:
-    """Return a mode after Newton's steps by differences, for gradients that are no more exact than a climb's end."""
+    """Return a mode after Newton's steps by differences: of a density that is solved they are the exacter slope."""
     factor = np.linalg.cholesky(mode.covariance)
     for _ in range(LAST_STEPS):
-        slope, hessian = difference_twice(posterior.log_density, mode.y, factor, HESSIAN_STEP)
-        try:
-            white = np.linalg.solve(np.linalg.cholesky(-hessian), slope)
-        except np.linalg.LinAlgError:
+        found = _differentiate(posterior, mode.y, factor)
+        if found is None:
             return mode
-        if white @ white < DECREMENT_TOLERANCE:
+        if found[1] @ found[1] < DECREMENT_TOLERANCE:
             return replace(mode, converged=True)
-        y = mode.y - factor @ np.linalg.solve(hessian, slope)
-        found = float(posterior.log_density(y[None])[0])
-        if not found > mode.log_density:
+        y = mode.y + found[0] @ found[1]
+        log_density = float(posterior.log_density(y[None])[0])
+        if not log_density > mode.log_density + NO_GAIN:
             return mode
-        mode = replace(mode, y=y, log_density=found)
+        mode = Mode(y, log_density, mode.covariance, False)
     return mode
 
 
-def _invert_negative(posterior: Target, y: Array, curvature: Array) -> Array:
-    """Return the inverse of minus the Hessian; of the Gauss-Newton one where the exact one is no maximum's.
+def _factor_negative(posterior: Target, y: Array, curvature: Array) -> tuple[Array, Array]:
+    """Return F, F Fᵀ the inverse of minus the Hessian, and the slope along its columns (n,), zero where none is told.
+
+    F is that of Gauss and Newton's Hessian where the exact one is no maximum's.
 
     Raises
     ------
     NumericalError
         Where neither is.
     """
-    factor: Array | None
+    found: tuple[Array, Array] | None
     try:
         factor = np.linalg.inv(np.linalg.cholesky(-curvature)).T
+        found = factor, np.zeros(len(y))
     except np.linalg.LinAlgError:  # Gauss and Newton's may be none of a maximum where tails are heavy
         values, axes = np.linalg.eigh(-curvature)
-        factor = _differentiate(posterior, y, axes / np.sqrt(np.maximum(np.abs(values), LEAST_CURVATURE)))
-    if factor is None:
+        found = _differentiate(posterior, y, axes / np.sqrt(np.maximum(np.abs(values), LEAST_CURVATURE)))
+    if found is None:
         raise NumericalError("mode search: the Hessian at the mode is not negative definite")
-    exact = _differentiate(posterior, y, factor)
-    found = factor if exact is None else exact
-    return found @ found.T
+    return _differentiate(posterior, y, found[0]) or found
 
 
-def _differentiate(posterior: Target, y: Array, factor: Array) -> Array | None:
-    """Return F with F Fᵀ the inverse of minus the Hessian, by differences along columns (n, n); None at no maximum."""
-    _, hessian = difference_twice(posterior.log_density, y, factor, HESSIAN_STEP)
+def _differentiate(posterior: Target, y: Array, factor: Array) -> tuple[Array, Array] | None:
+    """Return F with F Fᵀ the inverse of minus the Hessian and the slope along its columns, (n, n) and (n,).
+
+    By differences along the columns of a factor (n, n); None at no maximum.
+    """
+    slope, hessian = difference_twice(posterior.log_density, y, factor, HESSIAN_STEP)
     try:
-        found = factor @ np.linalg.inv(np.linalg.cholesky(-hessian)).T
+        inverse = np.linalg.inv(np.linalg.cholesky(-hessian))
     except np.linalg.LinAlgError:
         return None
-    return found if np.isfinite(found).all() else None
+    found = factor @ inverse.T
+    return (found, inverse @ slope) if np.isfinite(found).all() else None
