@@ -26,6 +26,7 @@ COMMITTED = {
     "m2_hexapod_next": "m2_hexapod/next",
     "m2_hexapod_sensors": "sliding_star/m2_hexapod_sensors",
     "m2_hexapod_sessions": "m2_hexapod_sessions/sessions",
+    "m2_hexapod_table": "m2_hexapod_table/table",
     "hangprinter": "hangprinter/study",
     "sliding_star": "sliding_star/study",
     "sliding_star_sensors": "sliding_star/sensors",
