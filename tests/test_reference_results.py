@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from bayescal.experiments.audit.audit import analyse
-from bayescal.experiments.audit.design import load_audit, read_inputs
+from bayescal.experiments.audit.design import load_audit, read_plans
 from bayescal.experiments.frame.identity import hash_identity, identify
 from bayescal.experiments.frame.load import load
 
@@ -88,11 +88,11 @@ def test_audits_are_those_of_the_committed_designs(name):
     assert committed["config_sha256"] == hash_shipped(design)
     if config.data is not None:  # linearised at draws, which take long: that the design is the same must do
         return
-    inputs = read_inputs(config, design.parent)
-    analysis = analyse(inputs)
-    found = dict(zip(inputs.knowledge.names, analysis.information.contraction, strict=True))
+    (plan,) = read_plans(config, design.parent).values()
+    analysis = analyse(plan)
+    found = dict(zip(plan.names, analysis.information.contraction, strict=True))
     assert committed["structural_rank"] == analysis.structure.rank
-    assert committed["reduced_set"]["free"] == [inputs.knowledge.names[k] for k in analysis.selection.free]
+    assert committed["reduced_set"]["free"] == [plan.names[k] for k in analysis.selection.free]
     assert {n: v["contraction"] for n, v in committed["parameters"].items()} == pytest.approx(found, abs=1e-6)
 
 
