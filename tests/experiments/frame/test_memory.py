@@ -58,7 +58,7 @@ def test_a_study_is_refused_and_writes_nothing(monkeypatch, tmp_path):
 @pytest.mark.parametrize(
     ("kind", "name", "key", "part"),
     [
-        (Audit, "audit/m2_hexapod.toml", "poses", {"count": 4000}),
+        (Audit, "sliding_star/m2_hexapod_sensors.toml", "poses", {"count": 4000}),
         (Selection, "pose_selection/hexapod_i_optimal.toml", "candidates", {"count": 100_000}),
     ],
 )
