@@ -22,7 +22,7 @@ FAR = 2.0
 """How many half ranges of its readings a lever is long, from which on it is worth saying."""
 SHARE = 0.05
 """Of a ridge, from which on a parameter takes part in it."""
-EXACT = 1e-6  # of a derivative, that may be left of it
+EXACT = 1e-3  # of a derivative, that may be left of it where direction and place are not quite nominal
 
 
 @dataclass(frozen=True)
