@@ -1,11 +1,11 @@
-"""Time of an audit, and of a thousand designs one after the other; against differences of forward kinematics.
+"""Time of an audit, and of a thousand designs one after the other; derivatives against differences of readings.
 
     python benchmarks/audit.py [--points 1000]
 
 The telescope's 6-PUS with all its 60 parameters at 40 poses: the audit without its report (structure, information,
 ridges, requirements over 200 poses, what-ifs and sweeps), what the plan tells alone, and designs that differ in the
-number of poses, their spread and the noise. The identification Jacobian is timed against central differences of forward
-kinematics, batched too, to the same machine and poses. One core.
+number of poses, their spread and the noise. The derivatives of the readings are timed against central differences,
+batched too, of the same machine and poses. One core.
 """
 
 # ruff: noqa: I001 - telescope_problem comes before NumPy: it sets the number of threads
@@ -22,29 +22,24 @@ import numpy as np
 
 from bayescal.experiments.audit.audit import analyse, run_audit
 from bayescal.experiments.audit.audit import evaluate_change
-from bayescal.experiments.audit.design import read_inputs
-from bayescal.experiments.audit.legs import LegPlan
-from bayescal.identifiability.sensitivity import compute_measured_poses, compute_sensitivity
+from bayescal.experiments.audit.design import load_audit, read_plans
+from bayescal.experiments.audit.planned import Planned
 from bayescal.experiments.audit.schema import WhatIfConfig
-from bayescal.experiments.audit.design import load_audit
 from bayescal.experiments.frame.parallel import Run
-from bayescal.numerics.geometry import Array, compute_pose_error
+from bayescal.numerics.geometry import Array
 
 DESIGN = Path(__file__).parent.parent / "experiments" / "audit" / "telescope_six_pus_none.toml"
 STEP = 1e-4  # of a tolerance
 REPEATS = 5
 
 
-def differentiate(inputs: LegPlan) -> Array:
-    """Return the derivative of the measured poses by the free parameters from central differences, (P, 6, n)."""
-    knowledge = inputs.knowledge
-    n = len(knowledge.sd)
-    theta = np.tile(knowledge.centre, (2, n, 1))
-    for sign, half in ((1.0, theta[0]), (-1.0, theta[1])):
-        half[np.arange(n), knowledge.free] += sign * STEP * knowledge.sd
-    position, rotation = compute_measured_poses(knowledge, theta, inputs.plan.actuators)
-    change = compute_pose_error(position[0], rotation[0], position[1], rotation[1])
-    return np.moveaxis(change, 0, -1) / (2 * STEP * knowledge.sd)
+def differentiate(plan: Planned) -> Array:
+    """Return the derivative of the readings by the free parameters from central differences, (P, K, n)."""
+    sampling, variant, n = plan.posterior.sampling, plan.variant, len(plan.names)
+    ends = [
+        variant.model.read(sampling.theta_from_y(sign * STEP * np.eye(n))[:, None], variant.start) for sign in (1, -1)
+    ]
+    return np.moveaxis(ends[0] - ends[1], 0, -1) / (2 * STEP)
 
 
 def time_it[T](function: Callable[[], T], repeats: int) -> tuple[float, T]:
@@ -59,9 +54,13 @@ def time_it[T](function: Callable[[], T], repeats: int) -> tuple[float, T]:
 
 def run(points: int) -> dict[str, object]:
     """Time everything once, print and return the figures."""
-    inputs = read_inputs(load_audit(DESIGN), DESIGN.parent)
-    knowledge, actuators = inputs.knowledge, inputs.plan.actuators
-    exact_time, exact = time_it(lambda: compute_sensitivity(knowledge, actuators).slope, REPEATS)
+    (inputs,) = read_plans(load_audit(DESIGN), DESIGN.parent).values()
+    model, theta, moved = (
+        inputs.variant.model,
+        inputs.posterior.sampling.start,
+        inputs.posterior.around(inputs.expected)[1],
+    )
+    exact_time, exact = time_it(lambda: model.linearise(theta, inputs.variant.start).by_parameters @ moved, REPEATS)
     difference_time, difference = time_it(lambda: differentiate(inputs), REPEATS)
     apart = float(np.abs(exact - difference).max() / np.abs(exact).max())
     analyse_time, _ = time_it(lambda: analyse(inputs), REPEATS)
@@ -80,8 +79,8 @@ def run(points: int) -> dict[str, object]:
     nats = [outcome.information.nats for c in changes if (outcome := evaluate_change(inputs, c, None)).information]
     sweep_time = time.perf_counter() - began
     figures: dict[str, object] = {
-        "n_parameters": len(knowledge.sd),
-        "n_poses": len(actuators),
+        "n_parameters": len(inputs.names),
+        "n_poses": inputs.n_poses,
         "audit_seconds": audit_time,
         "analysis_seconds": analyse_time,
         "points": points,

@@ -16,7 +16,6 @@ from studies import snapshot
 
 from bayescal import cli
 from bayescal.config import trust
-from bayescal.errors import InputError
 from bayescal.files import manifest
 from bayescal.report.pictures import Picture, render_picture
 from bayescal.report.style import RC
@@ -147,20 +146,3 @@ def search_little(monkeypatch):
     monkeypatch.setattr("bayescal.inference.exploration.MAX_PILOTS", 0)
     monkeypatch.setattr("bayescal.inference.exploration.MAX_ROUNDS", 0)
     monkeypatch.setattr("bayescal.inference.exploration.TRIAL_DRAWS", 100)
-
-
-@pytest.fixture
-def proposes():
-    """Let audits of this test propose poses: that takes longer than all the rest of them."""
-
-
-@pytest.fixture(autouse=True)
-def _seldom_propose(request, monkeypatch):
-    """Leave the poses that an audit proposes to the tests that ask for them, and to those of whole runs."""
-    apart = {"proposes", "finished"} & set(request.fixturenames)
-    if not apart and ("/audit/" in request.node.nodeid or "/identifiability/" in request.node.nodeid):
-        monkeypatch.setattr("bayescal.experiments.audit.legs.LegPlan.propose", _decline)
-
-
-def _decline(inputs):
-    raise InputError(f"{inputs.config.name}: no poses are proposed here")

@@ -12,7 +12,7 @@ from scipy.special import digamma
 from scipy.stats import binom, t
 
 import bayescal as bc
-from bayescal.experiments.audit.design import load_audit, read_inputs
+from bayescal.experiments.audit.design import load_audit, read_plans
 from bayescal.machines.deformations import DEFORMATIONS, NominalDeformation
 from bayescal.machines.kinematics import build_machine
 from bayescal.machines.models import MODELS
@@ -203,7 +203,7 @@ def foretell(truth, name, machine, moves, expected, folder):
     (folder / "audit.toml").write_text(text + "\n".join(lines) + "\n")
     header = ",".join(f"drho_{leg}" for leg in range(1, 7))
     np.savetxt(folder / "moves.csv", moves, delimiter=",", header=header, comments="")
-    plan = read_inputs(load_audit(folder / "audit.toml"), folder)
+    (plan,) = read_plans(load_audit(folder / "audit.toml"), folder).values()
     return np.sqrt(np.diag(plan.inform().covariance))[[plan.names.index(one) for one in machine.names]]
 
 

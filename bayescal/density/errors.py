@@ -175,8 +175,3 @@ class LegErrors(Errors):
         there, amplitude = floors > 0.0, np.hypot(unknown, floors)
         lifted = np.where(there, amplitude, 1.0)
         return np.where(there, unknown / lifted, 1.0), np.where(there, floors**2 / lifted**3, 0.0)
-
-    def mean_square_tau(self, natural: Array) -> float:
-        """Return the mean of τ² over draws in natural units (..., k) and over legs, mm²; zero without model error."""
-        tau, floor = natural[..., self.place(TAU)], self.model_error.floor
-        return float(np.mean(tau**2)) + floor**2 if tau.shape[-1] else 0.0

@@ -31,10 +31,10 @@ from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.density.components import MOST_ROWS, Components, LinearRows, White, batches, factorise
 from bayescal.density.directions import list_directions
 from bayescal.density.elimination import whiten_covariance
-from bayescal.density.errors import FUNCTION_SCALES, OF_SORT, Amplitudes, LegErrors
+from bayescal.density.errors import LegErrors
 from bayescal.density.few_columns import LowRankComponents, list_gram_arrays
 from bayescal.density.instruments import InstrumentLikelihood
-from bayescal.density.legs import LegPosterior, Likelihood, turn_to_coordinates
+from bayescal.density.legs import Likelihood, turn_to_coordinates
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.sampling import LegSampling
 from bayescal.density.sorts import (
@@ -538,23 +538,6 @@ class FunctionLikelihood(Likelihood):
                 values = basis[..., sorts == sort] @ by_function[:, sorts == sort]
                 mean[k, sort], drawn[k, sort] = values.transpose(2, 1, 0)
         return mean, drawn
-
-
-def find_sizes(posterior: LegPosterior, natural: Array) -> dict[str, float]:
-    """Return the rms of each sort over draws in natural units (S, n), mm, floors included; none without."""
-    likelihood = posterior.likelihood
-    if not isinstance(likelihood, FunctionLikelihood):
-        return {}
-    amplitudes = posterior.errors.amplitudes_of(posterior.zeta(natural))[..., likelihood.n_legs :]
-    size = np.sqrt(np.mean(np.reshape(amplitudes, (-1, amplitudes.shape[-1])) ** 2, axis=0))
-    return dict(zip(likelihood.functions.sorts, size.tolist(), strict=True))
-
-
-def find_floors(posterior: LegPosterior) -> dict[str, float]:
-    """Return the floors of the sorts of functions that have one, mm."""
-    terms = [one for one in posterior.errors.terms if isinstance(one, Amplitudes) and one.label == FUNCTION_SCALES]
-    pairs = ((name, floor) for one in terms for name, floor in zip(one.names, one.floors, strict=True))
-    return {name.removeprefix(OF_SORT): floor for name, floor in pairs if floor > 0.0}
 
 
 def list_arrays(n_poses: int, n_legs: int) -> list[tuple[float, ...]]:

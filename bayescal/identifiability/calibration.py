@@ -13,7 +13,7 @@ where it truly comes to stand, actuators erring, is set against what the calibra
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,11 +21,8 @@ import numpy as np
 from bayescal.errors import InputError
 from bayescal.identifiability.design import Knowledge, Plan
 from bayescal.identifiability.fits import Fitter, Measurements
-from bayescal.identifiability.requirements import Requirement
 from bayescal.identifiability.sensitivity import (
     compute_measured_poses,
-    compute_sensitivity,
-    inform,
     root_of,
 )
 from bayescal.limits import NINETY
@@ -202,31 +199,6 @@ def _sensor_noise(seen: Array) -> Array:
     return np.swapaxes(root_of(covariance / scale / np.swapaxes(scale, -1, -2)), -1, -2)
 
 
-def expected_covariance(knowledge: Knowledge, plan: Plan, n: int, rng: np.random.Generator) -> Array:
-    """Return the posterior covariance averaged over n machines of the priors, in units of the tolerances, (n, n).
-
-    Each is linearised at the true machine. Draws that are no machine, or cannot take the planned poses, are left out.
-    """
-    fitter, moves = Fitter(knowledge, plan), rng.standard_normal((n, len(knowledge.sd)))
-    if plan.systematic is None:
-        information = fitter.information(moves)
-        found = np.linalg.inv(information[np.einsum("bii->b", information) > 0.0] + np.eye(len(knowledge.sd)))
-    else:
-        found = np.array(list(_list_covariances(knowledge, plan, fitter.theta(moves))))
-    if not len(found):
-        raise InputError("tolerances: found no machine that can take the planned poses, expected smaller tolerances")
-    return np.asarray(found.mean(axis=0))
-
-
-def _list_covariances(knowledge: Knowledge, plan: Plan, theta: Array) -> Iterator[Array]:
-    """Yield the posterior covariances of machines (B, D) with their frames at zero that can take all poses."""
-    for one in np.where(np.arange(theta.shape[1]) < theta.shape[1] - N_FRAME_PARAMETERS, theta, 0.0):
-        try:
-            yield inform(knowledge, plan, one).covariance
-        except InputError:
-            continue
-
-
 # --- prediction against what happened ----------------------------------------------------------------------------
 
 
@@ -285,8 +257,8 @@ def compare_with_prediction(simulated: Calibrations, covariance: Array) -> Compa
     ----------
     simulated : Calibrations
     covariance : ndarray, shape (m, m)
-        Of the errors of the identified parameters in units of the tolerances: `Information.covariance`,
-        `expected_covariance`, or a part of `Information.errors_of_reduced`.
+        Of the errors of the identified parameters in units of the tolerances: `Information.covariance`, or a part of
+        `Information.errors_of_reduced`.
 
     Raises
     ------
@@ -341,21 +313,6 @@ class Kept:
     def agrees(self) -> bool:
         """Whether the number is one to expect."""
         return self.low <= self.kept <= self.high
-
-
-def count_kept(
-    simulated: SimulatedCalibrations,
-    plan: Plan,
-    actuators: Array,
-    requirements: list[Requirement],
-    rng: np.random.Generator,
-) -> np.ndarray:
-    """Return how many of the converged calibrations keep each requirement at all actuator positions (W, N), (R,)."""
-    knowledge = simulated.knowledge
-    noise = np.swapaxes(root_of(compute_sensitivity(knowledge, actuators).pose_noise(plan)), -1, -2)
-    error = simulated.pose_errors(actuators)
-    error = error + np.einsum("wij,bwj->bwi", noise, rng.standard_normal(error.shape))
-    return np.array([r.keeps(error).sum() for r in requirements], dtype=int)
 
 
 def compare_kept(kept: int, n: int, probability: float, draws: int) -> Kept:

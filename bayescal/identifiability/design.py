@@ -1,4 +1,4 @@
-"""What an audit judges: a machine, what is known of it, a plan of measurement, the workspace where accuracy counts."""
+"""A mechanism on legs whose poses are chosen: what is known of it, a plan of measurement, where accuracy counts."""
 
 from __future__ import annotations
 
@@ -93,23 +93,6 @@ class Knowledge:
 
 
 @dataclass(frozen=True, eq=False)
-class SystematicErrors:
-    """Errors of every leg that are functions of the pose or of time, of sorts in `bayescal.density.sorts`.
-
-    Attributes
-    ----------
-    sizes : mapping of str to float
-        Root mean square over the planned poses by sort, mm; all above zero.
-    """
-
-    sizes: Mapping[str, float]
-
-    def times(self, factor: float) -> SystematicErrors | None:
-        """Return the same so many times as large; None for none."""
-        return SystematicErrors({name: factor * one for name, one in self.sizes.items()}) if factor else None
-
-
-@dataclass(frozen=True, eq=False)
 class Plan:
     """A plan of measurement.
 
@@ -123,10 +106,6 @@ class Plan:
         σ_ρ and τ, mm.
     noise_factor : float
         On the sensors' noise.
-    pose_information : ndarray, shape (P, 6, 6), optional
-        What is known of each measured pose, in place of the sensors', where poses have been measured already.
-    systematic : SystematicErrors, optional
-        Errors of the legs beside τ.
     """
 
     actuators: Array
@@ -134,8 +113,6 @@ class Plan:
     actuator_noise: float
     model_error: float = 0.0
     noise_factor: float = 1.0
-    pose_information: Array | None = None
-    systematic: SystematicErrors | None = None
 
     @property
     def n_poses(self) -> int:
@@ -144,11 +121,6 @@ class Plan:
 
     def information(self, found: ForwardKinematics) -> Array:
         """Return what all sensors together tell of each pose, shape (P, 6, 6)."""
-        if self.pose_information is not None:
-            known = self.pose_information
-            if len(known) != len(found.position):  # other poses than those measured: as well as these on average
-                known = np.broadcast_to(known.mean(axis=0), (len(found.position), 6, 6))
-            return known / self.noise_factor**2
         total = np.zeros((len(found.position), 6, 6))
         for sensor in self.sensors:
             total += sensor.information(found.position, found.rotation)

@@ -191,17 +191,6 @@ class Fitter:
         theta[:, self.knowledge.free] += moves * self.knowledge.sd
         return theta
 
-    def information(self, moves: Array) -> Array:
-        """Return what the planned poses tell of machines (B, n), in units of the tolerances, shape (B, n, n)."""
-        plan, poses, n = self.plan, self.expected.poses, len(moves)
-        position = np.broadcast_to(poses.position, (n, *poses.position.shape))
-        rotation = np.broadcast_to(poses.rotation, (n, *poses.rotation.shape))
-        actuators = np.broadcast_to(plan.actuators, (n, *plan.actuators.shape))
-        there = self._evaluate(Measurements(position, rotation, actuators), moves)
-        frames = self.theta(moves)[:, -N_FRAME_PARAMETERS:]
-        own = Measurements(*move_frames(frames, there.position, there.rotation), actuators)
-        return self._evaluate(own, moves, there).information
-
     def fit(self, measured: Measurements, start: Array | None = None, prior_weight: Array | None = None) -> Fits:
         """Return the most probable machines.
 

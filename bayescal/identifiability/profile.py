@@ -1,4 +1,4 @@
-"""Profiles: how well data agree with a machine at each value of one parameter, all others being at their best.
+"""Profiles: how well readings agree with a machine at each value of one parameter, all others being at their best.
 
 A parameter that is determined has a parabola; along an unidentified direction the profile is flat, and the path that
 the others take to keep it so is the ridge itself, bent as it is, where derivatives only give its tangent.
@@ -7,19 +7,16 @@ the others take to keep it so is the ridge itself, bent as it is, where derivati
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bayescal.errors import InputError
-from bayescal.identifiability.calibration import simulate_measurements
-from bayescal.identifiability.design import Knowledge, Plan
-from bayescal.identifiability.fits import Fits, Fitter, Measurements
+from bayescal.density.calibration.likelihood import CalibrationPosterior, JointFit
+from bayescal.errors import InputError, NumericalError
 from bayescal.numerics.geometry import Array
 
 REACH = 3.0  # tolerances to either side
 N_SIDE = 15
-FREE_SHARE = 1e-6  # of the own prior's precision, for the best value without it
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +33,6 @@ class Profile:
         along a ridge the data alone may lack less than nothing. NaN where there is no machine.
     path : ndarray, shape (K, n)
         All free parameters, in their units.
-    converged : ndarray of bool, shape (K,)
     """
 
     name: str
@@ -44,33 +40,27 @@ class Profile:
     data_deviance: Array
     deviance: Array
     path: Array
-    converged: np.ndarray
 
 
-def check_profiles(knowledge: Knowledge, names: Sequence[str]) -> None:
+def check_profiles(free: Sequence[str], names: Sequence[str]) -> None:
     """Raise InputError for names that are not free."""
     for name in names:
-        if name not in knowledge.names:
-            raise InputError(f"profile of {name!r}: not free here, expected one of {', '.join(knowledge.names)}")
+        if name not in free:
+            raise InputError(f"profile of {name!r}: not free here, expected one of {', '.join(free)}")
 
 
-def compute_profiles(
-    knowledge: Knowledge,
-    plan: Plan,
-    names: Sequence[str],
-    rng: np.random.Generator | None = None,
-    n_side: int = N_SIDE,
-    reach: float = REACH,
-) -> list[Profile]:
-    """Return the profiles of some free parameters.
+def compute_profile(
+    posterior: CalibrationPosterior, name: str, zeta: Array, n_side: int = N_SIDE, reach: float = REACH
+) -> Profile:
+    """Return the profile of a free parameter about the machine expected, whose readings the data are.
 
     Parameters
     ----------
-    knowledge : Knowledge
-    plan : Plan
-    names : sequence of str
-    rng : Generator, optional
-        Of the noise of one set of measured poses of the expected machine; without it they are exact.
+    posterior : CalibrationPosterior
+        With normal priors, centred where the machine is expected.
+    name : str
+    zeta : ndarray, shape (k,)
+        Coordinates of the errors, which stay.
     n_side : int
         Number of values on either side of the expected one, evenly spread: K is 2 n + 1.
     reach : float
@@ -79,54 +69,39 @@ def compute_profiles(
     Raises
     ------
     InputError
-        For names that are not free.
+        For a name that is not free.
     """
-    check_profiles(knowledge, names)
-    fitter = Fitter(knowledge, plan)
-    places = np.array([knowledge.names.index(name) for name in names], dtype=int)
-    poses, nothing = fitter.expected.poses, np.zeros((1, len(knowledge.sd)))
-    measured = Measurements(poses.position[None], poses.rotation[None], plan.actuators[None])
-    if rng is not None:
-        measured, _ = simulate_measurements(fitter, nothing, rng)
-    own = np.ones((len(names), len(knowledge.names)))
-    own[np.arange(len(names)), places] = FREE_SHARE
-    best = fitter.fit(measured.take(np.zeros(len(names), dtype=int)), prior_weight=own)
-    grid = reach * np.arange(n_side + 1) / n_side
-    moves, data, total, converged = _follow(fitter, measured, places, grid)
-    data, total = data - best.data_deviance[:, None], total - best.deviance[:, None]
-    path = knowledge.centre[knowledge.free] + moves * knowledge.sd
-    return [
-        Profile(name, path[k, :, place], data[k], total[k], path[k], converged[k])
-        for k, (name, place) in enumerate(zip(names, places, strict=True))
-    ]
-
-
-def _follow(
-    fitter: Fitter, measured: Measurements, places: np.ndarray, grid: Array
-) -> tuple[Array, Array, Array, np.ndarray]:
-    """Return moves (M, K, n), both deviances (M, K) and convergence, for M parameters held along a grid.
-
-    Each fit starts where the two before it point, from the middle outwards, so that the path stays on its ridge. The
-    grid is one side of the values, from zero, in tolerances.
-    """
-    rows = np.arange(2 * len(places))
-    held, sides = np.tile(places, 2), np.repeat([-1.0, 1.0], len(places))
-    data = measured.take(np.zeros(len(rows), dtype=int))
-    weight = np.ones((len(rows), len(fitter.knowledge.sd)))
-    weight[rows, held] = 0.0
-    found: list[Fits] = []
-    for value in grid:
-        start = found[-1].moves.copy() if found else np.zeros_like(weight)
-        if len(found) > 1:
-            start += found[-1].moves - found[-2].moves
-        start[rows, held] = sides * value
-        found.append(fitter.fit(data, start, weight))
-
-    def arrange(name: str) -> Array:
-        lower, upper = np.split(np.stack([getattr(fits, name) for fits in found], axis=1), 2)
-        return np.concatenate([lower[:, :0:-1], upper], axis=1)
-
-    data_deviance, deviance = arrange("data_deviance"), arrange("deviance")
-    lost = ~np.isfinite(deviance)
-    data_deviance[lost], deviance[lost] = np.nan, np.nan
-    return arrange("moves"), data_deviance, deviance, arrange("converged").astype(bool)
+    check_profiles(posterior.sampling.names, [name])
+    place, sampling = posterior.sampling.names.index(name), posterior.sampling
+    prior, n = posterior.priors[name], posterior.n_geometry
+    alike = posterior.common.get(name, (name,))
+    offset = {one: float(sampling.start[sampling.layout.names.index(one)]) - prior.mean for one in alike}
+    free = replace(
+        posterior,
+        priors={one: other for one, other in posterior.priors.items() if one != name},
+        common={one: members for one, members in posterior.common.items() if one != name},
+    )
+    moves, deviance = np.full((2 * n_side + 1, n), np.nan), np.full((2 * n_side + 1, 2), np.nan)
+    others, grid = np.delete(np.arange(n), place), reach * np.arange(-n_side, n_side + 1) / n_side
+    for sign in (1, -1):
+        before: list[tuple[Array, Array]] = []
+        for k in range(n_side, n_side + sign * (n_side + 1), sign):
+            value = prior.mean + prior.sd * grid[k]
+            held = replace(free, fixed={**free.fixed, **{one: value + away for one, away in offset.items()}})
+            start = before[-1] if before else (np.zeros(n - 1), posterior.likelihood.start)
+            if len(before) > 1:  # towards where the two before point, so that the path stays on its ridge
+                start = (2.0 * start[0] - before[-2][0], 2.0 * start[1] - before[-2][1])
+            fit = JointFit(held.likelihood, held.sampling, held.errors, zeta)
+            try:
+                with np.errstate(all="ignore"):
+                    y, pose = fit.run(*start)
+                    _, at = held.likelihood.explain(*held.at(np.concatenate([y, zeta])[None]))
+            except NumericalError:
+                break
+            before.append((y, pose))
+            moves[k, others], moves[k, place] = y, grid[k]
+            deviance[k] = float(at.square.sum()), float(at.square.sum() + y @ y)
+    path = np.array([sampling.start[sampling.free]]) + moves * posterior.prior_sd[:n]
+    best = deviance[np.nanargmin(deviance[:, 1])]
+    data, total = (deviance - best).T
+    return Profile(name, prior.mean + prior.sd * grid, data, total, path)

@@ -8,25 +8,19 @@ any sensor. With D as weight both parts are independent:
     information = Sᵀ M (1 + C M)⁻¹ S + (ZᵀF)ᵀ (ZᵀDZ)⁻¹ (ZᵀF),    S = -(AᵀD⁻¹A)⁻¹AᵀD⁻¹ F,    C = (AᵀD⁻¹A)⁻¹,
 
 with M what the sensors tell of the pose. It holds for a singular M too, where they see only a part of it.
-
-Legs may besides err by functions of the pose of several sorts, the same at every pose near another
-(`bayescal.density.sorts`). They are g = F c over the planned poses, F of few columns, and the coefficients c of each
-leg N(0, 1): parameters with a prior like any other, that nobody asks for. A machine in use has them, too.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bayescal.density.sorts import DRIFT, Place, PoseFunctions
 from bayescal.errors import InputError
-from bayescal.identifiability.design import Knowledge, Plan, SystematicErrors, predict_poses
-from bayescal.identifiability.information import Information, information_of_rows, marginalise
+from bayescal.identifiability.design import Knowledge, Plan, predict_poses
 from bayescal.machines.frames import N_FRAME_PARAMETERS, frame_slopes, move_frames
 from bayescal.machines.kinematics import SINGULAR_CONDITION, ForwardKinematics, Machine, solve_forward_kinematics
 from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array
@@ -199,138 +193,7 @@ def compute_measured_poses(knowledge: Knowledge, theta: Array, actuators: Array)
     return np.where(found.converged[..., None], position, np.nan), rotation
 
 
-# --- what a plan says -------------------------------------------------------------------------------------------------
-
-
-def inform(knowledge: Knowledge, plan: Plan, theta: Array | None = None) -> Information:
-    """Return what a plan tells of the free parameters, about the expected machine or θ (D,).
-
-    InputError for a pose that the machine cannot take.
-    """
-    sensitivity = compute_sensitivity(knowledge, plan.actuators, theta)
-    if plan.systematic is not None:  # what few columns leave out is independent from pose to pose
-        left = _find_functions(plan.systematic, place_actuators(knowledge, plan.actuators)).left
-        variance = left @ np.square(list(plan.systematic.sizes.values()))
-        plan = replace(plan, model_error=float(np.sqrt(plan.model_error**2 + variance)))
-    rows = sensitivity.rows(plan)
-    if plan.systematic is None:
-        return information_of_rows(rows, knowledge.sd)
-    return marginalise(rows.reshape(-1, rows.shape[-1]) * knowledge.sd, see_function(knowledge, plan, sensitivity))
-
-
-def list_rows(knowledge: Knowledge, plan: Plan) -> tuple[Array, Array, np.ndarray]:
-    """Return white rows (K, n) by tolerances, columns of systematic errors (K, q), and the sort of each (q,)."""
-    assert plan.systematic is not None
-    sensitivity, place = compute_sensitivity(knowledge, plan.actuators), place_actuators(knowledge, plan.actuators)
-    sorts = _find_functions(plan.systematic, place).join_bases(place)[1]
-    rows = sensitivity.rows(plan).reshape(-1, len(knowledge.sd)) * knowledge.sd
-    return rows, see_function(knowledge, plan, sensitivity), np.tile(sorts, place.travel.shape[1])
-
-
-def place_actuators(knowledge: Knowledge, actuators: Array) -> Place:
-    """Return where functions of the pose are evaluated for actuator positions (P, N), in this order."""
-    mechanism, n = knowledge.machine.mechanism, len(actuators)
-    travel = (actuators - mechanism.initial_actuator_positions) / mechanism.actuator_range
-    return Place(travel, np.arange(n) / n)
-
-
-def see_function(knowledge: Knowledge, plan: Plan, sensitivity: Sensitivity) -> Array:
-    """Return V at the poses of a plan, shape (K, A N), for coefficients of unit prior."""
-    rows = show_functions(knowledge, plan, sensitivity).rows(plan)
-    return rows.reshape(-1, rows.shape[-1])
-
-
-def show_functions(knowledge: Knowledge, plan: Plan, sensitivity: Sensitivity) -> Sensitivity:
-    """Return the derivatives by coefficients of unit prior at the poses of a plan, in place of those by parameters."""
-    assert plan.systematic is not None
-    place = place_actuators(knowledge, plan.actuators)
-    basis, sorts = _find_functions(plan.systematic, place).join_bases(place)
-    shown = basis * np.array(list(plan.systematic.sizes.values()))[sorts]
-    return _act(sensitivity, shown.transpose(1, 0, 2))
-
-
-def show_functions_elsewhere(
-    knowledge: Knowledge, plan: Plan, at: Sensitivity, actuators: Array
-) -> tuple[Array, Array]:
-    """Return what errors of a plan do to poses elsewhere: by the plan's coefficients, and a covariance besides.
-
-    A drift is another one at another time, as large as it is on average; of smooth functions the planned poses do not
-    tell all.
-
-    Parameters
-    ----------
-    knowledge, plan
-        With systematic errors.
-    at : Sensitivity
-        At W poses.
-    actuators : ndarray, shape (W, N)
-        Of these.
-
-    Returns
-    -------
-    slope : ndarray, shape (W, 6, A N)
-        mm and rad.
-    noise : ndarray, shape (W, 6, 6)
-    """
-    assert plan.systematic is not None
-    own, place = place_actuators(knowledge, plan.actuators), place_actuators(knowledge, actuators)
-    functions, sizes = _find_functions(plan.systematic, own), plan.systematic.sizes
-    basis, sorts = functions.join_bases(place)
-    shown = basis * np.array([0.0 if name == DRIFT else size for name, size in sizes.items()])[sorts]
-    whole, few = replace(functions, of_few=None).variances(place), functions.variances(place)
-    left = np.zeros((len(actuators), len(basis)))
-    for name, every, some in zip(functions.sorts, whole, few, strict=True):
-        rest = np.ones(1) if name == DRIFT else np.maximum(every - some, 0.0).T
-        left = left + sizes[name] ** 2 * rest
-    weight = np.diagonal(at.by_actuators, axis1=-2, axis2=-1) ** 2 * left
-    noise = at.gain * weight[:, None, :] @ np.swapaxes(at.gain, -1, -2)
-    return _act(at, shown.transpose(1, 0, 2)).slope, np.asarray(noise)
-
-
-def share_functions(knowledge: Knowledge, plan: Plan, pool: Array) -> tuple[Callable[[Sensitivity], Sensitivity], Plan]:
-    """Return what takes derivatives at any poses to those by coefficients of unit prior that all poses share.
-
-    Sizes are root mean squares over the planned poses. The second is the same plan with what coefficients leave out as
-    independent noise: a drift too, since nobody knows in which order other poses will be measured.
-
-    Parameters
-    ----------
-    knowledge, plan
-        With systematic errors.
-    pool : ndarray, shape (C, N)
-        Actuator positions that few columns have to suit, mm.
-    """
-    assert plan.systematic is not None
-    own, sizes = place_actuators(knowledge, plan.actuators), dict(plan.systematic.sizes)
-    variance = sizes.pop(DRIFT, 0.0) ** 2
-    functions, size = PoseFunctions(tuple(sizes), own, place_actuators(knowledge, pool)), np.array(list(sizes.values()))
-    variance += float(functions.left @ size**2)
-
-    def show(at: Sensitivity) -> Sensitivity:
-        place = place_actuators(knowledge, at.actuators)
-        if not sizes:
-            return _act(at, np.zeros((*place.travel.shape, 0)))
-        basis, sorts = functions.join_bases(place)
-        return _act(at, (basis * size[sorts]).transpose(1, 0, 2))
-
-    error = float(np.hypot(plan.model_error, np.sqrt(variance)))
-    return show, replace(plan, systematic=None, model_error=error)
-
-
-def _find_functions(errors: SystematicErrors, place: Place) -> PoseFunctions:
-    return PoseFunctions(tuple(errors.sizes), place, place)
-
-
-def _act(sensitivity: Sensitivity, shown: Array) -> Sensitivity:
-    """Return derivatives by coefficients that make legs err by (P, N, A): each of N legs has A of its own.
-
-    An error of a leg does to its closure what its actuator's displacement does.
-    """
-    own = np.diagonal(sensitivity.by_actuators, axis1=-2, axis2=-1)
-    n_poses, n = own.shape
-    by_coefficient = (own[..., None, None] * np.eye(n)[:, :, None] * shown[:, :, None, :]).reshape(n_poses, n, -1)
-    unseen = np.zeros((*sensitivity.frames.shape[:2], by_coefficient.shape[-1]))
-    return replace(sensitivity, by_parameters=by_coefficient, frames=unseen)
+# --- as a table ------------------------------------------------------------------------------------------------------
 
 
 def tabulate_jacobian(

@@ -50,10 +50,10 @@ class EvidenceConfig(Section):
 
 
 class DrawsConfig(Section):
-    """Draws of the posterior, all ensembles together: by default many where there are data, otherwise none."""
+    """Draws of the posterior, all ensembles together."""
 
     draws: Annotated[int, Field(ge=0, le=10_000_000)] | None = None
-    """Number of draws; many where there are data and none otherwise, where nothing is said."""
+    """Number of draws; 0 for none, many where nothing is said."""
     ensembles: Annotated[int, Field(ge=4, le=64)] = 4
     """Number of independent ensembles of walkers."""
     walkers: Annotated[int, Field(ge=8, le=4096)] = 128

@@ -1,4 +1,4 @@
-"""The shipped hexaglide end to end: an audit with what theory says of its ridges, poses and sensors."""
+"""The shipped hexaglide end to end: an audit, poses and sensors."""
 
 from __future__ import annotations
 
@@ -9,43 +9,12 @@ import pytest
 import studies
 import telescope_machines as machines
 
-from bayescal.experiments.audit.design import load_audit, read_inputs
 from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.frame.run import run_experiment
-from bayescal.identifiability.ridges import find_legs, list_laws
 from bayescal.machines.read import load_mechanism
 from bayescal.machines.readings import Legs
 
 HEXAGLIDE = studies.EXPERIMENTS / "hexaglide"
-
-
-def test_laws_hold_of_the_legs():
-    """Along each level line of a law between two parameters at home, no leg's closure changes to first order."""
-    inputs = read_inputs(load_audit(HEXAGLIDE / "audit.toml"), HEXAGLIDE)
-    machine, leg = inputs.knowledge.machine, 3
-    layout, theta, laws = machine.layout, machine.layout.nominal, list_laws(machine)
-    ours = find_legs(inputs.knowledge)[leg]
-    assert ours.symbols == ("u_y", "u_z")
-    mechanism = machine.mechanism
-    start = mechanism.initial_actuator_positions
-    home = np.array(mechanism.home_position)
-    closure = machine.linearise(theta, home, np.eye(3), start).parameters[leg]
-    values = {block.symbol: float(layout.take(theta, block.symbol)[leg]) for block in layout.blocks}
-    n_tied = 0
-    for law in laws:
-        for pair in law.pairs:
-            if not all(symbol in values for symbol in pair):
-                continue
-            slopes = [
-                (law.invariant(ours, values | {s: values[s] + h}) - law.invariant(ours, values | {s: values[s] - h}))
-                / (2 * h)
-                for s, h in ((symbol, 1e-4) for symbol in pair)
-            ]
-            by = [closure[layout.index[symbol][leg]] for symbol in pair]
-            if law.name == "the distance of the joints along the leg":
-                assert slopes[0] * by[1] == pytest.approx(slopes[1] * by[0], abs=1e-7)
-                n_tied += 1
-    assert n_tied == 15
 
 
 def test_readings_and_their_derivatives(rng):
@@ -81,4 +50,4 @@ def test_audit_runs_tiny(tmp_path):
     path.write_text(text + "\n[sweep]\nnoise = [1.0]\nposes = [30]\nworkspace = [1.0]\n")
     run_experiment(load_experiment(path), folder, tmp_path / "out", workers=1)
     page = (tmp_path / "out" / "report.html").read_text()
-    assert "the place of the joint at home" in page
+    assert "rho0 by +0.1 mm with a_x by" in page

@@ -15,6 +15,7 @@ from bayescal.experiments.audit.audit import judge_parameters
 from bayescal.identifiability.design import Plan
 from bayescal.identifiability.directions import find_directions
 from bayescal.identifiability.information import Information, information_of_rows, nats_from_contraction
+from bayescal.identifiability.reading_rows import see
 from bayescal.identifiability.selection import select_parameters
 from bayescal.identifiability.sensitivity import compute_measured_poses, compute_sensitivity, root_of
 from bayescal.identifiability.structure import find_structure
@@ -59,6 +60,30 @@ def test_information_is_that_of_the_likelihood(model, n_legs):
     expected = np.einsum("pik,pij,pjm->km", slope, precision, slope) * np.outer(knowledge.sd, knowledge.sd)
     found = information_of_rows(rows, knowledge.sd).matrix
     assert np.abs(found - expected).max() < 1e-7 * np.abs(expected).max()
+
+
+SEEN = {
+    "poses": PoseSensor(0.01, 1e-5),
+    "positions": PoseSensor(0.01, None),
+    "two positions": PoseSensor(0.01, None, "xz"),
+    "targets": PointSensor(100.0 * np.eye(3), 0.01, 300.0 * np.eye(3)),
+}
+
+
+@pytest.mark.parametrize("n_legs", [6, 8])
+@pytest.mark.parametrize("seen", SEEN)
+def test_channels_say_what_the_closed_form_of_legs_says(seen, n_legs):
+    """Actuators and what sensors tell of a pose as channels, poses eliminated, at the same poses."""
+    machine = machines.build_machine("none", machines.build_random_mechanism(n_legs, 4))
+    knowledge, plan = problems.build_knowledge(machine), problems.build_plan(machine, 20, sensors=(SEEN[seen],))
+    posterior = problems.read_plan(knowledge, plan)
+    assert posterior.likelihood.model.names[:n_legs] == tuple(f"rho[{leg}]" for leg in range(1, n_legs + 1))
+    closing = replace(plan, actuators=posterior.likelihood.data.values[:, :n_legs])
+    closed = information_of_rows(compute_sensitivity(knowledge, closing.actuators).rows(closing), knowledge.sd)
+    rows = see(posterior, np.zeros(posterior.n_geometry))
+    read = information_of_rows(rows, np.ones(posterior.n_geometry))
+    np.testing.assert_allclose(read.covariance, closed.covariance, atol=1e-6)
+    assert read.nats == pytest.approx(closed.nats, rel=1e-6)
 
 
 def test_slopes_of_frames_and_machine_against_differences():

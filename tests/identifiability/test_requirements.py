@@ -12,8 +12,8 @@ from scipy.stats import norm
 
 from bayescal.errors import InputError, NumericalError
 from bayescal.experiments.audit.audit import analyse, evaluate_change, run_audit
-from bayescal.experiments.audit.design import load_audit, read_inputs
-from bayescal.experiments.audit.legs import close_legs
+from bayescal.experiments.audit.design import load_audit, read_plans
+from bayescal.experiments.audit.machine import locate
 from bayescal.experiments.audit.results import summarise, tabulate, tabulate_variants
 from bayescal.experiments.audit.schema import WhatIfConfig
 from bayescal.experiments.frame.parallel import Run
@@ -21,24 +21,17 @@ from bayescal.identifiability import requirements
 from bayescal.identifiability.design import PoseVolume, find_workspace_actuators
 from bayescal.identifiability.information import Information, information_of_rows
 from bayescal.identifiability.requirements import Forecast, Requirement, Standing, ToolRemaining, move_draws
-from bayescal.identifiability.sensitivity import compute_measured_poses, compute_sensitivity
+from bayescal.identifiability.sensitivity import compute_sensitivity
 from bayescal.machines.kinematics import check_home_pose, solve_forward_kinematics
 from bayescal.machines.readings import Legs
 from bayescal.numerics.geometry import compute_pose_error, matrix_from_rotation_vector
 
-TELESCOPE = problems.DESIGNS / "telescope_six_pus_none.toml"
-CAMERA = problems.DESIGNS / "camera_hexapod.toml"
 REFERENCE = "telescope_six_pus_none.toml"
 
 
 @pytest.fixture(scope="module")
 def telescope():
-    return read_inputs(load_audit(TELESCOPE), TELESCOPE.parent)
-
-
-@pytest.fixture(scope="module")
-def camera():
-    return read_inputs(load_audit(CAMERA), CAMERA.parent)
+    return problems.read_shipped("telescope_six_pus_none")
 
 
 @pytest.fixture(scope="module")
@@ -63,22 +56,27 @@ def test_probability_of_one_pose_and_one_number_is_that_of_a_normal():
 
 
 def test_predicted_sd_is_that_of_machines_drawn_from_the_prior(telescope):
-    """Before the calibration: poses of machines with small tolerances, by forward kinematics itself."""
-    knowledge = telescope.knowledge
-    small = problems.scale_tolerances(knowledge, 0.01)
-    actuators = telescope.workspace_actuators[:4]
-    forecast = problems.foretell(small, actuators, telescope.plan)
-    theta = np.tile(small.centre, (4000, 1))
-    theta[:, small.free] += small.sd * np.random.default_rng(0).standard_normal((4000, len(small.sd)))
-    position, rotation = compute_measured_poses(small, theta, actuators)
-    at, turned = compute_measured_poses(small, small.centre, actuators)
-    error = compute_pose_error(position, rotation, at, turned)
-    expected = np.sqrt(np.diagonal(forecast.covariance(np.eye(len(small.sd))), axis1=1, axis2=2))
+    """Before the calibration: tools of machines with small tolerances where these come to stand, encoders erring."""
+    model, posterior, around = telescope.variant.model, telescope.posterior, telescope.around
+    own = np.flatnonzero(telescope.variant.internal)
+    rng, pose = np.random.default_rng(0), around.pose[:4]
+    small = 0.01 * rng.standard_normal((4000, len(telescope.names)))
+    theta = posterior.sampling.theta_from_y(small)
+    read = model.read(posterior.sampling.start, pose)[:, own] + 1e-5 * rng.standard_normal((4000, 4, len(own)))
+    stands, found = model.locate(theta[:, None], read)
+    assert found.all()
+    error = compute_pose_error(
+        *(pose[:, :3], matrix_from_rotation_vector(pose[:, 3:])),
+        *(stands[..., :3], matrix_from_rotation_vector(stands[..., 3:])),
+    )
+    forecast = telescope.forecast()
+    geometry = 0.01**2 * forecast.covariance(np.eye(len(telescope.names)))[:4]
+    expected = np.sqrt(np.diagonal(geometry + 0.01**2 * forecast.noise[:4], axis1=1, axis2=2))  # of 1 µm
     assert error.std(axis=0) / expected == pytest.approx(np.ones((4, 6)), abs=0.05)
 
 
 def test_nothing_learnt_leaves_everything_as_it_was(telescope):
-    n = len(telescope.knowledge.sd)
+    n = len(telescope.names)
     forecast = telescope.forecast()
     nothing = Information(np.zeros((1, n)))
     for outlook in forecast.judge(telescope.requirements, nothing, np.random.default_rng(0), ())[0]:
@@ -98,9 +96,9 @@ def test_what_fixing_the_rest_costs(telescope):
     fitted[:, chosen] = measured @ part @ np.linalg.inv(part.T @ part + np.eye(len(free)))
     errors = truth - fitted
     expected = information.errors_of_reduced(free)
-    forecast = problems.foretell(telescope.knowledge, telescope.workspace_actuators[:5], telescope.plan)
-    found = np.einsum("wji,bi->bwj", forecast.slope, errors).std(axis=0)
-    predicted = np.sqrt(np.diagonal(forecast.covariance(expected), axis1=1, axis2=2))
+    forecast = telescope.forecast()
+    found = np.einsum("wji,bi->bwj", forecast.slope[:5], errors).std(axis=0)
+    predicted = np.sqrt(np.diagonal(forecast.covariance(expected)[:5], axis1=1, axis2=2))
     assert found / predicted == pytest.approx(np.ones((5, 6)), abs=0.03)
 
 
@@ -136,7 +134,8 @@ def test_the_worst_pose_is_where_the_tool_errs_most():
 def test_norms_are_stricter_than_their_parts(telescope):
     forecast = telescope.forecast()
     information = analyse(telescope).information
-    wanted = [Requirement("x", 0.011), Requirement("position", 0.011)]
+    x, *_ = telescope.requirements
+    wanted = [replace(x, limit=0.011), replace(x, name="position", limit=0.011)]
     (x, length), _ = forecast.judge(wanted, information, np.random.default_rng(0), ())
     assert 0.0 < length.probability < x.probability < 1.0
     assert length.predicted_sd > x.predicted_sd
@@ -144,9 +143,9 @@ def test_norms_are_stricter_than_their_parts(telescope):
 
 def test_the_telescope_meets_table_1_of_the_report(audited):
     _, summary = audited
-    assert set(summary["requirements"]) == {"x", "y", "z", "rotation_x", "rotation_y"}
+    assert set(summary["requirements"]) == {"x", "y", "z", "rx", "ry"}
     limits = {name: outlook["limit"] for name, outlook in summary["requirements"].items()}
-    assert limits == pytest.approx({"x": 0.1, "y": 0.1, "z": 0.01, "rotation_x": 0.05, "rotation_y": 0.05})
+    assert limits == pytest.approx({"x": 0.1, "y": 0.1, "z": 0.01, "rx": 0.05, "ry": 0.05})
     for outlook in summary["requirements"].values():
         assert outlook["prior_probability"] < 0.1
         assert outlook["probability"] > 0.99
@@ -175,15 +174,39 @@ def test_workspace_keeps_its_shape(shape):
         assert np.all((inside != 0).sum(axis=1) <= 1)
 
 
-def test_workspace_actuators_lead_back_to_its_poses(camera):
-    machine = camera.knowledge.machine
+def test_workspace_actuators_lead_back_to_its_poses():
+    machine, workspace = problems.read_machine("camera_hexapod"), PoseVolume(np.full(6, 5e-3), "ellipsoid", 60)
     theta = machine.layout.nominal
-    actuators = find_workspace_actuators(machine, theta, camera.workspace, 60, 3)
+    actuators = find_workspace_actuators(machine, theta, workspace, 60, 3)
     home = check_home_pose(machine)
-    moves = camera.workspace.sample(60, 3)
+    moves = workspace.sample(60, 3)
     found = solve_forward_kinematics(machine, theta, actuators)
     assert np.abs(found.position - home.position - moves[:, :3]).max() < 1e-8
     assert np.abs(found.rotation - matrix_from_rotation_vector(moves[:, 3:]) @ home.rotation).max() < 1e-11
+
+
+@pytest.mark.parametrize("shape", ["ellipsoid", "box", "axes"])
+def test_poses_of_an_audits_workspace_keep_its_shape(shape):
+    """About home, a coordinate without a width staying there."""
+    path = problems.DESIGNS / "telescope_six_pus_none.toml"
+    config = load_audit(path)
+    half = {"position_mm": [0.5, 0.4, 0.0], "rotation_deg": [0.1, 0.2, 0.0], "shape": shape, "poses": 2000}
+    section = type(config.workspace).model_validate(half)
+    (plan,) = read_plans(config.model_copy(update={"workspace": section}), path.parent).values()
+    width = np.concatenate([half["position_mm"], np.radians(half["rotation_deg"])])
+    moves = plan.around.pose - plan.variant.model.home_pose
+    share = moves[:, width > 0] / width[width > 0]
+    assert len(moves) == 2000
+    assert not moves[:, width == 0].any()
+    assert np.abs(share).max() <= 1.0
+    radius = np.linalg.norm(share, axis=1)
+    if shape == "ellipsoid":
+        assert radius.max() <= 1.0 + 1e-12
+        assert np.mean(radius**4) == pytest.approx(0.5, abs=0.03)  # uniform in a 4-ball
+    elif shape == "box":
+        assert np.mean(share**2) == pytest.approx(1.0 / 3.0, abs=0.02)
+    else:
+        assert np.all((np.abs(share) > 1e-9).sum(axis=1) == 1)
 
 
 # --- what would help ---------------------------------------------------------------------------------------------
@@ -204,7 +227,7 @@ def test_more_of_anything_never_tells_less(telescope):
         WhatIfConfig(name="", poses_factor=1.5),
         WhatIfConfig(name="", noise_factor=0.9),
         WhatIfConfig(name="", actuator_noise_factor=0.9),
-        WhatIfConfig(name="", sensors=["photogrammetry", "laser_tracker"]),
+        WhatIfConfig(name="", sensors=["rho", "photogrammetry", "laser_tracker"]),
     ):
         assert evaluate_change(telescope, change, None).information.nats > base
 
@@ -219,9 +242,8 @@ def test_a_wider_workspace_says_that_the_actuators_do_not_reach(telescope):
 
 def test_other_poses_replace_the_planned_ones(telescope):
     change = WhatIfConfig.model_validate({"name": "", "poses": {"plan": "extremes", "count": 7}})
-    plan = telescope.change(change).plan
-    moves = plan.actuators - telescope.knowledge.machine.mechanism.initial_actuator_positions
-    assert plan.actuators.shape == (7, 6)
+    moves = telescope.change(change).variant.data.values[:, :6] - 10.0
+    assert moves.shape == (7, 6)
     assert set(np.unique(np.round(np.abs(moves), 9))) <= {0.0, 1.3}
 
 
@@ -266,15 +288,12 @@ def test_a_design_in_other_units_says_the_same(length, angle, tmp_path):
     config = load_audit(problems.DESIGNS / "camera_hexapod_frames.toml")
     dumped = config.model_dump(mode="json", exclude_none=True)
     dumped["units"] = {"length": length, "angle": angle}
-    for prior in dumped["parameters"].values():
-        prior["sd"] *= SCALES[length]
-    for frame in dumped["frames"].values():
-        frame["position"] *= SCALES[length]
-        frame["rotation"] *= SCALES[angle]
+    for name, prior in dumped["parameters"].items():
+        prior["sd"] *= SCALES[angle if name.endswith("_r") else length]
     for name in dumped["requirements"]:
-        dumped["requirements"][name] *= SCALES[angle if name.startswith("rotation") else length]
+        dumped["requirements"][name] *= SCALES[angle if name.startswith("r") else length]
     one, other = (
-        summarise(run_audit(read_inputs(c, problems.DESIGNS), Run()))
+        summarise(run_audit(next(iter(read_plans(c, problems.DESIGNS).values())), Run()))
         for c in (config, type(config).model_validate(dumped))
     )
     assert other["structural_rank"] == one["structural_rank"] == 42
@@ -306,20 +325,23 @@ def _write(tmp_path, text, base=REFERENCE):
 
 FAULTS = {
     "zero tolerance": ('[parameters]\nl = { prior = "normal", sd = 0.0 }', "parameters.l.*found 0"),
-    "unknown parameter": ('[parameters]\nq_x = { prior = "normal", sd = 1.0 }', "found 'q_x'.*expected one of"),
+    "unknown parameter": ('[parameters]\nq_x = { prior = "normal", sd = 1.0 }', "found 'q_x', expected some of a_x"),
     "unknown sensor": (
         '[[variants]]\nmodel = "six_pus"\nsensors = ["theodolite"]',
-        "found sensor 'theodolite', expected one of laser_tracker",
+        "sensor 'theodolite': unknown here, expected some of rho",
     ),
     "unknown sensor in a what-if": (
         '[[what_if]]\nname = "w"\nsensors = ["theodolite"]',
-        "what_if 'w': sensors: found sensor 'theodolite'",
+        "sensor 'theodolite': unknown here",
     ),
     "unknown kind of sensor": ('[sensors.new]\nkind = "sextant"', "found 'sextant', expected one of pose, targets"),
-    "pose out of reach": ("[poses]\nunit_mm = 2.0", "pose 1, leg 1: found a displacement of 2 mm, expected at most"),
+    "pose out of reach": (
+        "[poses]\nunit_mm = 2.0",
+        "poses: pose 'P001': found rho.1. at 12 mm, expected it within",
+    ),
     "workspace out of reach": (
         "[workspace]\nposition_mm = [1.0, 1.0, 3.0]",
-        "workspace: out of reach at z -?3 mm: leg . would have to move .* expected at most the .* 1.3 mm",
+        "workspace: x = .*, z = .* mm, .*: found rho.1. at .* mm, expected it within the actuators' range",
     ),
     "a few targets on a line": (
         '[sensors.photogrammetry]\nkind = "targets"\nbase = { points_mm = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]] }',
@@ -338,7 +360,7 @@ def test_designs_at_fault_are_told_in_one_line(fault, tmp_path):
     text, message = FAULTS[fault]
     path = _write(tmp_path, text)
     with pytest.raises(InputError, match=message) as caught:
-        run_audit(read_inputs(load_audit(path), path.parent), Run())
+        read_plans(load_audit(path), path.parent)
     assert "\n" not in str(caught.value)
 
 
@@ -349,8 +371,8 @@ def test_poses_that_the_machine_cannot_take_are_named(tmp_path):
     (tmp_path / "moves.csv").write_text(moves)
     text = 'machine = "far.toml"\n[poses]\nplan = "file"\nconfigurations = "moves.csv"\nunit_mm = 1.0\n'
     path = _write(tmp_path, text)
-    with pytest.raises(InputError, match="pose 2: found no pose at displacements 600, -600"):
-        read_inputs(load_audit(path), path.parent)
+    with pytest.raises(InputError, match="pose 'P002': found no pose at displacements 600, -600"):
+        read_plans(load_audit(path), path.parent)
 
 
 def test_designs_may_not_extend_themselves(tmp_path):
@@ -366,16 +388,16 @@ def test_designs_may_not_extend_themselves(tmp_path):
 def test_plans_of_redundant_legs_close():
     """Eight legs cannot stand anywhere: the closure vanishes at every pose of a plan."""
     machine = machines.build_machine("linear", machines.build_random_mechanism(8, 2))
-    knowledge = problems.build_knowledge(machine)
-    plan = problems.build_plan(machine, 10)
-    theta = machine.layout.nominal
+    model, theta = Legs(machine), machine.layout.nominal
+    middle = machine.mechanism.initial_actuator_positions
+    moves = problems.build_plan(machine, 10).actuators - middle
 
     def gap(actuators):
         found = solve_forward_kinematics(machine, theta, actuators)
         return np.abs(machine.linearise(theta, found.position, found.rotation, actuators).residual).max()
 
-    assert gap(plan.actuators) > 0.1
-    assert gap(close_legs(knowledge, plan.actuators)) < 1e-9
+    assert gap(middle + moves) > 0.1
+    assert gap(model.read(theta, locate(model, theta, middle, moves, {}).pose)[:, :8]) < 1e-9
 
 
 # --- errors by draws of the posterior ---------------------------------------------------------------------------------

@@ -9,18 +9,15 @@ import telescope_machines as machines
 from scipy.linalg import subspace_angles
 
 from bayescal.identifiability.structure import find_structural_rank, find_structure
-from bayescal.machines.frames import frame_symbols
 from bayescal.machines.models import MODELS
 from bayescal.numerics.geometry import skew_matrix
 
 N_MACHINES = 100
 JOINTS = ("a_x", "a_y", "a_z", "b_x", "b_y", "b_z", "u_x", "u_y", "l")
 STRUTS = ("a_x", "a_y", "a_z", "b_x", "b_y", "b_z", "l")
-BASE_SHIFT, BASE_TURN = frame_symbols("base")
-TOOL_SHIFT, TOOL_TURN = frame_symbols("tool")
 
 
-def _plant(rng, knowledge_of, machine, symbols):
+def _plant(rng, machine, symbols):
     """Return a problem with gauges chosen at random, and its null vectors in natural units as columns."""
     layout, mechanism = machine.layout, machine.mechanism
     planted, frames, vectors = list(symbols), [], []
@@ -29,36 +26,42 @@ def _plant(rng, knowledge_of, machine, symbols):
         for leg in range(mechanism.n_legs):  # c = a + rho0 u stays
             move = {f"a_{axis}[{leg + 1}]": -mechanism.directions[leg, k] for k, axis in enumerate("xyz")}
             vectors.append({f"rho0[{leg + 1}]": 1.0, **move})
-    for frame, prefix, points in (("base", "a", mechanism.base_points), ("tool", "b", mechanism.platform_points)):
+    for frame, prefix, points in (
+        ("frame", "a", mechanism.base_points),
+        ("target", "b", mechanism.platform_points),
+    ):
         if rng.random() < 0.5:
             continue
-        shift, turn = frame_symbols(frame)
-        frames += [*shift, *turn]
-        sign = -1.0 if frame == "base" else 1.0
+        frames += [frame, f"{frame}_r"]
         for k, axis in enumerate("xyz"):
-            vectors.append({shift[k]: 1.0} | {f"{prefix}_{axis}[{i + 1}]": sign for i in range(len(points))})
-        for k in range(3):
-            vectors.append({turn[k]: 1.0} | _turn(prefix, points, np.eye(3)[k], sign, mechanism))
-    return knowledge_of(machine, tuple(planted), tuple(frames)), vectors
+            joints = {f"{prefix}_{axis}[{i + 1}]": 1.0 for i in range(len(points))}
+            vectors += [{f"i_{frame}[{k + 1}]": 1.0} | joints]
+            vectors += [{f"i_{frame}_r[{k + 1}]": 1.0} | _turn(prefix, points, np.eye(3)[k], mechanism)]
+    return problems.build_knowledge(machine, tuple(planted)), tuple(frames), vectors
 
 
-def _turn(prefix, points, axis, sign, mechanism):
-    """Return how joints, and the actuators' directions with them, turn against a frame that turns."""
-    moved = sign * points @ skew_matrix(axis).T
+def _turn(prefix, points, axis, mechanism):
+    """Return how joints, and the actuators' directions with them, turn with a frame that turns."""
+    moved = points @ skew_matrix(axis).T
     loads = {f"{prefix}_{name}[{i + 1}]": moved[i, k] for i in range(len(points)) for k, name in enumerate("xyz")}
     if prefix == "a" and mechanism.drive == "base":
-        turned = sign * mechanism.directions @ skew_matrix(axis).T
+        turned = mechanism.directions @ skew_matrix(axis).T
         loads |= {f"u_{name}[{i + 1}]": turned[i, k] for i in range(len(points)) for k, name in enumerate("xy")}
     return loads
 
 
-def _scaled(vectors, knowledge):
-    columns = np.zeros((len(knowledge.names), len(vectors)))
+def _scaled(vectors, posterior):
+    names = posterior.sampling.names
+    columns = np.zeros((len(names), len(vectors)))
     for k, vector in enumerate(vectors):
         for name, value in vector.items():
-            place = knowledge.names.index(name)
-            columns[place, k] = value / knowledge.sd[place]
+            place = names.index(name)
+            columns[place, k] = value / posterior.prior_sd[place]
     return columns
+
+
+def _find(knowledge, plan, rng, frames=()):
+    return find_structural_rank(problems.read_plan(knowledge, plan, frames), rng)
 
 
 @pytest.mark.parametrize("seed", range(N_MACHINES))
@@ -66,13 +69,13 @@ def test_planted_gauges_are_found_and_nothing_else(seed):
     rng = np.random.default_rng(seed)
     model, symbols = (("six_pus", JOINTS), ("six_ups", STRUTS))[seed % 2]
     machine = machines.build_machine("none", machines.build_random_mechanism(6 + seed % 3, seed), model)
-    knowledge, vectors = _plant(rng, problems.build_knowledge, machine, symbols)
-    plan = problems.build_plan(machine, seed=seed)
-    found = find_structural_rank(knowledge, plan, rng)
+    knowledge, frames, vectors = _plant(rng, machine, symbols)
+    posterior = problems.read_plan(knowledge, problems.build_wide_plan(machine, seed), frames)
+    found = find_structural_rank(posterior, rng)
     assert found.is_clear
-    assert found.rank == len(knowledge.names) - len(vectors)
+    assert found.rank == posterior.n_geometry - len(vectors)
     if vectors:
-        angles = subspace_angles(found.null_space, _scaled(vectors, knowledge))
+        angles = subspace_angles(found.null_space, _scaled(vectors, posterior))
         assert np.degrees(angles.max()) < 1e-3
 
 
@@ -106,7 +109,7 @@ def test_rank_of_every_model(model, deformation):
     """Per leg: the 6-PUS and its kin cannot tell rho0 from a; the Jacobian model knows six numbers of a leg."""
     machine = machines.build_machine(deformation, model=model)
     knowledge = problems.build_knowledge(machine)
-    found = find_structural_rank(knowledge, problems.build_plan(machine), np.random.default_rng(0))
+    found = _find(knowledge, problems.build_wide_plan(machine), np.random.default_rng(0))
     n, per_leg = len(knowledge.names), {"six_pus": 1, "beam": 1, "six_ups": 0}
     assert found.is_clear
     if model in per_leg:
@@ -117,7 +120,7 @@ def test_rank_of_every_model(model, deformation):
 
 def test_rank_does_not_depend_on_the_numbers_drawn():
     knowledge, plan = problems.build_telescope_problem("linear")
-    ranks = {find_structural_rank(knowledge, plan, np.random.default_rng(seed)).rank for seed in range(5)}
+    ranks = {_find(knowledge, plan, np.random.default_rng(seed)).rank for seed in range(5)}
     assert ranks == {60}
 
 
@@ -134,8 +137,10 @@ def test_sensors_that_see_only_a_part_leave_more_unseen():
     """Positions of the platform's origin alone: turning the platform joints about it changes none of them."""
     machine = machines.build_machine("none", machines.build_random_mechanism(6, 3), "six_ups")
     knowledge = problems.build_knowledge(machine, STRUTS)
-    whole = problems.build_plan(machine)
-    part = problems.build_plan(machine, sensors=(problems.PoseSensor(0.01, None),))
+    whole, part = (
+        problems.build_wide_plan(machine),
+        problems.build_wide_plan(machine, sensors=(problems.PoseSensor(0.01, None),)),
+    )
     rng = np.random.default_rng(2)
-    assert find_structural_rank(knowledge, whole, rng).rank == 42
-    assert find_structural_rank(knowledge, part, rng).rank == 39
+    assert _find(knowledge, whole, rng).rank == 42
+    assert _find(knowledge, part, rng).rank == 39

@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 
 from bayescal.density.calibration.likelihood import CalibrationPosterior
-from bayescal.experiments.audit.channels import ChannelPlan
+from bayescal.experiments.audit.planned import Planned
 from bayescal.experiments.audit.schema import AuditConfig
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.shared.readings.inputs import Variant
@@ -37,7 +37,7 @@ MOST_ROUNDS = 20  # of exchanges
 LEAST_FALL = 1e-9  # of the mean squared error, for which poses are exchanged
 
 
-def compute_accuracy(plans: Mapping[str, ChannelPlan], run: Run) -> dict[str, pd.DataFrame]:
+def compute_accuracy(plans: Mapping[str, Planned], run: Run) -> dict[str, pd.DataFrame]:
     """Return the tables of all variants' accuracy and poses."""
     names, classes = {name: name for name in plans}, (Prospect, Knowledge, ChosenPoses)
     found = run.map("variants", _compute_variant, plans, names, classes)
@@ -90,7 +90,7 @@ class Prospect:
         return {f"{start}_{name}_{unit}": value for (name, unit), value in zip(names, values, strict=True)}
 
 
-def _compute_variant(plans: Mapping[str, ChannelPlan], name: str) -> Prospect:
+def _compute_variant(plans: Mapping[str, Planned], name: str) -> Prospect:
     plan = plans[name]
     known = plan.forecast(), plan.inform().joint
     knowledge = assess(plan.config, plan.variant, plan.posterior, plan.expected, lambda _: known)

@@ -9,6 +9,7 @@ import numpy as np
 
 from bayescal.errors import InputError
 from bayescal.experiments.audit.planned import Planned
+from bayescal.experiments.audit.proposal import propose
 from bayescal.experiments.audit.schema import WhatIfConfig
 from bayescal.experiments.frame.parallel import Run
 from bayescal.identifiability.directions import Direction, Verdict, find_directions, judge_parameters
@@ -242,7 +243,7 @@ def _evaluate(shared: tuple[Planned, Forecast], change: WhatIfConfig | None) -> 
     if change is not None:
         return evaluate_change(inputs, change, forecast)
     try:
-        proposed = inputs.propose()
+        proposed = propose(inputs)
     except InputError:
         return None  # there are none for this plan
     return None if proposed is None else evaluate_plan(*proposed, forecast)

@@ -11,9 +11,8 @@ import pandas as pd
 
 from bayescal.experiments.audit.accuracy import compute_accuracy
 from bayescal.experiments.audit.audit import Audit, complete, judge
-from bayescal.experiments.audit.design import AuditDesign, prepare_legs
+from bayescal.experiments.audit.design import AuditDesign, draw_plan
 from bayescal.experiments.audit.draws import LeftOut, audit_posterior, plot_ridges, tabulate_plots
-from bayescal.experiments.audit.legs import LegPlan
 from bayescal.experiments.audit.model_error import tabulate_errors
 from bayescal.experiments.audit.planned import Planned
 from bayescal.experiments.audit.results import describe_variant, summarise, tabulate, tabulate_variants
@@ -22,8 +21,10 @@ from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.shared.joints import tabulate_joints
 from bayescal.identifiability.calibration import Comparison, Kept, compare_kept, compare_with_prediction
-from bayescal.identifiability.profile import Profile, compute_profiles
+from bayescal.identifiability.draws import Draws
+from bayescal.identifiability.profile import Profile, compute_profile
 from bayescal.identifiability.requirements import DRAWS
+from bayescal.machines.readings import Legs, Placed
 from bayescal.numerics.geometry import Array
 
 PROFILES = 4  # where the design names none
@@ -33,14 +34,11 @@ def compute_audit(inputs: AuditDesign, run: Run) -> Results:
     """Return everything an audit says: of all variants how they compare, of the best one all the rest."""
     config, asked = inputs.config, inputs.sensors
     with np.errstate(all="ignore"):
-        plans: Mapping[str, Planned] = inputs.channels
-        if inputs.channels:
-            tables = compute_accuracy(inputs.channels, run)
-        else:
-            legs = prepare_legs(inputs, run)
-            mechanism, names = legs.knowledge.machine.mechanism, [f"pose {k + 1}" for k in range(legs.n_poses)]
-            plans = {config.variants[0].name: legs}
-            tables = {"joints": tabulate_joints(mechanism, legs.plan.actuators, names)}
+        plans, draws = inputs.plans, None
+        if inputs.measured is not None:
+            measured, draws = draw_plan(inputs, run)
+            plans = {config.variants[0].name: measured}
+        tables = compute_accuracy(plans, run)
         if asked is not None:
             tables |= tabulate_sets(asked, run.once("sets of sensors", search_sensors, asked, (FoundSets,)))
         judged = {name: judge(one) for name, one in plans.items()}
@@ -53,18 +51,18 @@ def compute_audit(inputs: AuditDesign, run: Run) -> Results:
             averaged = run.once("expected over machines", _average_machines, audit.inputs)
         summary = summarise(audit)
         tables |= tabulate_variants(judged) | tabulate(summary, audit) | tabulate_errors(judged[best])
-        if isinstance(audit.inputs, LegPlan):
-            tables |= _draw_legs(audit.inputs, audit, summary, run)
+        tables |= tabulate_machine(audit.inputs) | _draw_ridges(audit, draws, summary, run)
+    if inputs.measured is not None:
+        summary["plan"]["n_held_back"] = inputs.measured.found.n_held_back
     summary["best"] = best
     summary["variants"] = {name: describe_variant(one) for name, one in judged.items()}
-    if inputs.channels:
-        summary["candidates"] = None if config.selection is None else config.selection.candidates
-        summary["pose_selection"] = None if config.selection is None else config.selection.method
-        summary["sensor_choice"] = None
-        if asked is not None:
-            candidates = [one.name for one in asked.choices]
-            summary["sensor_choice"] = {"candidates": candidates, "always": asked.section.always}
-        summary["aligned"] = config.aligned
+    summary["candidates"] = None if config.selection is None else config.selection.candidates
+    summary["pose_selection"] = None if config.selection is None else config.selection.method
+    summary["sensor_choice"] = None
+    if asked is not None:
+        candidates = [one.name for one in asked.choices]
+        summary["sensor_choice"] = {"candidates": candidates, "always": asked.section.always}
+    summary["aligned"] = config.aligned
     if averaged is not None:
         for said, share in zip(summary["parameters"].values(), averaged, strict=True):
             said["posterior_sd_over_draws"] = float(share) * said["prior_sd"]
@@ -87,12 +85,24 @@ def choose_best(audits: Mapping[str, Audit]) -> str:
     return min(audits, key=order)
 
 
-def _draw_legs(inputs: LegPlan, audit: Audit, summary: dict[str, Any], run: Run) -> dict[str, pd.DataFrame]:
+def tabulate_machine(inputs: Planned) -> dict[str, pd.DataFrame]:
+    """Return where the joints of a machine on legs stand at the planned poses; nothing of other machines."""
+    variant, model = inputs.variant, inputs.variant.whole
+    whole = model.whole if isinstance(model, Placed) else model
+    if not isinstance(whole, Legs):
+        return {}
+    read = model.read(model.layout.nominal, variant.start, variant.data.given)
+    actuators = read[:, model.select(model.commanded)]
+    return {"joints": tabulate_joints(whole.machine.mechanism, actuators, variant.data.poses)}
+
+
+def _draw_ridges(audit: Audit, draws: Draws | None, summary: dict[str, Any], run: Run) -> dict[str, pd.DataFrame]:
     """Return profiles and what draws of the posterior show of the ridges; a summary is told of the draws."""
-    level = audit_posterior(inputs, audit, run)
-    plots = plot_ridges(inputs, audit, level)
-    # all profiles are one batch: side by side they share each iteration
-    profiles = run.once("profiles", _compute_profiles, (inputs, choose_profiles(inputs, audit)), (Profile,))
+    inputs = audit.inputs
+    level = audit_posterior(inputs, draws, audit)
+    names = {name: name for name in choose_profiles(inputs, audit)}
+    profiles = list(run.map("profiles", _compute_profile, inputs.bare(), names, (Profile,)).values())
+    plots = plot_ridges(inputs, audit, level, profiles)
     if isinstance(level, LeftOut):
         summary["posterior_left_out"] = level.reason
     else:
@@ -107,10 +117,10 @@ def _draw_legs(inputs: LegPlan, audit: Audit, summary: dict[str, Any], run: Run)
 # --- profiles ----------------------------------------------------------------------------------------------------
 
 
-def choose_profiles(inputs: LegPlan, audit: Audit) -> list[str]:
+def choose_profiles(inputs: Planned, audit: Audit) -> list[str]:
     """Return the config's profiles; where it names none, a known parameter and some that ridges are named after."""
     if inputs.config.profiles:
-        return list(inputs.config.profiles)
+        return [name for name in inputs.config.profiles if name in inputs.names]
     names, chosen = inputs.names, dict[str, str]()
     for name, verdict in zip(names, audit.analysis.verdicts, strict=True):
         if verdict == "identifiable":
@@ -123,25 +133,25 @@ def choose_profiles(inputs: LegPlan, audit: Audit) -> list[str]:
     return list(chosen.values())
 
 
-def _compute_profiles(task: tuple[LegPlan, list[str]]) -> list[Profile]:
-    inputs, names = task
-    return compute_profiles(inputs.knowledge, inputs.plan, names)
+def _compute_profile(bare: Planned, name: str) -> Profile:
+    return compute_profile(bare.posterior, name, bare.expected[len(bare.names) :])
 
 
-def _tabulate_profiles(inputs: LegPlan, profiles: list[Profile]) -> dict[str, pd.DataFrame]:
-    units, knowledge = inputs.units, inputs.knowledge
-    named = {name: units.name(unit) for name, unit in zip(knowledge.names, knowledge.units, strict=True)}
-    factors = np.array([units.factor(unit) for unit in knowledge.units])
+def _tabulate_profiles(inputs: Planned, profiles: list[Profile]) -> dict[str, pd.DataFrame]:
+    units, known = inputs.units, inputs.parameters
+    named = {name: units.name(unit) for name, unit in zip(known.names, known.units, strict=True)}
+    factors = np.array([units.factor(unit) for unit in known.units])
     rows, paths = [], []
     for profile in profiles:
-        place = knowledge.names.index(profile.name)
-        moved = np.ptp(profile.path / knowledge.sd, axis=0)
+        place, there = known.names.index(profile.name), np.isfinite(profile.deviance)
+        moved = np.ptp(profile.path[there] / known.sd, axis=0)
         followers = [int(k) for k in np.argsort(-moved) if k != place and moved[k] > 0.01][:PROFILES]
-        for k, value in enumerate(profile.values / factors[place]):
+        for k in np.flatnonzero(there):
+            value = profile.values[k] / factors[place]
             deviances = {"deviance_data": profile.data_deviance[k], "deviance_total": profile.deviance[k]}
             rows.append({"parameter": profile.name, "unit": named[profile.name], "value": value, **deviances})
             for other in followers:
-                name, at = knowledge.names[other], profile.path[k, other] / factors[other]
+                name, at = known.names[other], profile.path[k, other] / factors[other]
                 follows = {"other": name, "other_unit": named[name], "other_value": at}
                 paths.append({"parameter": profile.name, "value": value, **follows})
     tables = {"profiles": pd.DataFrame(rows), "profile_paths": pd.DataFrame(paths)}

@@ -1,18 +1,36 @@
-"""An audit as read: the plans of its variants, sensors to choose from, or a machine that has been measured."""
+"""An audit as read: the plans of its variants and sensors to choose from, or a machine that has been measured."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from bayescal.experiments.audit.channels import ChannelPlan, read_channels
-from bayescal.experiments.audit.legs import LegPlan, draw_measured, read_legs, read_measured
-from bayescal.experiments.audit.schema import AuditConfig
-from bayescal.experiments.audit.sensor_sets import SensorChoice
+import numpy as np
+
+from bayescal.errors import InputError, name_faults
+from bayescal.experiments.audit.audit import check_changes
+from bayescal.experiments.audit.machine import PlannedMachine
+from bayescal.experiments.audit.measured import MeasuredMachine, centre, describe_found, read_measured
+from bayescal.experiments.audit.planned import Planned, find_true_sizes
+from bayescal.experiments.audit.pose_sensors import build_instruments, find_channels, read_pose_sensors
+from bayescal.experiments.audit.schema import AuditConfig, VariantConfig
+from bayescal.experiments.audit.sensor_sets import SensorChoice, list_choices
 from bayescal.experiments.frame.load import load_kind
 from bayescal.experiments.frame.parallel import Run
-from bayescal.experiments.shared.measured import MeasuredVariant
+from bayescal.experiments.shared.design import known_symbols
+from bayescal.experiments.shared.readings.inputs import Variant
+from bayescal.experiments.shared.readings.instruments import read_instruments, read_model
+from bayescal.experiments.shared.readings.knowledge import name_place
+from bayescal.experiments.shared.readings.schema import FreeConfig
+from bayescal.experiments.shared.readings.workspace import build_workspace
+from bayescal.identifiability.draws import Draws
+from bayescal.identifiability.profile import check_profiles
+from bayescal.identifiability.reading_rows import name_tool, typical_given
+from bayescal.identifiability.requirements import Requirement
+from bayescal.machines.readings import Legs, ReadingModel, place
+from bayescal.numerics.geometry import Array
+from bayescal.numerics.units import Units
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,24 +40,18 @@ class AuditDesign:
     Attributes
     ----------
     config : AuditConfig
-    folder : Path
-        Where the config's file names start.
-    legs : LegPlan or None
-        A mechanism whose platform instruments see.
-    measured : MeasuredVariant or None
-        One that has been measured.
-    channels : dict of name to ChannelPlan
-        Variants whose readings of channels are audited.
+    plans : dict of name to Planned
+        Of all variants; none of a machine that has been measured.
+    measured : MeasuredMachine or None
+        One that has been, whose posterior is still to be drawn.
     sensors : SensorChoice or None
         Sensors to choose from, if any.
     """
 
     config: AuditConfig
-    folder: Path
-    legs: LegPlan | None
-    measured: MeasuredVariant | None
-    channels: Mapping[str, ChannelPlan]
-    sensors: SensorChoice | None
+    plans: Mapping[str, Planned]
+    measured: MeasuredMachine | None = None
+    sensors: SensorChoice | None = None
 
 
 def load_audit(path: Path) -> AuditConfig:
@@ -48,23 +60,134 @@ def load_audit(path: Path) -> AuditConfig:
     return config
 
 
+def read_plans(config: AuditConfig, folder: Path) -> dict[str, Planned]:
+    """Return the plans of all variants; of a measured machine its posterior is drawn."""
+    design = read_design(config, folder)
+    return dict(design.plans) if design.measured is None else {config.variants[0].name: draw_plan(design, Run())[0]}
+
+
 def read_design(config: AuditConfig, folder: Path) -> AuditDesign:
-    """Return a design, read and checked; InputError for anything at fault in the design or its files."""
+    """Return a design, read and checked.
+
+    Raises
+    ------
+    InputError
+        Naming the file, the variant, the pose, the coordinate.
+    """
     if config.data is not None:
-        return AuditDesign(config, folder, None, read_measured(config, folder), {}, None)
-    if not config.sees_platform:
-        return AuditDesign(config, folder, None, None, *read_channels(config, folder))
-    return AuditDesign(config, folder, read_legs(config, folder), None, {}, None)
+        return AuditDesign(config, {}, read_measured(config, folder))
+    assert config.machine is not None
+    path, sensors = folder / config.machine, read_pose_sensors(config, folder)
+    instruments = read_instruments(config, folder) | build_instruments(sensors)
+    models, symbols = dict[tuple[str | None, str], ReadingModel](), set[str]()
+    for one in config.variants:
+        with name_faults("" if one is config.variants[0] else f"variant {one.name!r}"):
+            if (key := (one.model, one.deformation)) not in models:
+                whole = read_model(config, one, path, folder)
+                symbols |= known_symbols(whole.machine.mechanism) if isinstance(whole, Legs) else set()
+                models[key] = place(whole, instruments)
+    symbols |= {symbol for model in models.values() for symbol in model.layout.symbols}
+    model = next(iter(models.values()))
+    if config.aligned and not model.places_tool:
+        raise InputError(
+            f"aligned: machine {getattr(model, 'name', '')!r} does not say where its tool is; expected tool_channels "
+            "of its class, up to three in mm"
+        )
+    workspace = build_workspace(model, config.workspace, config.units)
+    makers = {
+        key: PlannedMachine(config, folder, one, workspace, find_channels(sensors, one), symbols)
+        for key, one in models.items()
+    }
+    maker, required = next(iter(makers.values())), read_requirements(config, model)
+    planned, plans = maker.plan(config.poses), dict[str, Planned]()
+    for one in config.variants:
+        with name_faults(f"variant {one.name!r}" if len(config.variants) > 1 else ""):
+            own = makers[one.model, one.deformation]
+            plans[one.name] = build_plan(config, one, own.build(one, planned), required, own)
+            check_changes(plans[one.name])
+    check_profiles(list(dict.fromkeys(name for one in plans.values() for name in one.names)), config.profiles)
+    check_reach(next(iter(plans.values())))
+    if (asked := config.sensor_choice) is None:
+        return AuditDesign(config, plans)
+    with name_faults("sensor_choice"):
+        choices = list_choices(model, asked, maker.spread)
+        listed = [name for one in asked.candidates for name in ([one] if isinstance(one, str) else one)]
+        what = asked.model_dump(include=set(FreeConfig.model_fields))
+        section = VariantConfig(name="sensor_choice", sensors=[*asked.always, *listed], **what)
+        every = build_plan(config, section, maker.build(section, planned), required, maker)
+    seen = every.variant, every.expected, every.see_errors
+    choice = SensorChoice(asked, tuple(maker.spread(asked.always)), *seen, choices, required, every.units, config.seed)
+    return AuditDesign(config, plans, None, choice)
 
 
-def read_inputs(config: AuditConfig, folder: Path) -> LegPlan:
-    """Return what the audit of a platform computes with; of a measured machine its posterior is drawn."""
-    return prepare_legs(read_design(config, folder), Run())
-
-
-def prepare_legs(design: AuditDesign, run: Run) -> LegPlan:
-    """Return what the audit of a platform computes with; what is known of a measured machine is drawn."""
-    if design.legs is not None:
-        return design.legs
+def draw_plan(design: AuditDesign, run: Run) -> tuple[Planned, Draws | None]:
+    """Return a measured machine at its poses as its posterior has it, and the draws of this, if any are wanted."""
     assert design.measured is not None
-    return draw_measured(design.config, design.folder, design.measured, run)
+    config, (machine, draws, zeta) = design.config, centre(design.measured, run)
+    section, posterior = config.variants[0], machine.found.posterior
+    name, units = getattr(machine.model, "name", ""), Units(config.units.length, config.units.angle)
+    tau, sizes, floors, others = describe_found(posterior.errors, zeta)
+    variant, required = machine.build(section, machine.own_poses), read_requirements(config, machine.model)
+    plan = Planned(config, section, name, variant, required, units, machine, tau, sizes, floors, others)
+    check_profiles(plan.names, config.profiles)
+    check_changes(plan)
+    return plan.resize(sizes), draws
+
+
+def build_plan(
+    config: AuditConfig,
+    section: VariantConfig,
+    variant: Variant,
+    required: tuple[Requirement, ...],
+    maker: PlannedMachine,
+) -> Planned:
+    """Return a variant with the systematic errors that a study of it is expected to find."""
+    true, error = find_true_sizes(config, variant), config.model_error
+    name, units = str(getattr(maker.model, "name", config.machine)), Units(config.units.length, config.units.angle)
+    plan = Planned(
+        config, section, name, variant, required, units, maker, error.tau, sizes=true, floors=error.lengths()
+    )
+    return plan.settle(true)
+
+
+def read_requirements(config: AuditConfig, model: ReadingModel) -> tuple[Requirement, ...]:
+    """Return the largest errors that are allowed of the tool's numbers, and of their lengths, inner units."""
+    components, inner = name_tool(model)
+    units = dict(zip(components, inner, strict=True))
+    if len(model.tool_lengths) > 1 and model.tool_lengths == [*range(len(model.tool_lengths))]:
+        units.setdefault("position", "mm")
+    if model.tool_turned == [3, 4, 5]:
+        units.setdefault("rotation", "rad")
+    for name in config.requirements:
+        if name not in units:
+            raise InputError(f"requirements: found {name!r}, expected some of {', '.join(units)}")
+    said = Units(config.units.length, config.units.angle)
+    return tuple(
+        Requirement(name, config.requirements[name] * said.factor(unit), components, config.required_of)
+        for name, unit in units.items()
+        if name in config.requirements
+    )
+
+
+def check_reach(plan: Planned) -> None:
+    """Raise InputError for a planned pose, or one of the workspace as stated, that the actuators do not reach."""
+    config, variant, workspace = plan.config, plan.variant, plan.variant.workspace
+    if config.workspace or config.poses.plan != "workspace":
+        _check_reach(variant, variant.data.values, [f"poses: pose {name!r}" for name in variant.data.poses])
+    if not config.workspace:
+        return
+    pose = np.concatenate([workspace.list_ends(), plan.around.pose])
+    with np.errstate(all="ignore"):
+        theta, given = plan.posterior.theta(plan.expected[None])[0], typical_given(variant.data.given, len(pose))
+        read = variant.model.read(theta, pose, given)
+    _check_reach(variant, read, [f"workspace: {name_place(variant, one, config.units)}" for one in pose])
+
+
+def _check_reach(variant: Variant, read: Array, names: Sequence[str]) -> None:
+    model, beyond = variant.model, variant.model.find_beyond(read)
+    for row, k in np.argwhere(beyond)[:1]:
+        channel, (low, high) = model.channels[place := model.select(model.commanded)[k]], model.command_range[k]
+        raise InputError(
+            f"{names[row]}: found {channel.name} at {read[row, place]:.6g} {channel.unit}, expected it within the "
+            f"actuators' range, {low:g} to {high:g}"
+        )

@@ -1,4 +1,4 @@
-"""Audits as a kind of experiment: of readings of any machine, or of a mechanism whose platform instruments see."""
+"""Audits as a kind of experiment."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from typing import Any
 
 from rich.console import Console
 
-from bayescal.experiments.audit.audit import check_changes
 from bayescal.experiments.audit.compute import compute_audit
 from bayescal.experiments.audit.design import AuditDesign, read_design
 from bayescal.experiments.audit.page.build import build_page
@@ -22,11 +21,7 @@ from bayescal.experiments.frame.results import Results
 from bayescal.experiments.shared.look import look_at_machine
 from bayescal.experiments.shared.readings.machine_kind import MachineExperiment
 from bayescal.experiments.shared.readings.memory import find_largest, list_variant
-from bayescal.numerics.geometry import DEGREES_OF_FREEDOM
 from bayescal.report.blocks import Page
-
-DERIVATIVES = 60
-"""Arrays of all rows by all parameters that an audit holds at most, as measured with 10,000 poses."""
 
 
 class Audit(MachineExperiment[AuditConfig, AuditDesign]):
@@ -59,10 +54,7 @@ class Audit(MachineExperiment[AuditConfig, AuditDesign]):
 
     def read(self, config: AuditConfig, folder: Path) -> AuditDesign:
         """Return machine and plan, read and checked."""
-        design = read_design(config, folder)
-        if design.legs is not None:
-            check_changes(design.legs)
-        return design
+        return read_design(config, folder)
 
     def list_file_faults(self, content: Mapping[str, Any], folder: Path) -> list[str]:
         """Return what is wrong with the machine's file by itself."""
@@ -70,16 +62,13 @@ class Audit(MachineExperiment[AuditConfig, AuditDesign]):
 
     def estimate_memory(self, inputs: AuditDesign) -> Need:
         """Return what the derivatives at all planned poses take, the what-ifs' among them."""
-        if inputs.channels:
-            variants = {name: one.variant for name, one in inputs.channels.items()}
-            largest = find_largest(variants if inputs.sensors is None else variants | {"": inputs.sensors.variant})
-            n_poses, n_parameters, held = len(largest.start), len(largest.priors), list_variant(largest)
-        elif inputs.legs is not None:
-            n_poses, n_parameters = inputs.legs.n_poses, len(inputs.legs.names)
-            n_legs = inputs.legs.knowledge.machine.mechanism.n_legs
-            held = [(DERIVATIVES, n_poses * max(DEGREES_OF_FREEDOM, n_legs), n_parameters)]
-        else:
-            return Need()
+        variants = {name: one.variant for name, one in inputs.plans.items()}
+        if inputs.sensors is not None:
+            variants[""] = inputs.sensors.variant
+        if inputs.measured is not None:
+            variants = {"": inputs.measured.build(inputs.config.variants[0], inputs.measured.own_poses)}
+        largest = find_largest(variants)
+        n_poses, n_parameters, held = len(largest.start), len(largest.priors), list_variant(largest)
         return estimate_arrays({"planned poses": n_poses, "parameters": n_parameters}, held, "fewer poses")
 
     def compute(self, inputs: AuditDesign, run: Run) -> Results:

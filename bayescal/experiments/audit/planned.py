@@ -1,24 +1,53 @@
-"""What an audit needs of a machine and a plan, whichever way poses are measured: rows, to first order."""
+"""A variant of an audit: what its channels say at planned poses, to first order about the machine expected.
+
+The readings are those of the machine as expected, without noise, which is given beside them; the poses are eliminated.
+Priors count by their standard deviations: to first order a uniform one is a normal one of the same mean and deviation.
+"""
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple, Self
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from bayescal.errors import InputError
-from bayescal.experiments.audit.schema import AuditConfig, WhatIfConfig
+from bayescal.config.classes import label_class
+from bayescal.density.calibration.likelihood import CalibrationPosterior, JointFit
+from bayescal.density.calibration.measurements import Comparison, Measurements
+from bayescal.density.calibration.model_error import FunctionsOfPose, IndependentErrors, ThinFunctionsOfPose
+from bayescal.density.calibration.terms import Errors
+from bayescal.density.priors import Prior
+from bayescal.density.sorts import DRIFT, rescale
+from bayescal.errors import InputError, NumericalError
+from bayescal.experiments.audit.schema import AuditConfig, PosesConfig, VariantConfig, WhatIfConfig
+from bayescal.experiments.shared.readings.inputs import Variant
+from bayescal.experiments.shared.readings.knowledge import (
+    foresee,
+    inform,
+    look_around,
+    name_data,
+    name_place,
+)
 from bayescal.identifiability.calibration import Calibrations
 from bayescal.identifiability.directions import Direction
 from bayescal.identifiability.found_sizes import expect_sizes
-from bayescal.identifiability.information import Information
-from bayescal.identifiability.requirements import COMPONENTS, Forecast, Requirement
-from bayescal.identifiability.ridges import Ridge
-from bayescal.identifiability.structure import Structure
+from bayescal.identifiability.information import Information, information_of_rows
+from bayescal.identifiability.levers import Lever, find_levers
+from bayescal.identifiability.reading_rows import View, see, typical_covariance, typical_given
+from bayescal.identifiability.requirements import ErrorsInUse, Forecast, Requirement
+from bayescal.identifiability.ridges import Ridge, describe_ridges
+from bayescal.identifiability.sensitivity import root_of
+from bayescal.identifiability.structure import Structure, find_structural_rank
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import MICROMETRE, Units
+
+WIDER = (64.0, 32.0, 16.0, 8.0, 4.0, 2.0, 1.0)
+"""Times the workspace from which the structural rank is taken; the first that the machine can take."""
+WIDE_POSES = 40
+NOTHING = -8.0  # a coordinate at which an error is as good as none
+ROUNDS = 20  # of machines that are drawn again
 
 
 class FreeParameters(NamedTuple):
@@ -30,27 +59,105 @@ class FreeParameters(NamedTuple):
     nominal: Array
 
 
-class Planned(ABC):
-    """A machine, what is known of its n parameters, and a plan of measurement.
+@dataclass(frozen=True, eq=False)
+class PlannedPoses:
+    """Poses (P, q) by name, and what the machine has to know of each, (P,) by name.
+
+    ``rows``: which of the poses that were measured these are, (P,), if they are some of them.
+    """
+
+    names: tuple[str, ...]
+    pose: Array
+    given: dict[str, Array]
+    rows: np.ndarray | None = None
+
+
+def count_poses(n: int) -> tuple[str, ...]:
+    """Return the names of n poses."""
+    return tuple(f"P{k:03d}" for k in range(1, n + 1))
+
+
+class Maker(Protocol):
+    """What variants are made of: a machine that is to be measured, or has been."""
+
+    def plan(self, section: PosesConfig, factor: float = 1.0) -> PlannedPoses:
+        """Return where to measure, of a workspace so many times as wide; InputError where that cannot be."""
+
+    def build(self, section: VariantConfig, planned: PlannedPoses) -> Variant:
+        """Return a variant at poses; InputError for one at which the machine cannot be."""
+
+    def list_priors(self, section: VariantConfig) -> Mapping[str, Prior]:
+        """Return the priors of a variant's free parameters as they are stated, by name."""
+
+    def list_unused(self, used: Sequence[str]) -> dict[str, list[str]]:
+        """Return instruments by name that are not among sensors used, with what [sensors] calls their channels."""
+
+
+@dataclass(frozen=True, eq=False)
+class Planned:
+    """A variant of an audit: channels, free parameters and planned poses.
 
     Attributes
     ----------
     config : AuditConfig
-    requirements : sequence of Requirement
+    section : VariantConfig
+    machine : str
+        Its name.
+    variant : Variant
+        Its readings those of the machine as expected, without noise.
+    requirements : tuple of Requirement
+        Of the tool's numbers, inner units.
     units : Units
         Those of tolerances, requirements and results.
+    maker : Maker
+    tau : float
+        Root mean square of errors that are independent from pose to pose, mm at the tool.
+    sizes : mapping of str to float
+        Root mean squares over the planned poses of systematic errors by term as they are allowed for, mm at the tool.
+    floors : mapping of str to float
+        What each of these is at least, as stated, mm.
+    zeta : mapping of str to float
+        Standardised coordinates of other errors by name.
     """
 
     config: AuditConfig
+    section: VariantConfig
+    machine: str
+    variant: Variant
     requirements: Sequence[Requirement]
     units: Units
+    maker: Maker
+    tau: float
+    sizes: Mapping[str, float]
+    floors: Mapping[str, float]
+    zeta: Mapping[str, float] = field(default_factory=dict)
 
     # --- the parameters --------------------------------------------------------------------------------------------
 
-    @property
-    @abstractmethod
+    @cached_property
+    def posterior(self) -> CalibrationPosterior:
+        """Its posterior about the machine expected."""
+        return self.variant.posterior()
+
+    @cached_property
+    def expected(self) -> Array:
+        """The machine and its errors as expected, in the posterior's coordinates."""
+        found = [np.zeros(self.posterior.n_geometry)]
+        for term in self.variant.errors.terms:
+            if isinstance(term, FunctionsOfPose | IndependentErrors):
+                size = self.sizes[term.sort] if isinstance(term, FunctionsOfPose) else self.tau
+                beyond = np.array([np.sqrt(max(0.0, size**2 - term.floor**2))])
+                found.append(np.maximum(term.priors[0].standardise(beyond), NOTHING))
+            else:
+                found.append(np.array([self.zeta[name] for name in term.names]))
+        return np.concatenate(found)
+
+    @cached_property
     def parameters(self) -> FreeParameters:
-        """The free parameters."""
+        """The free parameters, nominal as expected."""
+        posterior, found = self.posterior, self.posterior.sampling
+        nominal, n = np.asarray(found.start[found.free]), posterior.n_geometry
+        return FreeParameters(tuple(found.names), tuple(posterior.units[:n]), posterior.prior_sd[:n], nominal)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -67,144 +174,334 @@ class Planned(ABC):
         """Their symbols."""
         return tuple(name.partition("[")[0] for name in self.names)
 
-    @property
+    @cached_property
     def frames(self) -> frozenset[str]:
-        """Symbols that rather define than describe a machine."""
-        return frozenset()
+        """Symbols that rather define than describe a machine: those of instruments."""
+        return frozenset(self.variant.model.instrument_symbols)
 
     # --- the plan --------------------------------------------------------------------------------------------------
 
     @property
-    @abstractmethod
     def n_poses(self) -> int:
-        """Number of planned poses P."""
+        """Number of planned poses."""
+        return self.variant.data.n_poses
 
     @property
-    @abstractmethod
     def is_beyond_range(self) -> bool:
         """Whether the actuators would have to reach further than they do."""
-
-    @abstractmethod
-    def inform(self) -> Information:
-        """Return what the plan tells of the parameters; InputError for a pose that the machine cannot take."""
-
-    @abstractmethod
-    def find_structure(self, rng: np.random.Generator) -> Structure:
-        """Return what no measurement of this kind sees, poses far beyond the plan's included."""
-
-    @abstractmethod
-    def forecast(self) -> Forecast:
-        """Return how what has to be accurate errs over the workspace."""
-
-    @abstractmethod
-    def describe(self, directions: Sequence[Direction]) -> list[Ridge]:
-        """Return the ridges among directions, in words."""
+        return bool(self.variant.model.find_beyond(self.variant.data.values).any())
 
     @property
-    @abstractmethod
     def tool_units(self) -> tuple[str, ...]:
         """Inner units of what has to be accurate."""
+        return tuple(one.unit for one in self.variant.model.tool_channels)
 
-    @abstractmethod
+    @cached_property
+    def around(self) -> View:
+        """Poses of the workspace seen by the machine's own sensors."""
+        return look_around(self.variant, self.posterior, self.expected, np.random.default_rng([self.config.seed, 5]))
+
     def name_workspace_pose(self, k: int) -> str:
-        """Return where a pose of the forecast is."""
+        """Return where a pose of the workspace is, coordinate by coordinate."""
+        return name_place(self.variant, self.around.pose[k], self.config.units)
 
-    @abstractmethod
+    def inform(self) -> Information:
+        """Return what the plan tells of the parameters."""
+        return inform(self.posterior, self.expected, see(self.posterior, self.expected))
+
+    def find_structure(self, rng: np.random.Generator) -> Structure:
+        """Return what no readings of these channels see, poses far beyond the plan's included."""
+        count = max(WIDE_POSES, 2 * len(self.names) // max(1, len(self.variant.model.channels)))
+        with np.errstate(all="ignore"):
+            wide = next(self._spread(PosesConfig(count=count)), self)
+            return find_structural_rank(replace(wide.variant, errors=Errors()).posterior(), rng)
+
+    def _spread(self, section: PosesConfig) -> Iterator[Planned]:
+        """Yield the same at poses of wider workspaces than its own, as far as the machine can take them."""
+        if self.variant.model.given and not self.config.given:
+            return  # what the machine has to know of each pose stands in a file
+        for factor in WIDER:
+            try:
+                yield self.replan(self.maker.plan(section, factor))
+            except InputError:
+                continue
+
+    def forecast(self) -> Forecast:
+        """Return how the tool errs over the workspace, located by the machine's own sensors."""
+        return foresee(self.variant, self.posterior, self.expected, self.around, self.see_errors(self.around.pose))
+
+    def describe(self, directions: Sequence[Direction]) -> list[Ridge]:
+        """Return the ridges among directions: how far the parameters move together, and what readings show of it."""
+        described = describe_ridges(
+            directions,
+            see(self.posterior, self.expected),
+            self.names,
+            self.parameters.units,
+            self.sd,
+            self.units,
+            self.variant.model.member,
+        )
+        forecast, lengths, found = self.forecast(), np.array([unit == "mm" for unit in self.tool_units]), []
+        for direction, move, sentence in described:
+            effect = np.nan_to_num(np.abs(forecast.effect(move / self.sd)))
+            moves = [float(np.linalg.norm(effect[:, part], axis=1).max(initial=0.0)) for part in (lengths, ~lengths)]
+            loadings = {self.names[k]: float(move[k]) for k in np.flatnonzero(move)}
+            found.append(Ridge(direction, moves[0], moves[1], loadings, sentence))
+        return found
+
+    def find_levers(self, ridges: Sequence[Ridge]) -> list[Lever]:
+        """Return which channels read far from where ridges turn what they are at."""
+        return list(find_levers(self.posterior, self.expected, [one.direction for one in ridges]))
+
     def describe_variant(self) -> dict[str, Any]:
-        """Return what measures: ``title``, ``data`` and the number of equations."""
+        """Return which channels it takes in: ``title``, ``data`` and the number of equations."""
+        model = self.variant.model
+        return {
+            "title": self.section.label,
+            "data": name_data(self.variant),
+            "n_equations": self.n_poses * (len(model.channels) - len(model.coordinates)),
+        }
 
-    def summarise_ridges(self, ridges: Sequence[Ridge]) -> dict[str, Any]:
-        """Return what ``summary.json`` says of all ridges together; nothing here."""
-        del ridges
-        return {}
-
-    @abstractmethod
     def summarise_plan(self) -> dict[str, Any]:
         """Return machine and plan for ``summary.json``."""
-
-    # --- other plans, and checks -----------------------------------------------------------------------------------
-
-    def list_changes(self) -> list[WhatIfConfig]:
-        """Return the changes of this kind of plan that are evaluated where the config names none; none here."""
-        return []
-
-    @abstractmethod
-    def change(self, change: WhatIfConfig) -> Self:
-        """Return the same machine with a changed plan; InputError where there is none."""
+        poses, section = self.config.poses, self.section
+        said = {"workspace": "random ones of the workspace", "file": poses.file or poses.configurations or ""}
+        measured = self.config.data is not None
+        plan = {
+            "n_poses": self.n_poses,
+            "sensors": list(dict.fromkeys(one.kind for one in self.variant.model.channels)),
+            "poses": "measured" if measured else said.get(poses.plan, f"{poses.plan} actuator positions"),
+            **self.describe_errors(),
+        }
+        seen = {}
+        if section.model is not None:
+            seen = {"model": label_class(section.model), "deformation": label_class(section.deformation)}
+        return {"machine": self.machine, "member": self.variant.model.member, **seen, "plan": plan}
 
     # --- errors that are functions of the pose -----------------------------------------------------------------------
 
     @property
-    @abstractmethod
-    def sizes(self) -> Mapping[str, float]:
-        """Root mean squares over the planned poses of systematic errors by term as they are allowed for, mm."""
-
-    @property
-    @abstractmethod
     def function_scale(self) -> float:
         """Scale of the prior of each of these sizes, as a study has it, mm."""
-
-    @property
-    def floors(self) -> Mapping[str, float]:
-        """What each term has at least, as stated, mm."""
-        return self.config.model_error.lengths()
+        return next((one.scale for one in list_functions(self.variant)), 0.0)
 
     def describe_errors(self) -> dict[str, dict[str, float]]:
         """Return for ``summary.json`` how large systematic errors are, and what is stated of unseen ones, µm."""
         found = {"systematic_um": self.sizes, "at_least_um": self.floors if self.sizes else {}}
         return {key: {name: size / MICROMETRE for name, size in one.items()} for key, one in found.items() if one}
 
-    @abstractmethod
     def list_rows(self) -> tuple[Array, Array, np.ndarray]:
         """Return white rows (K, n), their columns of systematic errors (K, q), and of which term each is (q,)."""
+        bare, (_, errors, zeta) = self.bare(), self.posterior.at(self.expected[None])
+        likelihood, rows = bare.posterior.likelihood, see(bare.posterior, bare.expected)
+        white, stand = likelihood.explain(*bare.posterior.at(bare.expected[None]))
+        columns = likelihood.columns(errors, zeta, white, stand.slope)[0]
+        widths = [term.act(self.variant.data).shape[-1] for term in list_functions(self.variant)]
+        sorts = np.repeat(np.arange(len(widths)), widths)
+        return rows.reshape(-1, rows.shape[-1]), columns.reshape(-1, columns.shape[-1]), sorts
 
-    def settle(self, true: Mapping[str, float]) -> Self:
+    def settle(self, true: Mapping[str, float]) -> Planned:
         """Return the same with the sizes that a study is expected to find of errors of these sizes, mm."""
         if not true:
             return self.bare()
         rows = self.resize(dict.fromkeys(true, 1.0)).list_rows()
         return self.resize(expect_sizes(*rows, true, self.floors, self.function_scale))
 
-    @abstractmethod
-    def resize(self, sizes: Mapping[str, float]) -> Self:
+    def resize(self, sizes: Mapping[str, float]) -> Planned:
         """Return the same with systematic errors of other sizes, mm; without those that are not named."""
+        terms = tuple(
+            replace(term, floor=0.0) if isinstance(term, FunctionsOfPose) else term
+            for term in self.variant.errors.terms
+            if not isinstance(term, FunctionsOfPose) or sizes.get(term.sort, 0.0) > 0.0
+        )
+        variant = replace(self.variant, errors=Errors(terms))
+        return replace(self, variant=variant, sizes={one.sort: sizes[one.sort] for one in list_functions(variant)})
 
-    def bare(self) -> Self:
+    def bare(self) -> Planned:
         """Return the same without systematic errors."""
         return self.resize({})
 
-    def propose(self) -> tuple[str, Self] | None:
-        """Return a better plan with its name, if there is a way to find one; InputError where there is none."""
-        return None
+    def see_errors(self, pose: Array) -> ErrorsInUse:
+        """Return what channels err by at W poses (W, q) of the machine in use.
 
-    @abstractmethod
+        A drift is another one at another time, as large as it is on average; of smooth functions the planned poses do
+        not tell all.
+        """
+        data, model, n, bare = self.variant.data, self.variant.model, len(pose), self.bare()
+        variance = np.tile(np.diagonal(typical_covariance(bare.posterior, bare.expected)), (n, 1))
+        if not self.sizes:
+            return ErrorsInUse(variance, None)
+        given, theta = typical_given(data.given, n), self.posterior.theta(self.expected[None])[0]
+        read = model.read(theta, pose, given)
+        names, sd = tuple(map(str, range(n))), np.ones(read.shape)
+        later, columns = Measurements(names, read, sd, given, order=data.n_poses + np.arange(n)), list[Array]()
+        left = np.zeros_like(variance)
+        for term in list_functions(self.variant):
+            own, size = term.own, self.sizes[term.sort]
+            place, lasts, rest = own.place_of(later), term.sort != DRIFT, np.ones(n)
+            columns.append(size * term.act(later) * lasts)
+            if lasts:
+                few, whole = term.functions.variances(place), replace(term.functions, of_few=None).variances(place)
+                rest = np.maximum(whole[0] - few[0], 0.0)
+            left[:, own.places] += size**2 * np.broadcast_to(rest, (len(own.places), n)).T / own.levers**2
+        shown, gain = np.concatenate(columns, axis=-1), model.error_gain(theta, pose, given)
+        if gain is not None:
+            shown, left = gain @ shown, (gain**2 @ left[..., None])[..., 0]
+        return ErrorsInUse(variance + left, shown)
+
+    # --- other plans -----------------------------------------------------------------------------------------------
+
+    def replan(self, poses: PlannedPoses, section: VariantConfig | None = None) -> Planned:
+        """Return the same machine at other poses; InputError for one at which it cannot stand."""
+        section = section or self.section
+        variant = self.maker.build(section, poses)
+        before, after = list_functions(self.variant), list_functions(variant)
+        changed = replace(self, section=section, variant=variant)
+        if before and after and len(before[0].own.places) == len(after[0].own.places):
+            return changed.resize(rescale(self.sizes, before[0].own.place, after[0].own.place))
+        return changed.settle(find_true_sizes(self.config, variant) if self.sizes else {})
+
+    def list_changes(self) -> list[WhatIfConfig]:
+        """Return changes of this kind of plan that are evaluated where the config names none.
+
+        Poses at the ends of the actuators' range and over all of it, no systematic errors, and each instrument that is
+        listed and not taken in, where no other variant takes it in either.
+        """
+        config, n, changes = self.config, self.n_poses, list[WhatIfConfig]()
+        limits = self.variant.model.command_range
+        if len(limits) and np.isfinite(limits).all() and config.data is None:
+            for plan, words in (("extremes", "at the ends of the range"), ("uniform", "spread evenly over the range")):
+                if config.poses.plan != plan:
+                    poses = PosesConfig.model_validate({"plan": plan, "count": n})
+                    changes.append(WhatIfConfig(name=f"{n} poses {words}", poses=poses))
+        if self.sizes:
+            changes.append(WhatIfConfig(name="no error that is a function of the pose", model_error=False))
+        used = list(config.sensors) if self.section.sensors is None else self.section.sensors
+        beside = {part for one in self.variant.model.channels if one.external for part in (one.name, one.kind)}
+        own = [name for name in used if name not in beside]
+        for name, sensors in self.maker.list_unused(used).items() if len(config.variants) == 1 else ():
+            words = name.replace("_", " ")
+            changes.append(WhatIfConfig(name=f"{words} instead", sensors=[*own, *sensors]))
+            changes.append(WhatIfConfig(name=f"{words} too", sensors=[*used, *sensors]))
+        return changes
+
+    def change(self, change: WhatIfConfig) -> Planned:
+        """Return the same machine with a changed plan; InputError where there is none."""
+        config, data = change.poses or self.config.poses, self.variant.data
+        count = max(1, round(change.poses_factor * self.n_poses))
+        random = config.file is None and config.configurations is None and (change.poses or self.config.data is None)
+        if change.poses is not None or (random and change.poses_factor != 1.0):
+            same = change.poses is not None and change.poses_factor == 1.0
+            poses = self.maker.plan(config if same or not random else config.model_copy(update={"count": count}))
+        else:
+            again = np.arange(count) % self.n_poses
+            given = {name: value[again] for name, value in data.given.items()}
+            names = tuple(f"{data.poses[k]}_{n // self.n_poses + 1}" for n, k in enumerate(again))
+            poses = PlannedPoses(names, self.variant.start[again], given, again)
+        if change.workspace_factor != 1.0:
+            middle = self.variant.workspace.middle
+            poses = replace(poses, pose=middle + change.workspace_factor * (poses.pose - middle))
+        section = self.section
+        if change.sensors is not None:
+            section = section.model_copy(update={"sensors": list(change.sensors)})
+        changed = self.replan(poses, section)
+        factors = np.where(changed.variant.internal, change.actuator_noise_factor, change.noise_factor)
+        noisy = replace(changed.variant.data, sd=changed.variant.data.sd * factors)
+        changed = replace(changed, variant=replace(changed.variant, data=noisy))
+        return changed if change.model_error else changed.bare()
+
+    # --- checks ----------------------------------------------------------------------------------------------------
+
     def simulate(self, n: int, rng: np.random.Generator, fitted: Sequence[int]) -> tuple[Calibrations, np.ndarray]:
-        """Return n simulated calibrations of some parameters, and how many keep each requirement."""
+        """Return n simulated calibrations of some parameters, and how many keep each requirement.
 
-    @abstractmethod
+        Machines of the priors are read at the planned poses with noise and fitted, machine and poses together. What
+        the tool then errs by is taken to first order.
+        """
+        chosen, variant = np.array(fitted, dtype=int), self.variant
+        assert not self.sizes  # the same readings would err alike
+        part = self if len(chosen) == len(self.names) else replace(self, variant=self._hold_others(chosen))
+        y, values, redrawn = self._draw(n, rng)
+        found, claimed, converged = np.zeros((n, len(chosen))), np.ones((n, len(chosen))), np.zeros(n, dtype=bool)
+        zeta = self.expected[len(self.names) :]
+        with np.errstate(all="ignore"):
+            for k in range(n):
+                data = replace(variant.data, values=values[k])
+                posterior = replace(part.variant, data=data).posterior()
+                fit = JointFit(posterior.likelihood, posterior.sampling, posterior.errors, zeta)
+                try:
+                    found[k], _ = fit.run(np.zeros(len(chosen)), variant.start)
+                    rows = see(posterior, np.concatenate([found[k], zeta]))
+                except (NumericalError, np.linalg.LinAlgError):
+                    continue
+                if np.isfinite(rows).all():
+                    covariance = information_of_rows(rows, np.ones(len(chosen))).covariance
+                    claimed[k], converged[k] = np.sqrt(np.diagonal(covariance)), True
+        errors = -y
+        errors[:, chosen] += found
+        simulated = Calibrations(
+            tuple(self.names[k] for k in chosen), errors[converged][:, chosen], claimed[converged], converged, redrawn
+        )
+        return simulated, self._count_kept(errors[converged], rng)
+
+    def _hold_others(self, chosen: np.ndarray) -> Variant:
+        """Return the variant with all but some parameters held where they are expected."""
+        variant, kept = self.variant, {self.names[k] for k in chosen}
+        held = {name: prior for name, prior in variant.priors.items() if name not in kept}
+        alike = {one: prior.mean for name, prior in held.items() for one in variant.common.get(name, (name,))}
+        return replace(
+            variant,
+            priors={name: prior for name, prior in variant.priors.items() if name in kept},
+            fixed={**variant.fixed, **alike},
+            common={name: members for name, members in variant.common.items() if name in kept},
+        )
+
+    def _draw(self, n: int, rng: np.random.Generator) -> tuple[Array, Array, int]:
+        """Return machines (n, m) of the priors, what they read (n, P, K), and how many were drawn anew."""
+        data, model, posterior = self.variant.data, self.variant.model, self.posterior
+        y, redrawn = rng.standard_normal((n, len(self.names))), 0
+        values = np.empty((n, *data.values.shape))
+        for k in range(n):
+            for _ in range(ROUNDS):
+                theta = posterior.sampling.theta_from_y(y[k][None])[0]
+                values[k] = model.read(theta, self.variant.start, data.given)
+                if np.isfinite(values[k]).all() and model.layout.inside(theta):
+                    break
+                y[k], redrawn = rng.standard_normal(len(self.names)), redrawn + 1
+            else:
+                raise InputError("tolerances: found machines that do not reach planned poses, expected smaller ones")
+        white, _ = posterior.likelihood.explain(*posterior.at(self.expected[None]))
+        noise = white.repeat(n).colour(np.asarray(rng.standard_normal(values.shape)))
+        return y, Comparison(model.channels).add(values, noise), redrawn
+
+    def _count_kept(self, errors: Array, rng: np.random.Generator) -> np.ndarray:
+        forecast = self.forecast()
+        if not (np.isfinite(forecast.slope).all() and self.requirements):
+            return np.zeros(len(self.requirements), dtype=int)
+        error = np.einsum("wti,bi->bwt", forecast.slope, errors)
+        root = np.swapaxes(root_of(forecast.noise), -1, -2)
+        error += np.einsum("wtk,bwk->bwt", root, rng.standard_normal((*error.shape[:2], root.shape[-1])))
+        return np.array([int(one.keeps(error).sum()) for one in self.requirements])
+
     def average(self, n: int, rng: np.random.Generator) -> Array:
         """Return the posterior covariance averaged over n machines of the priors, in units of the tolerances."""
+        total, count = np.zeros((len(self.names),) * 2), 0
+        for y in rng.standard_normal((n, len(self.names))):
+            with np.errstate(all="ignore"):
+                rows = see(self.posterior, at := np.concatenate([y, self.expected[len(y) :]]))
+            if np.isfinite(rows).all():
+                total, count = total + inform(self.posterior, at, rows).covariance, count + 1
+        if not count:
+            raise InputError("tolerances: found no machine that reaches the planned poses, expected smaller ones")
+        return total / count
 
 
-def read_requirements(
-    config: AuditConfig, units: Mapping[str, str], components: tuple[str, ...] = COMPONENTS
-) -> tuple[Requirement, ...]:
-    """Return the largest errors that are allowed, inner units.
+def list_functions(variant: Variant) -> list[ThinFunctionsOfPose]:
+    """Return the terms of a variant that are functions of the pose."""
+    return [one for one in variant.errors.terms if isinstance(one, ThinFunctionsOfPose)]
 
-    Parameters
-    ----------
-    config : AuditConfig
-    units : mapping of str to str
-        What may be required, with its inner unit.
-    components : tuple of str
-        What has to be accurate.
-    """
-    for name in config.requirements:
-        if name not in units:
-            raise InputError(f"requirements: found {name!r}, expected some of {', '.join(units)}")
-    said = Units(config.units.length, config.units.angle)
-    return tuple(
-        Requirement(name, config.requirements[name] * said.factor(unit), components, config.required_of)
-        for name, unit in units.items()
-        if name in config.requirements
-    )
+
+def find_true_sizes(config: AuditConfig, variant: Variant) -> dict[str, float]:
+    """Return root mean squares of the functions of a variant as they are expected, mm at the tool."""
+    there = [one.sort for one in list_functions(variant)]
+    return config.model_error.sizes(there)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,12 +12,12 @@ from bayescal.experiments.audit.audit import Audit, ChangeEffect
 from bayescal.experiments.audit.planned import Planned
 from bayescal.identifiability.directions import Direction
 from bayescal.identifiability.information import nats_from_contraction
-from bayescal.identifiability.requirements import COMPONENTS, Requirement
+from bayescal.identifiability.levers import Lever
+from bayescal.identifiability.requirements import Requirement
 from bayescal.identifiability.ridges import Ridge
 from bayescal.limits import COVERAGE, INFORMED
 from bayescal.report.numbers import join_words
 
-ROTATION = "rotation"
 NAMED_SHARE = 0.02  # of a direction, for a parameter to be named in a sentence
 NAMED = 4
 
@@ -34,7 +34,7 @@ def summarise(audit: Audit) -> dict[str, Any]:
         "seed": config.seed,
         "units": {"length": inputs.units.length, "angle": inputs.units.angle},
         "required_of": config.required_of,
-        **inputs.summarise_ridges(audit.ridges),
+        **_describe_levers(inputs.find_levers(audit.ridges)),
         "n_parameters": len(names),
         "structural_rank": structure.rank,
         "structural_gap": structure.gap if np.isfinite(structure.gap) else None,
@@ -53,6 +53,15 @@ def summarise(audit: Audit) -> dict[str, Any]:
         "requirements": summarise_requirements(audit),
         "what_if": [_summarise_outcome(audit, outcome) for outcome in audit.what_ifs],
     }
+
+
+def _describe_levers(levers: Sequence[Lever]) -> dict[str, Any]:
+    """Return which channels read far from where a direction's tolerance turns them, and the longest lever."""
+    if not levers:
+        return {}
+    far = max(levers, key=lambda one: abs(one.reading))
+    named = list(dict.fromkeys(one.channel for one in levers))
+    return {"far_readings": {"channels": named, "reading_mm": far.reading, "moved_mm": far.moved}}
 
 
 # --- parameters --------------------------------------------------------------------------------------------------
@@ -150,8 +159,6 @@ def _summarise_direction(audit: Audit, direction: Direction, ridge: Ridge | None
         "sentence": ridge.sentence,
         "pivot": inputs.names[direction.pivot],
         "step": {name: value / factors[inputs.names.index(name)] for name, value in ridge.loadings.items()},
-        "changes_measured_position": ridge.position_change / length,
-        "changes_measured_rotation": ridge.rotation_change / angle,
         "changes_workspace_position": ridge.workspace_position / length,
         "changes_workspace_rotation": ridge.workspace_rotation / angle,
         "effect_on_pose": harm,
@@ -182,9 +189,7 @@ def _percent(share: float) -> str:
 
 def unit_of(inputs: Planned, requirement: Requirement) -> str:
     """Return the inner unit of what is required."""
-    if requirement.components == COMPONENTS:
-        return "rad" if requirement.name.startswith(ROTATION) else "mm"
-    return inputs.tool_units[requirement.components.index(requirement.name)]
+    return inputs.tool_units[requirement.where][0]
 
 
 def summarise_requirements(audit: Audit) -> dict[str, Any]:

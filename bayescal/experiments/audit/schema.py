@@ -28,16 +28,13 @@ from bayescal.density.priors import INDEPENDENT
 from bayescal.density.schema import ALONE, FixedConfig, ModelErrorConfig, PriorConfig, TermName
 from bayescal.experiments.shared.readings.schema import ChannelConfig, FreeConfig, InstrumentConfig, NextConfig
 from bayescal.experiments.shared.schema import (
-    ActuatorNoiseConfig,
     AnyWorkspaceConfig,
     DeformationConfig,
-    FramesConfig,
     OwnSensorConfig,
     PoseSensorConfig,
     Range,
     TargetSensorConfig,
     UnitsConfig,
-    WorkspaceConfig,
 )
 from bayescal.inference.schema import DrawsConfig
 from bayescal.numerics.units import MICROMETRE
@@ -69,7 +66,7 @@ class PosesConfig(Section):
     """Where it is planned to measure: at random poses of the workspace, random actuator positions, or as a file says.
 
     A file of poses has ``pose``, the coordinates with their units such as ``x_mm``, and what the machine has to know
-    of each; a file of configurations has displacements of a mechanism's actuators.
+    of each; a file of configurations has displacements of the actuators.
     """
 
     plan: Literal["workspace", "uniform", "extremes", "file"] = "workspace"
@@ -83,9 +80,9 @@ class PosesConfig(Section):
     file: InputFile | None = Field(default=None, exclude_if=lambda value: value is None)
     """CSV file of poses."""
     configurations: InputFile | None = Field(default=None, exclude_if=lambda value: value is None)
-    """CSV file of actuator displacements, a row a pose."""
+    """CSV file of actuator displacements from the middle of their range, a row a pose."""
     unit_mm: Positive = Field(default=1.0, exclude_if=lambda value: value == 1.0)
-    """Unit of the numbers in ``configurations``."""
+    """Unit of those in ``configurations`` that are lengths."""
 
     @model_validator(mode="before")
     @classmethod
@@ -261,22 +258,32 @@ class SweepConfig(Section):
     """Factors on the displacements [1]."""
 
 
-OF_PLANS = ("noise", "poses", "sensors", "parameters")
-OF_CHANNELS = ("instruments", "given", "aligned", "selection", "sensor_choice", "next")
-"""What only readings of channels have."""
-OF_PLATFORM = ("frames", "profiles", "posterior")
-"""What only a mechanism on legs has whose platform is seen by instruments."""
+OF_PLANS = (
+    "machine",
+    "instruments",
+    "sensors",
+    "parameters",
+    "given",
+    "poses",
+    "deformation",
+    "selection",
+    "sensor_choice",
+)
+"""What is said of a machine that is to be measured alone."""
+ACTUATORS = "rho"
+"""The sensors that are a mechanism's actuators."""
 _ALONE = {"terms": ALONE}
 
 
 class AuditConfig(ExperimentConfig):
     """What a calibration of any machine would determine, or has determined, and how accurate the machine then is.
 
-    Readings of the machine's channels and of instruments beside it, with the noise of [sensors]; or a mechanism on legs
-    whose platform is seen by the instruments of [sensors], with the noise of its actuators in [noise].
+    It takes readings of the machine's channels and of instruments beside it, with the noise of [sensors]. ``noise``
+    with ``actuator_um``, as studies have it, is that of a mechanism's actuators, ``rho`` in [sensors].
     """
 
     gone: ClassVar[Mapping[str, str]] = {
+        "frames": "[parameters] NAME_frame, NAME_frame_r, NAME_target and NAME_target_r of an instrument NAME",
         "mechanism": "machine",
         "measured_by": "[[variants]] with sensors",
         "variant": "[[variants]]",
@@ -290,11 +297,9 @@ class AuditConfig(ExperimentConfig):
     instruments: dict[Name, InstrumentConfig] = Field(default={}, exclude_if=lambda value: not value)
     """By name: instruments beside the machine."""
     sensors: dict[str, SensorConfig] = Field(default={})
-    """Noise of each channel, or of all of a kind; or instruments by name that see the platform of a mechanism on legs,
-    with their kind.
+    """Noise of each channel, or of all of a kind; or by name sensors that see poses, or a part of them, with their
+    kind.
     """
-    noise: ActuatorNoiseConfig | None = None
-    """Noise of the actuators and model error of a mechanism on legs."""
     model_error: ExpectedErrorConfig = Field(
         default=ExpectedErrorConfig(), exclude_if=lambda value: value == ExpectedErrorConfig(terms=ALONE)
     )
@@ -303,17 +308,15 @@ class AuditConfig(ExperimentConfig):
     """Units of tolerances, requirements and results."""
     parameters: dict[str, PriorConfig] = Field(default={})
     """Tolerance of each symbol."""
-    frames: FramesConfig = FramesConfig()
-    """Frames of instrument and tool that the calibration of a mechanism on legs has to find."""
     deformation: DeformationConfig = DeformationConfig()
     """Nominal deformation of a mechanism's platform."""
     data: AuditDataConfig | None = None
     """A study of measured poses in place of a plan."""
     posterior: DrawsConfig = DrawsConfig()
-    """Effort of posterior draws."""
+    """Effort of draws of the study's posterior, beside [data]."""
     workspace: AnyWorkspaceConfig = Field(default={})
     """Where accuracy counts: by coordinate its smallest and largest value, the machine's own where nothing is said; or
-    half widths about a platform's home pose [unit of the coordinate].
+    half widths about the home pose of a machine whose coordinates are a pose's [unit of the coordinate].
     """
     given: dict[str, Range] = Field(default={}, exclude_if=lambda value: not value)
     """By column: smallest and largest value of what the machine has to know of a row [unit of the column]."""
@@ -344,11 +347,6 @@ class AuditConfig(ExperimentConfig):
     sensor_choice: SensorChoiceConfig | None = None
     """Sensors to choose."""
 
-    @property
-    def sees_platform(self) -> bool:
-        """Whether instruments see, or have seen, the platform of a mechanism on legs."""
-        return self.data is not None or self.noise is not None
-
     @model_validator(mode="before")
     @classmethod
     def _take_others(cls, content: Any) -> Any:
@@ -358,6 +356,23 @@ class AuditConfig(ExperimentConfig):
         if content.get("model_error", _ALONE) != _ALONE:
             raise ValueError(f"model_error: found it beside [data], expected none, or terms = {ALONE}")
         return content | {"model_error": _ALONE}
+
+    @model_validator(mode="before")
+    @classmethod
+    def _take_actuators(cls, content: Any) -> Any:
+        """Noise of actuators, as studies of a mechanism state it, is that of its sensors, which all variants have."""
+        if not isinstance(content, dict) or not isinstance(noise := content.get("noise"), dict):
+            return content
+        if "actuator_um" not in noise:
+            raise ValueError("noise: found no actuator_um, expected it, or [sensors] with the noise of each channel")
+        if strange := set(noise) - {"actuator_um"}:
+            raise ValueError(f"noise: found {', '.join(sorted(strange))}, expected [model_error] with expected_um")
+        sensors = {ACTUATORS: {"noise_um": noise["actuator_um"]}, **content.get("sensors", {})}
+        changed = {key: value for key, value in content.items() if key != "noise"} | {"sensors": sensors}
+        for key in ("variants", "what_if"):
+            if isinstance(content.get(key), list):
+                changed[key] = [_add_actuators(one) for one in content[key]]
+        return changed
 
     @model_validator(mode="after")
     def _check_names(self) -> Self:
@@ -372,60 +387,47 @@ class AuditConfig(ExperimentConfig):
         return self
 
     @model_validator(mode="after")
-    def _check_route(self) -> Self:
-        for name in OF_CHANNELS if self.sees_platform else OF_PLATFORM:
-            if self._states(name):
-                raise ValueError(f"{name}: found it {_say_route(self.sees_platform)}, expected none")
+    def _check_parts(self) -> Self:
         if self.data is not None:
-            for field in (*OF_PLANS, "deformation", "frames"):
+            for field in OF_PLANS:
                 if self._states(field):
                     raise ValueError(f"found {field} beside [data], expected none, since the study has its own")
+            self._check_data()
         else:
             for field in ("machine", "sensors", "parameters"):
                 if not getattr(self, field):
                     raise ValueError(f"found no {field}, expected it, or [data] with a study of measured poses")
             if all(isinstance(prior, FixedConfig) for prior in self.parameters.values()):
                 raise ValueError("found no tolerance in [parameters], expected a normal or uniform prior of some")
-        for name, one in self.sensors.items():
-            if isinstance(one, ChannelConfig) == self.sees_platform:
-                expected = "an instrument with its kind" if self.sees_platform else "the noise of a channel, or [noise]"
-                raise ValueError(f"sensors.{name}: found it {_say_route(self.sees_platform)}, expected {expected}")
+            deforms = self._states("deformation") or any(one.deformation != "none" for one in self.variants)
+            if deforms and all(one.model is None for one in self.variants):
+                raise ValueError("deformation: found it without a model in [[variants]], expected none")
+        if self.data is None and self._states("posterior"):
+            raise ValueError("posterior: found it without [data], expected none, since nothing has been measured")
+        if self.given and self.poses.file is not None:
+            raise ValueError("given: found bounds beside poses.file, expected none, since the file says what is given")
         for change in self.what_if:
             if not change.model_error and self.data is None and self.model_error.terms in ([], ALONE):
                 raise ValueError(f"what_if {change.name!r}: model_error: found none to leave out, expected no key")
-        if self.sees_platform:
-            self._check_legs()
-        else:
-            self._check_channels()
         return self
-
-    def _check_channels(self) -> None:
-        if isinstance(self.workspace, WorkspaceConfig):
-            raise ValueError("workspace: found half widths about home, expected bounds of each coordinate")
-        if self.given and self.poses.file is not None:
-            raise ValueError("given: found bounds beside poses.file, expected none, since the file says what is given")
-        deforms = self._states("deformation") or any(one.deformation != "none" for one in self.variants)
-        if deforms and all(one.model is None for one in self.variants):
-            raise ValueError("deformation: found it without a model in [[variants]], expected none")
 
     def _states(self, name: str) -> bool:
         """Whether a section says something else than nothing."""
         return bool(getattr(self, name) != type(self).model_fields[name].get_default())
 
-    def _check_legs(self) -> None:
-        if isinstance(self.workspace, dict) and self.workspace:
-            raise ValueError("workspace: found bounds of coordinates, expected position_mm and rotation_deg about home")
-        if self.requirements and not self.workspace:
-            raise ValueError("found [requirements] without [workspace], expected both")
+    def _check_data(self) -> None:
         if len(self.variants) > 1:
-            raise ValueError("variants: found several, expected one of a mechanism whose platform is seen")
-        if self.variants[0].model is None:
-            raise ValueError("variants: found no model, expected the kinematic model of a mechanism on legs")
-        for name in ("fixed", "common", *(["sensors"] if self.data is not None else [])):
+            raise ValueError("variants: found several beside [data], expected one of the study's")
+        for name in ("free", "fixed", "common", "sensors"):
             if getattr(self.variants[0], name):
-                beside = "[data]" if name == "sensors" else "instruments that see a platform"
-                raise ValueError(f"variants.{name}: found it beside {beside}, expected none")
+                raise ValueError(f"variants.{name}: found it beside [data], expected none, since the study has its own")
+        for change in self.what_if:
+            if change.sensors is not None:
+                raise ValueError(f"what_if {change.name!r}: sensors: found them beside [data], expected none")
 
 
-def _say_route(sees_platform: bool) -> str:
-    return "beside instruments that see a platform" if sees_platform else "beside readings of channels"
+def _add_actuators(section: Any) -> Any:
+    """Return a variant or a change whose sensors, where it states any, have the actuators among them."""
+    if not isinstance(section, dict) or not isinstance(sensors := section.get("sensors"), list):
+        return section
+    return section if ACTUATORS in sensors else section | {"sensors": [ACTUATORS, *sensors]}

@@ -8,7 +8,7 @@ are found by adding and exchanging.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
@@ -21,7 +21,7 @@ import pandas as pd
 from bayescal.errors import InputError
 from bayescal.experiments.audit.schema import SensorChoiceConfig
 from bayescal.experiments.shared.readings.inputs import Variant
-from bayescal.experiments.shared.readings.knowledge import N_WORKSPACE, differentiate
+from bayescal.experiments.shared.readings.knowledge import differentiate
 from bayescal.experiments.shared.readings.workspace import SINGULAR
 from bayescal.identifiability.information import Information, information_of_rows, marginalise
 from bayescal.identifiability.reading_rows import Slopes, name_tool, rms
@@ -53,8 +53,17 @@ class Choice:
     price: float = np.nan
 
 
-def list_choices(model: ReadingModel, section: SensorChoiceConfig) -> tuple[Choice, ...]:
+def list_choices(
+    model: ReadingModel, section: SensorChoiceConfig, spread: Callable[[Sequence[str]], list[str]]
+) -> tuple[Choice, ...]:
     """Return what there is to choose from, kinds spread, with prices.
+
+    Parameters
+    ----------
+    model : ReadingModel
+    section : SensorChoiceConfig
+    spread : callable
+        From names to channels or kinds of them, a sensor of poses by all that belong together.
 
     Raises
     ------
@@ -64,11 +73,13 @@ def list_choices(model: ReadingModel, section: SensorChoiceConfig) -> tuple[Choi
     candidates, always, prices = section.candidates, section.always, section.prices
     found: list[Choice] = []
     for entry in candidates:
-        if isinstance(entry, list):
-            found.append(Choice(" + ".join(entry), tuple(model.names[k] for k in model.select(entry))))
+        names = spread([entry] if isinstance(entry, str) else entry)
+        channels = tuple(model.names[k] for k in model.select(names))
+        if isinstance(entry, list) or names != [entry]:
+            found.append(Choice(entry if isinstance(entry, str) else " + ".join(entry), channels))
         else:
-            found += [Choice(model.names[k], (model.names[k],)) for k in model.select([entry])]
-    taken = [model.names[k] for k in model.select(always)] + [name for one in found for name in one.channels]
+            found += [Choice(one, (one,)) for one in channels]
+    taken = [model.names[k] for k in model.select(spread(always))] + [name for one in found for name in one.channels]
     for name in taken:
         if taken.count(name) > 1:
             raise InputError(f"found {name} twice in candidates and always, expected each sensor once")
@@ -91,6 +102,8 @@ class SensorChoice:
     Attributes
     ----------
     section : SensorChoiceConfig
+    always : tuple of str
+        Channels, or kinds of them, of every set.
     variant : Variant
         With all sensors there are to choose from.
     expected : ndarray, shape (n,)
@@ -105,6 +118,7 @@ class SensorChoice:
     """
 
     section: SensorChoiceConfig
+    always: tuple[str, ...]
     variant: Variant
     expected: Array
     see_errors: Callable[[Array], ErrorsInUse]
@@ -173,10 +187,10 @@ class _Judge:
         errors, zeta = posterior.errors, posterior.zeta(expected[None])
         # by coefficients of functions of the pose, (P, K, N)
         self.by_functions = posterior.likelihood.white_columns(errors, zeta, white)[0] if errors.has_columns else None
-        pose = variant.workspace.draw(N_WORKSPACE, np.random.default_rng([choice.seed, 5]))
+        pose = variant.workspace.draw(variant.workspace.n_poses, np.random.default_rng([choice.seed, 5]))
         self.around: Slopes = differentiate(posterior, variant, expected, pose)
         self.errors = choice.see_errors(self.around.pose)
-        always = [variant.model.names[k] for k in variant.model.select(choice.section.always)]
+        always = [variant.model.names[k] for k in variant.model.select(choice.always)]
         self.always = np.isin(variant.model.names, always)
         self.n_lengths = max(1, variant.model.pose_units.count("mm"))
         self.known: dict[tuple[int, ...], SetAccuracy] = {}

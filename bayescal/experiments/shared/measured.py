@@ -24,7 +24,7 @@ from bayescal.density.priors import HalfCauchyPrior, Prior
 from bayescal.errors import InputError
 from bayescal.experiments.shared.leg_readings import place_legs
 from bayescal.experiments.shared.slip_rows import Readings
-from bayescal.experiments.shared.study_schema import StudyConfig, name_variant
+from bayescal.experiments.shared.study_schema import StudyConfig
 from bayescal.inference.target import Target
 from bayescal.machines.kinematics import Machine
 from bayescal.machines.readings import Legs
@@ -40,10 +40,6 @@ class MeasuredVariant:
     name : str
     origin : str
         Of the data, in words.
-    mechanism : Path
-        Its file.
-    free : tuple of str
-        Symbols of the free parameters.
     machine : Machine
     priors : mapping of parameter to Prior
     fixed : mapping of parameter to float
@@ -53,10 +49,8 @@ class MeasuredVariant:
         The calibration poses.
     actuator_noise : float
         Standard deviation, mm.
-    left_variance : float
-        What the measured part of a deformation leaves, mean over legs and poses, mm².
     actuator_variance : ndarray, shape (P, N), or None
-        The same leg by leg and pose by pose; None where nothing of a deformation was measured.
+        What the measured part of a deformation leaves, mm²; None where nothing of a deformation was measured.
     shared_errors : ndarray, shape (P, N, M), or None
         What M unknowns of it, standard normal, add to the legs' errors at all poses: ``actuator_variance`` as they are.
     described : mapping
@@ -67,15 +61,12 @@ class MeasuredVariant:
 
     name: str
     origin: str
-    mechanism: Path
-    free: tuple[str, ...]
     machine: Machine
     priors: Mapping[str, Prior]
     fixed: Mapping[str, float]
     posterior: LegPosterior
     poses: MeasuredPoses
     actuator_noise: float
-    left_variance: float
     actuator_variance: Array | None = None
     shared_errors: Array | None = None
     described: Mapping[str, Any] = field(default_factory=dict)
@@ -100,21 +91,6 @@ class MeasuredVariant:
         likelihood = PoseLikelihood(self.machine, poses, self.actuator_noise, self.actuator_variance)
         dependent = self.posterior.likelihood.of_errors_at(likelihood, rows)
         return replace(self, poses=poses, posterior=replace(self.posterior, likelihood=dependent))
-
-
-@dataclass(frozen=True)
-class VariantChoice:
-    """Which variant of an experiment is wanted: the only one of a model and deformation, or one of these by its name.
-
-    Attributes
-    ----------
-    model, deformation : str
-    name : str or None
-    """
-
-    model: str
-    deformation: str
-    name: str | None = None
 
 
 class Measuring(ABC):
@@ -156,6 +132,8 @@ class MeasuredReadings:
         Which channels the machine keeps after its calibration.
     legs : MeasuredVariant or None
         The same measurements as poses of a machine on legs; its posterior is the one that is found.
+    n_held_back : int
+        How many poses were measured besides, kept for verification.
     """
 
     name: str
@@ -165,6 +143,7 @@ class MeasuredReadings:
     high: Array
     internal: np.ndarray
     legs: MeasuredVariant | None = None
+    n_held_back: int = 0
 
     @property
     def half(self) -> Array:
@@ -241,36 +220,6 @@ def measure_variants(
     return experiment.measure(config, path, names or known, with_model_error)
 
 
-def measure_legs(
-    experiment: object, config: Any, path: Path, choice: VariantChoice, with_model_error: bool
-) -> MeasuredVariant:
-    """Return a variant of a study of whole poses of a machine on legs.
-
-    Raises
-    ------
-    InputError
-        Where it is another experiment, has no such variant, or several share model and deformation and none is named.
-    """
-    if not isinstance(experiment, Measuring):
-        raise InputError(f"{path}: kind: found {config.kind!r}, expected 'study', since an audit's data are a study's")
-    if config.by_tables:
-        raise InputError(f"{path}: data: found tables of readings, expected an instrument's poses: [data]")
-    wanted = name_variant(choice.model, choice.deformation)
-    alike = [one.name for one in config.variants if name_variant(*one.seen) == wanted]
-    if not alike:
-        known = ", ".join(dict.fromkeys(name_variant(*one.seen) for one in config.variants))
-        raise InputError(f"{path}: variants: found no {wanted}, expected one of {known}")
-    named = [one for one in alike if choice.name in (None, one)]
-    names = ", ".join(map(repr, alike))
-    if not named:
-        raise InputError(f"{path}: variants: found no {choice.name!r} of {wanted}, expected {names}")
-    if len(named) > 1:
-        raise InputError(f"{path}: variants: found {wanted} as {names}, expected data.variant with one of these names")
-    (found,) = experiment.measure(config, path, named, with_model_error).values()
-    assert found.legs is not None
-    return found.legs
-
-
 def _see_errors(measured: MeasuredVariant, model: Legs) -> tuple[ErrorTerm, ...]:
     """Return what legs err by, each and as functions of the pose, as errors of the readings of their actuators."""
     errors, likelihood = measured.posterior.errors, measured.posterior.likelihood
@@ -313,5 +262,12 @@ def see_legs(measured: MeasuredVariant) -> MeasuredReadings:
     errors = Errors(_see_errors(measured, model))
     found = place_legs(model, measured.poses, noise, own.priors, errors, own.fixed)
     return MeasuredReadings(
-        measured.name, measured.origin, found.posterior, found.low, found.high, found.internal, measured
+        measured.name,
+        measured.origin,
+        found.posterior,
+        found.low,
+        found.high,
+        found.internal,
+        measured,
+        measured.n_held_back,
     )

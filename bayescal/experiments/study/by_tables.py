@@ -101,6 +101,14 @@ class ReadingStudy(ReadingInputs, Inputs):
         del path, with_model_error
         origin, chosen = name_origin(self.config.origin.model_dump()), {name: self.variants[name] for name in names}
         return {
-            name: MeasuredReadings(name, origin, one.posterior(), one.workspace.low, one.workspace.high, one.internal)
+            name: MeasuredReadings(
+                name,
+                origin,
+                one.posterior(),
+                one.workspace.low,
+                one.workspace.high,
+                one.internal,
+                n_held_back=int(one.verification.sum()),
+            )
             for name, one in chosen.items()
         }

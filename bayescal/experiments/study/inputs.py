@@ -435,26 +435,23 @@ class StudyInputs(Inputs):
             )
         # points that tell whole poses are taken as these: the density of poses has no frames among its parameters
         poses = self.poses(verification=False)
-        found = {name: self._measure(self.variant(name), path, with_model_error) for name in names}
+        found = {name: self._measure(self.variant(name), with_model_error) for name in names}
         return {
             name: see_legs(one if one.posterior.likelihood.of_poses else one.with_poses(poses))
             for name, one in found.items()
         }
 
-    def _measure(self, variant: VariantConfig, path: Path, with_model_error: bool) -> MeasuredVariant:
+    def _measure(self, variant: VariantConfig, with_model_error: bool) -> MeasuredVariant:
         left, (priors, fixed) = self.matrix_variance(variant, verification=False), self.priors(variant)
         return MeasuredVariant(
             name=variant.name,
             origin=f"{name_origin(self.config.origin.model_dump())}: study {self.config.name}, variant {variant.name}",
-            mechanism=path.parent / self.config.machine,
-            free=self.free(variant),
             machine=self.machine(variant),
             priors=priors,
             fixed=fixed,
             posterior=self.posterior(variant, with_model_error),
             poses=self.poses(verification=False),
             actuator_noise=self.actuator_noise,
-            left_variance=0.0 if left is None else float(left.mean()),
             actuator_variance=left,
             shared_errors=self.without_shared_errors(variant.name)[1],
             described=self.measured.describe(),

@@ -3,7 +3,7 @@
 from bayescal.machines.readings.base import POSE, Channel, Coordinate, Given, ReadingModel, Readings
 from bayescal.machines.readings.function import FunctionModel, Parameters, ReadingMachine
 from bayescal.machines.readings.legs import Legs
-from bayescal.machines.readings.placed import Instrument, Placed, place
+from bayescal.machines.readings.placed import Instrument, Placed, PoseInstrument, place
 
 MACHINES = {
     "line_machine": "bayescal.machines.readings.line_machine:LineMachine",
@@ -28,6 +28,7 @@ __all__ = [
     "Legs",
     "Parameters",
     "Placed",
+    "PoseInstrument",
     "ReadingMachine",
     "ReadingModel",
     "Readings",

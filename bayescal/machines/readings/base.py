@@ -362,6 +362,16 @@ class ReadingModel(ABC):
         """Smallest and largest value of each of them, shape (C, 2); infinite where the machine says nothing."""
         return np.tile([-np.inf, np.inf], (len(self.commanded), 1))
 
+    def find_beyond(self, values: Array) -> np.ndarray:
+        """Return which readings (..., K) of commanded channels lie beyond their range, shape (..., C)."""
+        read, limits = values[..., self.select(self.commanded)], self.command_range
+        return np.asarray((read < limits[:, 0] - SLACK) | (read > limits[:, 1] + SLACK))
+
+    @property
+    def instrument_symbols(self) -> tuple[str, ...]:
+        """Symbols of parameters that are those of instruments beside the machine."""
+        return ()
+
     @property
     def home_pose(self) -> Array:
         """The middle of the workspace, shape (q,)."""

@@ -206,6 +206,11 @@ class Placed(ReadingModel):
         every = [(one.name, block) for one in self.instruments for block in one.layout.blocks]
         return self.whole.layout.extend(tuple(replace(b, symbol=f"{name}_{b.symbol}") for name, b in every))
 
+    @property
+    def instrument_symbols(self) -> tuple[str, ...]:
+        """Those of all instruments."""
+        return self.layout.symbols[len(self.whole.layout.symbols) :]
+
     @cached_property
     def sensors(self) -> tuple[Channel, ...]:
         """The machine's channels, then those of each instrument."""
@@ -270,6 +275,17 @@ class Placed(ReadingModel):
         return tool, by_pose, by_parameters
 
     # --- readings ----------------------------------------------------------------------------------------------------
+
+    def locate(
+        self,
+        theta: Array,
+        commands: Array,
+        given: Given = NOTHING,
+        start: Array | None = None,
+        weights: Array | None = None,
+    ) -> tuple[Array, np.ndarray]:
+        """Return where the machine comes to, which no instrument moves; see `ReadingModel.locate`."""
+        return self.whole.locate(self._split(theta)[0], commands, given, start, weights)
 
     def read(self, theta: Array, pose: Array, given: Given = NOTHING) -> Array:
         """Return the readings; see `ReadingModel.read`."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar, Self
@@ -128,15 +127,11 @@ class IOptimality(BayesianTrace):
     limits : ndarray, shape (6,)
         What an error of each component of the pose is measured by, mm and rad: requirements; infinite where it does
         not matter.
-    show : callable, optional
-        From derivatives by parameters to those by Q coefficients, of unit prior, of errors that are functions of the
-        pose: they are found beside the parameters, and the machine in use errs by them.
     """
 
     workspace: Sensitivity = field(kw_only=True)
     sd: Array = field(kw_only=True)
     limits: Array = field(kw_only=True)
-    show: Callable[[Sensitivity], Sensitivity] | None = field(kw_only=True, default=None)
 
     name: ClassVar[str] = "I"
     title: ClassVar[str] = "Mean variance of the predicted pose in units of the limits, negative"
@@ -154,17 +149,9 @@ class IOptimality(BayesianTrace):
             listed = ", ".join(f"{x:g}" for x in self.limits.ravel())
             raise InputError(f"criterion I: found limits {listed}, expected six above zero, one of them finite")
 
-    def rows(self, knowledge: Knowledge, sensitivity: Sensitivity) -> Array:
-        """Return J_b in units of noise and tolerances, those by coefficients beside it, shape (P, k, L + Q)."""
-        rows = super().rows(knowledge, sensitivity)
-        return rows if self.show is None else np.concatenate([rows, self.show(sensitivity).rows(self.plan)], axis=-1)
-
     @cached_property
     def _root(self) -> Array:
-        slope = self.workspace.slope * self.sd
-        if self.show is not None:
-            slope = np.concatenate([slope, self.show(self.workspace).slope], axis=-1)
-        slope = slope / self.limits[:, None]
+        slope = self.workspace.slope * self.sd / self.limits[:, None]
         return np.linalg.qr(slope.reshape(-1, slope.shape[-1]) / np.sqrt(len(slope)), mode="r")
 
     def weight_root(self, n_parameters: int) -> Array:

@@ -49,7 +49,8 @@ def test_an_audit_writes_results_and_report(call, design, tmp_path, no_pictures)
     summary = json.loads((out / "summary.json").read_text())
     assert summary["simulated_calibrations"]["n"] == 4
     assert all("posterior_sd_over_draws" in values for values in summary["parameters"].values())
-    assert [change["name"] for change in summary["what_if"]] == ["<b>twice</b>"]
+    named = ["<b>twice</b>", "40 poses chosen I-optimally"]
+    assert [change["name"] for change in summary["what_if"]] == named
     page = (out / "report.html").read_text()
     assert "<b>twice" not in page
     assert "&lt;b&gt;twice" in page
@@ -64,13 +65,13 @@ def test_an_audit_writes_results_and_report(call, design, tmp_path, no_pictures)
     [
         (
             '[[variants]]\nmodel = "six_ups"\nsensors = ["laser"]',
-            "variants.sensors: found sensor 'laser', expected one of better_tracker",
+            "sensor 'laser': unknown here, expected some of rho[1]",
         ),
         ('[parameters]\nl = { prior = "normal", sd = 0.0 }', "found 0.0, expected greater than"),
         ('profiles = ["q[1]"]', "profile of 'q[1]': not free here"),
         ("[poses]\ncount = 0", "poses.count: found 0"),
-        ("[poses]\nrange_mm = 20.0", "expected at most the actuator range of 14.1 mm"),
-        ("[workspace]\nposition_mm = [90.0, 0.0, 0.0]", "workspace: out of reach at x"),
+        ("[poses]\nrange_mm = 20.0", "expected it within the actuators' range, -14.1 to 14.1"),
+        ("[workspace]\nposition_mm = [90.0, 0.0, 0.0]", "workspace: x = 90 mm"),
     ],
 )
 def test_a_design_at_fault_is_one_line_and_nothing_is_written(call, design, tmp_path, change, message):

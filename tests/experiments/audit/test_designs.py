@@ -10,7 +10,7 @@ import pytest
 
 from bayescal.experiments.audit import compute
 from bayescal.experiments.audit.audit import analyse
-from bayescal.experiments.audit.design import load_audit, read_inputs
+from bayescal.experiments.audit.design import load_audit
 from bayescal.experiments.audit.schema import SweepConfig
 from bayescal.experiments.frame.run import compute_experiment
 
@@ -56,15 +56,14 @@ def test_shipped_design(name, monkeypatch):
 
 def test_directions_of_rubins_m2_hexapod():
     """Strut 4 lies along x at home: of a_x, b_x and l it shows the sum alone."""
-    path = problems.DESIGNS / "m2_hexapod.toml"
-    inputs = read_inputs(load_audit(path), path.parent)
-    knowledge, analysis = inputs.knowledge, analyse(inputs)
+    plan = problems.read_shipped("m2_hexapod")
+    analysis = analyse(plan)
     weak = np.stack([d.vector for d in analysis.directions if d.kind == "practical"], axis=1)
     basis = np.linalg.qr(weak)[0]
     for symbols, moves in ((("a_x", "l"), (1.0, 1.0)), (("b_x", "l"), (1.0, -1.0)), (("a_x", "b_x"), (1.0, 1.0))):
-        vector = np.zeros(len(knowledge.names))
+        vector = np.zeros(len(plan.names))
         for symbol, move in zip(symbols, moves, strict=True):
-            place = knowledge.names.index(f"{symbol}[4]")
-            vector[place] = (-move if symbols[1] == "l" and symbol == "l" else move) / knowledge.sd[place]
+            place = plan.names.index(f"{symbol}[4]")
+            vector[place] = (-move if symbols[1] == "l" and symbol == "l" else move) / plan.sd[place]
         vector /= np.linalg.norm(vector)
         assert np.linalg.norm(basis.T @ vector) > 0.99, symbols

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
+import calibrations
 import numpy as np
 import pytest
 import studies
 
 from bayescal.errors import InputError
 from bayescal.experiments.audit.audit import analyse, run_audit
-from bayescal.experiments.audit.design import load_audit, read_inputs
+from bayescal.experiments.audit.design import draw_plan, load_audit, read_design
 from bayescal.experiments.audit.kind import Audit
 from bayescal.experiments.frame.identity import hash_identity, identify
 from bayescal.experiments.frame.parallel import Run
 from bayescal.inference.mode import find_modes
-from bayescal.machines.kinematics import solve_forward_kinematics
 
 DESIGN = """
 kind = "audit"
@@ -53,64 +51,67 @@ def design(tmp_path):
 
 
 def _read(path):
-    return read_inputs(load_audit(path), path.parent)
+    return _draw(path)[0]
+
+
+def _draw(path):
+    """Return the plan of a design and the draws of its study's posterior."""
+    return draw_plan(read_design(load_audit(path), path.parent), Run())
 
 
 def test_machine_tolerances_and_poses_are_the_studys(design):
-    inputs, study = _read(design), studies.load_study(design.parent / "tiny" / "study.toml")
-    knowledge, plan, poses = inputs.knowledge, inputs.plan, study.poses(verification=False)
-    assert set(knowledge.symbols) == {"l", "kappa"}
+    plan, study = _read(design), studies.load_study(design.parent / "tiny" / "study.toml")
+    poses, data, model = study.poses(verification=False), plan.variant.data, plan.variant.model
+    assert set(plan.symbols) == {"l", "kappa"}
     expected = {"l": 2.0, "kappa": 0.01}
-    assert np.array_equal(knowledge.sd, [expected[symbol] for symbol in knowledge.symbols])
+    assert np.allclose(plan.sd, [expected[symbol] for symbol in plan.symbols])
     assert plan.n_poses == studies.N_CALIBRATION
-    assert np.array_equal(plan.actuators, poses.actuators)
-    unit = plan.information(
-        solve_forward_kinematics(knowledge.machine, knowledge.machine.layout.nominal, plan.actuators)
-    )
-    assert np.allclose(unit @ poses.covariance, np.eye(6), atol=1e-8)
-    assert plan.actuator_noise == 1e-3
-    assert knowledge.machine.mechanism.name == study.mechanism.name
+    assert np.allclose(plan.variant.start[:, :3], poses.position)
+    seen = np.array([one.external for one in model.channels])
+    covariance = data.correlation * data.sd[:, :, None] * data.sd[:, None]
+    assert np.allclose(covariance[:, seen][:, :, seen], poses.covariance, rtol=1e-9, atol=1e-18)
+    assert plan.machine == study.mechanism.name
 
 
 def test_derivatives_are_taken_at_the_posterior_mean(design):
-    inputs = _read(design)
-    draws = inputs.measured.draws
+    plan, draws = _draw(design)
     assert len(draws.values) >= 2000
-    knowledge = inputs.knowledge
-    assert np.array_equal(knowledge.centre[knowledge.free], draws.values.mean(axis=0))
-    offset = knowledge.centre - knowledge.layout.nominal
-    assert np.abs(offset[knowledge.free]).max() > 0.1  # the twin's legs are off by up to a millimetre
-    held = np.setdiff1d(np.arange(offset.size), knowledge.free)
-    assert not offset[held].any()
+    assert np.allclose(plan.parameters.nominal, draws.values.mean(axis=0), rtol=1e-12)
+    start, layout = plan.posterior.sampling.start, plan.variant.model.layout
+    offset, free = start - layout.nominal, plan.posterior.sampling.free
+    assert np.abs(offset[free]).max() > 0.1  # the twin's legs are off by up to a millimetre
+    assert not np.delete(offset, free).any()
 
 
 def test_noise_is_that_of_model_error_and_measured_matrix(design):
-    inputs, study = _read(design), studies.load_study(design.parent / "tiny" / "study.toml")
-    variant = study.variant("six_pus/matrix")
-    left = study.matrix_variance(variant, verification=False).mean()
-    n = inputs.measured.posterior.n_geometry
-    tau = inputs.measured.draws.natural[..., n:]
-    assert np.isclose(inputs.plan.model_error**2, np.mean(tau**2) + left, rtol=1e-12)
+    plan, draws = _draw(design)
+    study = studies.load_study(design.parent / "tiny" / "study.toml")
+    left = study.matrix_variance(study.variant("six_pus/matrix"), verification=False)
+    own = plan.variant.internal
+    assert np.allclose(plan.variant.data.sd[:, own] ** 2, 1e-6 + left, rtol=1e-9)
+    tau = plan.maker.found.posterior.errors.natural(draws.zeta)
+    assert tau.shape[1] == 1
+    assert np.isclose(plan.tau**2, np.mean(tau**2), rtol=1e-9)
     studies.edit(design, 'study = "tiny/study.toml"', 'study = "tiny/study.toml"\nwith_model_error = false')
-    assert np.isclose(_read(design).plan.model_error ** 2, left, rtol=1e-12)
+    assert _read(design).tau == 0.0
 
 
 def test_without_draws_the_mode_stands_in(design):
     studies.edit(design, "draws = 2000", "draws = 0")
-    inputs = _read(design)
-    assert inputs.measured.draws is None
-    posterior = inputs.measured.posterior
+    plan, draws = _draw(design)
+    assert draws is None
+    posterior = plan.maker.found.legs.posterior
     mode = posterior.natural(find_modes(posterior)[0].y[None])[0]
-    knowledge = inputs.knowledge
-    assert np.array_equal(knowledge.centre[knowledge.free], mode[: posterior.n_geometry])
+    assert np.allclose(plan.parameters.nominal, mode[: posterior.n_geometry], rtol=1e-12)
 
 
 def test_values_that_a_study_fixes_are_fixed(design):
     study = design.parent / "tiny" / "study.toml"
     studies.edit(study, "offset = 0.0", "offset = 0.25")
-    knowledge = _read(design).knowledge
-    places = knowledge.layout.index["b_z"]
-    assert np.array_equal(knowledge.centre[places], knowledge.layout.nominal[places] + 0.25)
+    plan = _read(design)
+    layout = plan.variant.model.layout
+    places = layout.index["b_z"]
+    assert np.array_equal(plan.posterior.sampling.start[places], layout.nominal[places] + 0.25)
 
 
 def test_files_of_the_study_are_the_audits(design):
@@ -140,10 +141,15 @@ def test_audit_of_a_study_runs_with_its_what_ifs(design):
     ("old", "new", "said"),
     [
         ('deformation = "matrix"', 'deformation = "linear"', "found no six_pus/linear, expected one of six_pus/none"),
-        ("[[variants]]", '[[variants]]\nfree = ["l"]', "variants.free: found l, expected none or those of the study's"),
-        ("seed = 5", 'seed = 5\nmachine = "other.toml"', "other.toml beside [data], expected none or the study's"),
+        ("[[variants]]", '[[variants]]\nfree = ["l"]', "variants.free: found it beside [data], expected none"),
+        ("seed = 5", 'seed = 5\nmachine = "other.toml"', "found machine beside [data], expected none"),
+        (
+            "seed = 5",
+            'seed = 5\nwhat_if = [{ name = "w", sensors = ["rho"] }]',
+            "what_if 'w': sensors: found them beside [data]",
+        ),
         ("seed = 5", "seed = 5\nposes = { count = 9 }", "found poses beside [data], expected none"),
-        ("[data]", "[noise]\nactuator_um = 1.0\n[data]", "found noise beside [data], expected none"),
+        ("[data]", "[noise]\nactuator_um = 1.0\n[data]", "found sensors beside [data], expected none"),
         ("tiny/study.toml", "tiny/nowhere.toml", "nowhere.toml"),
         ("tiny/study.toml", "simulate.toml", "kind: found 'simulation', expected 'study'"),
     ],
@@ -171,21 +177,29 @@ def test_errors_that_are_functions_of_the_pose_come_from_the_posterior(design):
     studies.edit(study, 'terms = ["independent"]', 'terms = ["independent", "smooth"]')
     studies.edit(study, 'deformation = "matrix"\nfree = ["l", "kappa"]', 'deformation = "linear"\nfree = ["l"]')
     studies.edit(design, 'deformation = "matrix"', 'deformation = "linear"')
-    inputs = _read(design)
-    draws, posterior = inputs.measured.draws.natural.reshape(-1, inputs.measured.posterior.n_parameters), None
-    posterior = inputs.measured.posterior
-    scale = draws[:, posterior.names.index("sigma_smooth")]
-    assert inputs.plan.systematic.sizes == pytest.approx({"smooth": np.sqrt(np.mean(scale**2))})
-    tau = draws[:, posterior.names.index("tau")]
-    assert inputs.plan.model_error == pytest.approx(np.sqrt(np.mean(tau**2)))
-    found = analyse(inputs).information
-    alone = analyse(replace(inputs, plan=replace(inputs.plan, systematic=None))).information
+    plan, draws = _draw(design)
+    errors = plan.maker.found.posterior.errors
+    natural = dict(zip(errors.names, errors.natural(draws.zeta).T, strict=True))
+    assert plan.sizes == pytest.approx({"smooth": np.sqrt(np.mean(natural["sigma_smooth"] ** 2))})
+    assert plan.tau == pytest.approx(np.sqrt(np.mean(natural["tau"] ** 2)))
+    found, alone = analyse(plan).information, analyse(plan.bare()).information
     assert (found.contraction < alone.contraction).all()
     # foretold as the draws have it: the same machine, the same noise
-    left = draws[:, : posterior.n_geometry].std(axis=0) / inputs.knowledge.sd
+    left = draws.values.std(axis=0) / plan.sd
     assert np.abs(np.sqrt(1.0 - found.contraction) / left - 1.0).max() < 0.15
 
 
-def test_the_studys_own_mechanism_may_be_named(design):
-    studies.edit(design, "seed = 5", 'seed = 5\nmachine = "tiny/../tiny/mechanism.toml"')
-    assert _read(design).plan.n_poses == studies.N_CALIBRATION
+def test_data_by_tables_are_audited_like_poses_of_an_instrument(tmp_path):
+    """A linear delta's readings: what is left of tolerances by first order is what the study's draws leave."""
+    folder = calibrations.write_audit(tmp_path).parent
+    text = DESIGN.replace('tiny/study.toml"', 'study.toml"\nvariant = "all"').replace("audit_tiny", "audit_delta")
+    a, b = text.index("[[variants]]"), text.index("[posterior]")
+    c, d = text.index("[workspace]"), text.index("[requirements]")
+    (folder / "design.toml").write_text(text[:a] + text[b:c] + text[d:])
+    plan, draws = _draw(folder / "design.toml")
+    assert set(plan.symbols) == {"x", "y", "l", "s0", "t_x", "t_y"}
+    left = draws.values.std(axis=0) / plan.sd
+    found = np.sqrt(1.0 - plan.inform().contraction)
+    assert np.abs(found / left - 1.0).max() < 0.2
+    audit = run_audit(plan, Run())
+    assert 0.0 < audit.outlooks[0].predicted_sd < audit.outlooks[0].prior_sd

@@ -197,11 +197,11 @@ REFUSED = {
     "too few candidates": ("candidates = 30", "candidates = 3", "found 3 candidates for 4 poses"),
     "workspace beyond reach": ("[sensors]", "[workspace]\nx = [900.0, 901.0]\n[sensors]", "found almost no pose"),
     "unknown symbol": ("l = { prior", "length = { prior", "parameters: found 'length'"),
-    "profiles": ("seed = 4", 'seed = 4\nprofiles = ["l"]', "profiles: found it beside readings of channels"),
+    "profile of a symbol": ("seed = 4", 'seed = 4\nprofiles = ["l"]', "profile of 'l': not free here, expected one of"),
     "draws of a posterior": (
         "[sensors]",
         "[posterior]\ndraws = 2000\n[sensors]",
-        "posterior: found it beside readings",
+        "posterior: found it without [data]",
     ),
     "a deformation": ("[sensors]", "[deformation]\nkappa = 0.1\n[sensors]", "deformation: found it without a model"),
     "a unit of no file": ("count = 40", "count = 40\nunit_mm = 2.0", "unit_mm: found it without configurations"),
@@ -269,7 +269,7 @@ def test_units_of_a_file_are_taken_for_what_they_are(folder):
     (folder / "poses.csv").write_text("pose,x_m,y_mm,z_um\nA,0.05,1,20000\n")
     calibrations.change(folder / "audit.toml", "count = 40", POSES)
     inputs = read_design(load(folder / "audit.toml")[1], folder)
-    np.testing.assert_allclose(inputs.channels["both"].variant.start, [[50.0, 1.0, 20.0]])
+    np.testing.assert_allclose(inputs.plans["both"].variant.start, [[50.0, 1.0, 20.0]])
 
 
 def test_the_terminal_says_the_verdict_and_every_set_of_sensors(folder, call, no_pictures):

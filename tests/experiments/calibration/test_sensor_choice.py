@@ -89,7 +89,7 @@ def test_sets_are_judged_at_every_pose_or_by_the_rms_as_is_required(read):
         found = search_sensors(inputs.sensors)
         best = found.best_of(6)
         goals.append(found.accuracy[best].goal)
-        outlooks = judge(inputs.channels["both"]).outlooks
+        outlooks = judge(inputs.plans["both"]).outlooks
         assert goals[-1] == pytest.approx(max(one.predicted_sd / one.requirement.limit for one in outlooks), rel=1e-6)
     assert goals[1] > 1.2 * goals[0]
 
@@ -163,7 +163,7 @@ def test_exchanged_poses_tell_more_and_curves_fall(read):
     size = {}
     for method in ("greedy", "exchange"):
         inputs = read(ALL, ("candidates = 30", f'candidates = 30\nmethod = "{method}"'))
-        plan = inputs.channels["both"]
+        plan = inputs.plans["both"]
         found = select_poses(inputs.config, plan.variant, plan.posterior, plan.expected)
         size[method] = np.linalg.norm(found.curve, axis=1)
         np.testing.assert_allclose(found.after[-1], found.curve[-1], rtol=1e-9)

@@ -71,7 +71,7 @@ def know(leg, aligned):
     variants = [one.model_copy(update={"fixed": fixed}) for one in config.variants[1:]]
     changes = {"aligned": aligned, "variants": variants, "sensor_choice": None}
     inputs, found = read_design(config.model_copy(update=changes), STAR), []
-    for plan in inputs.channels.values():
+    for plan in inputs.plans.values():
         variant, posterior, expected = plan.variant, plan.posterior, plan.expected
         covariance = information_of_rows(see(posterior, expected), np.ones(posterior.n_geometry)).covariance
         at = look_around(variant, posterior, expected, np.random.default_rng(3))

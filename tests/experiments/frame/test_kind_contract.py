@@ -30,7 +30,7 @@ pytestmark = pytest.mark.runs
 
 AUDIT = 'extends = "camera_hexapod.toml"\nname = "small"\nsimulated_calibrations = 4\nprofiles = ["l[1]"]\n'
 AUDIT += 'expected_over_draws = 3\n[poses]\ncount = 12\n[[what_if]]\nname = "twice"\nposes_factor = 2.0\n'
-AUDIT += "[workspace]\nposes = 20\n[posterior]\ndraws = 200\n[sweep]\nnoise = [1.0]\nposes = [40]\nworkspace = [1.0]\n"
+AUDIT += "[workspace]\nposes = 20\n[sweep]\nnoise = [1.0]\nposes = [40]\nworkspace = [1.0]\n"
 
 CHECK = 'kind = "check"\nname = "check"\ntitle = "Check"\nseed = 3\nstudy = "study.toml"\ndata_sets = 4\n'
 CHECK += 'draws = 300\nvariants = ["six_pus/matrix"]\n'

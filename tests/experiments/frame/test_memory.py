@@ -56,16 +56,16 @@ def test_a_study_is_refused_and_writes_nothing(monkeypatch, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("kind", "name", "key"),
+    ("kind", "name", "key", "most"),
     [
-        (Audit, "audit/m2_hexapod.toml", "poses"),
-        (Selection, "pose_selection/hexapod_i_optimal.toml", "candidates"),
+        (Audit, "sliding_star/m2_hexapod_sensors.toml", "poses", 6000),
+        (Selection, "pose_selection/hexapod_i_optimal.toml", "candidates", 3000),
     ],
 )
-def test_estimates_grow_with_the_sizes(kind, name, key):
+def test_estimates_grow_with_the_sizes(kind, name, key, most):
     path, experiment = studies.EXPERIMENTS / name, kind()
     config, found = load_experiment(path), []
-    for count in (60, 3000):
+    for count in (60, most):
         section = getattr(config, key).model_copy(update={"count": count})
         found.append(experiment.estimate_memory(experiment.read(config.model_copy(update={key: section}), path.parent)))
         assert str(count) in found[-1].sizes

@@ -6,7 +6,6 @@ import json
 import re
 import shutil
 import tomllib
-from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -14,19 +13,13 @@ import pytest
 import studies
 
 from bayescal.errors import InputError
-from bayescal.experiments.audit.audit import evaluate_plan, list_changes, run_audit
-from bayescal.experiments.audit.design import load_audit, read_inputs
-from bayescal.experiments.audit.legs import LegPlan, select_i_optimal
-from bayescal.experiments.audit.results import summarise
 from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import read_results
 from bayescal.experiments.frame.run import find_results_kind, run_experiment, write_report
-from bayescal.experiments.selection.compute import judge_poses, run_tasks, tabulate_random_sets
+from bayescal.experiments.selection.compute import run_tasks, tabulate_random_sets
 from bayescal.experiments.selection.inputs import read_selection
 from bayescal.experiments.selection.verdict import Tables
-from bayescal.identifiability.requirements import find_limits
-from bayescal.identifiability.sensitivity import compute_sensitivity
 
 pytestmark = pytest.mark.runs
 
@@ -267,88 +260,3 @@ def test_bad_input_on_the_command_line(tmp_path, call, fault):
     assert complaint.startswith(f"bayescal: {path}")
     assert re.search(message, complaint), complaint
     assert not (tmp_path / "out").exists()
-
-
-@pytest.fixture(scope="module")
-def camera():
-    folder = studies.EXPERIMENTS / "audit"
-    return read_inputs(load_audit(folder / "camera_hexapod.toml"), folder)
-
-
-def propose_few(inputs):
-    """Return I-optimal poses from the ends of the actuators' range alone, which is quicker."""
-    return replace(inputs.plan, actuators=select_i_optimal(inputs, n_candidates=64).actuators)
-
-
-@pytest.mark.parametrize("design", ["telescope_six_pus_none", "camera_hexapod"])
-def test_audit_gains_by_i_optimal_poses(design):
-    folder = studies.EXPERIMENTS / "audit"
-    inputs = read_inputs(load_audit(folder / f"{design}.toml"), folder).bare()
-    chosen = select_i_optimal(inputs, n_candidates=64)
-    plan = propose_few(inputs)
-    np.testing.assert_array_equal(plan.actuators, chosen.actuators)  # and so it is deterministic
-    assert plan.actuators.shape == inputs.plan.actuators.shape
-    assert plan.sensors == inputs.plan.sensors
-    mechanism = inputs.knowledge.machine.mechanism
-    moved = np.abs(plan.actuators - mechanism.initial_actuator_positions)
-    assert moved.max() <= mechanism.actuator_range * (1 + 1e-9)
-    workspace = compute_sensitivity(inputs.knowledge, inputs.workspace_actuators)
-    limits = find_limits(inputs.requirements, workspace.slope * inputs.knowledge.sd)
-    before, after = (
-        judge_poses(inputs, workspace, limits, actuators, 10, np.random.default_rng(3))
-        for actuators in (inputs.plan.actuators, plan.actuators)
-    )
-    assert after.predicted[2] < 0.9 * before.predicted[2]
-    assert after.predicted[2] ** 2 == pytest.approx(-chosen.value, rel=1e-6)
-    assert np.mean(after.simulated[:, 2] ** 2) < np.mean(before.simulated[:, 2] ** 2)
-
-
-def test_proposed_poses_tell_of_systematic_errors(monkeypatch):
-    """Those that noise alone asks for, at the ends of the actuators' range, make the tool worse than the plan does."""
-    folder = studies.EXPERIMENTS / "audit"
-    inputs = read_inputs(load_audit(folder / "m2_hexapod.toml"), folder)
-    assert inputs.sizes
-
-    def judge(plan):
-        found = evaluate_plan("", plan, plan.forecast()).required_sd
-        return max(found[one.name] / one.limit for one in inputs.requirements)
-
-    blind = select_i_optimal(inputs.bare(), n_candidates=64)
-    monkeypatch.setattr("bayescal.experiments.audit.legs.select_i_optimal", lambda of: blind)
-    _, worse = inputs.propose()
-    monkeypatch.undo()
-    _, better = inputs.propose()
-    assert judge(better) < judge(inputs) < judge(worse)
-
-
-def refuse(inputs):
-    raise InputError("found redundant legs without [workspace], expected it")
-
-
-def test_audit_lists_i_optimal_poses_among_its_changes(camera, monkeypatch):
-    """They keep the requirements better than the plan; everything else stays as it is without them.
-
-    Where nothing errs but by noise, which is all that their criterion knows.
-    """
-    camera = camera.bare()
-    proposed = run_audit(camera, Run())
-    with monkeypatch.context() as patch:
-        patch.setattr(LegPlan, "propose", refuse)
-        plain = run_audit(camera, Run())
-    change = proposed.what_ifs[-1]
-    assert [outcome.name for outcome in proposed.what_ifs[:-1]] == [outcome.name for outcome in plain.what_ifs]
-    assert (change.name, change.n_poses, change.beyond_range) == ("40 poses chosen I-optimally", 40, False)
-    said, before = summarise(proposed), summarise(plain)
-    for one in (*said["directions"], *before["directions"]):  # the proposal may be what helps a direction most
-        one.pop("helped_most_by", None)
-    assert {**said, "what_if": said["what_if"][:-1]} == before
-    planned = max(outlook.predicted_sd / outlook.requirement.limit for outlook in plain.outlooks)
-    after = max(change.required_sd[r.name] / r.limit for r in camera.requirements)
-    assert after < 0.9 * planned
-
-
-def test_audit_goes_without_poses_that_cannot_be_chosen(camera, monkeypatch):
-    monkeypatch.setattr(LegPlan, "propose", refuse)
-    outcomes = run_audit(camera, Run()).what_ifs
-    assert [outcome.name for outcome in outcomes] == [change.name for change in list_changes(camera)]
-    assert evaluate_plan("as it is", camera, None).n_poses == 40

@@ -22,11 +22,10 @@ def legs():
     poses = machines.simulate_poses(machine, machine.layout.nominal, actuators, tau, np.random.default_rng(3))
     posterior = machines.build_posterior("linear", poses, ModelError(0.002), SYMBOLS)
     noise = machines.ACTUATOR_NOISE
-    fields = {"priors": posterior.priors, "fixed": {}, "left_variance": 0.0, "mechanism": None}
+    fields = {"priors": posterior.priors, "fixed": {}}
     return MeasuredVariant(
         "linear",
         "Simulated",
-        free=SYMBOLS,
         machine=machine,
         posterior=posterior,
         poses=poses,

@@ -191,26 +191,27 @@ draws = 0
 
 
 def read_design(folder: Path, *changes: tuple[str, str]):
-    from bayescal.experiments.audit.design import load_audit, read_inputs
+    from bayescal.experiments.audit.design import load_audit, read_plans
 
     write_study(folder)
     design = folder / "design.toml"
     design.write_text(DESIGN)
     for old, new in changes:
         studies.edit(design, old, new)
-    return read_inputs(load_audit(design), folder)
+    (plan,) = read_plans(load_audit(design), folder).values()
+    return plan
 
 
 @pytest.mark.parametrize(("name", "symbol"), [("joints alone", "a_x"), ("six_pus/none", "l"), ("lengths", "l")])
 def test_an_audit_takes_a_variant_by_its_name(tmp_path, name, symbol):
     inputs = read_design(tmp_path, ("[[variants]]", f'variant = "{name}"\n[[variants]]'))
-    assert {one.partition("[")[0] for one in inputs.knowledge.names} == {symbol}
-    assert inputs.measured.origin.endswith(f"study tiny, variant {name}")
+    assert {one.partition("[")[0] for one in inputs.names} == {symbol}
+    assert inputs.maker.found.origin.endswith(f"study tiny, variant {name}")
 
 
 def test_an_audit_takes_the_only_variant_of_a_model_and_deformation_without_its_name(tmp_path):
     inputs = read_design(tmp_path, ('deformation = "none"', 'deformation = "matrix"'))
-    assert inputs.measured.origin.endswith("variant six_pus/matrix")
+    assert inputs.maker.found.origin.endswith("variant six_pus/matrix")
 
 
 @pytest.mark.parametrize(
@@ -218,19 +219,19 @@ def test_an_audit_takes_the_only_variant_of_a_model_and_deformation_without_its_
     [
         (
             (),
-            "found six_pus/none as 'six_pus/none', 'joints alone', 'lengths', expected data.variant with one",
+            "found 'six_pus/none', 'joints alone', 'lengths', expected data.variant with one",
         ),
         (
             (("[[variants]]", 'variant = "length"\n[[variants]]'),),
-            "found no 'length' of six_pus/none, expected 'six_pus/none', 'joints alone', 'lengths'",
+            "found no 'length', expected 'six_pus/none', 'joints alone', 'lengths'",
         ),
         (
             (("[[variants]]", 'variant = "lengths"\n[[variants]]'), ('deformation = "none"', 'deformation = "matrix"')),
-            "found no 'lengths' of six_pus/matrix, expected 'six_pus/matrix'",
+            "found no 'lengths', expected 'six_pus/matrix'",
         ),
         (
             (("[[variants]]", 'variant = "lengths"\n[[variants]]\nfree = ["a_x"]'),),
-            "variants.free: found a_x, expected none or those of the study's lengths: l",
+            "variants.free: found it beside [data], expected none, since the study has its own",
         ),
     ],
 )

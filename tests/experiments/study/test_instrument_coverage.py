@@ -1,8 +1,8 @@
 """Calibrations by the shipped designs' own instruments, through a study's density: intervals hold the truth."""
 
+import audit_problems as problems
 import numpy as np
 import pytest
-import studies
 
 from bayescal.data.instruments.read_points import PointNoise, convert_polar, spread_polar
 from bayescal.data.instruments.readings import PointReadings, PoseReadings
@@ -10,7 +10,6 @@ from bayescal.density.errors import ModelError
 from bayescal.density.instruments import InstrumentLikelihood
 from bayescal.density.legs import build_leg_posterior
 from bayescal.density.priors import NormalPrior
-from bayescal.experiments.audit.design import load_audit, read_inputs
 from bayescal.identifiability.calibration import simulate_measurements
 from bayescal.identifiability.fits import Fitter
 from bayescal.machines.frames import N_FRAME_PARAMETERS, move_frames
@@ -43,15 +42,9 @@ def calibrate(knowledge, readings, actuator_noise):
     return y, covariance
 
 
-def read_design(design):
-    folder = studies.EXPERIMENTS / "audit"
-    return read_inputs(load_audit(folder / f"{design}.toml"), folder)
-
-
 def simulate(design, n, seed):
     """Return z-scores (n, parameters) of the truth under n calibrations of machines of the design's tolerances."""
-    inputs = read_design(design)
-    knowledge, plan = inputs.knowledge, inputs.plan
+    knowledge, plan = problems.describe_shipped(design)
     fitter, rng = Fitter(knowledge, plan), np.random.default_rng(seed)
     truth = rng.standard_normal((n, len(knowledge.names)))
     measured, good = simulate_measurements(fitter, truth, rng)
@@ -87,8 +80,7 @@ def track(position, rotation, rng):
 
 def simulate_tracked(design, n, seed):
     """Return z-scores as `simulate` does, of calibrations by points that one station tracks."""
-    inputs = read_design(design)
-    knowledge, plan = inputs.knowledge, inputs.plan
+    knowledge, plan = problems.describe_shipped(design)
     assert plan.model_error == 0.0
     fitter, rng = Fitter(knowledge, plan), np.random.default_rng(seed)
     truth = rng.standard_normal((n, len(knowledge.names)))

@@ -10,15 +10,14 @@ from bayescal.experiments.audit.page.verdict import count_poses, list_failures, 
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.shared.knowledge_page import name_titles, show_accuracy, show_next
 from bayescal.report.blocks import Absent, Block, Definitions, Fold, Page, Section, Statement
-from bayescal.report.numbers import format_plain, join_words
+from bayescal.report.numbers import join_words
 from bayescal.report.symbols import describe_deformation
 
 KIND = "Identifiability audit"
 FAILURES = "Do not rely on these numbers yet. What speaks against them:"
 RIDGES = (
-    "Each sentence is computed with the machine itself: parameters can move together this far and the measured poses "
-    "stay as said. What is never seen no plan reveals, only another kind of measurement; what is weak a better plan "
-    "may."
+    "Each sentence says how far parameters can move together with the readings as good as unchanged, to first order. "
+    "What is never seen no plan reveals, only another kind of measurement; what is weak a better plan may."
 )
 FREEDOM = (
     "Everything, each parameter with its tolerance as prior. What the poses do not determine stays as unknown as it "
@@ -65,31 +64,13 @@ def _find_origin(audit: AuditResults) -> str:
 
 def _list_facts(audit: AuditResults) -> tuple[tuple[str, str], ...]:
     summary, plan = audit.summary, audit.summary["plan"]
-    machine, measured = str(summary["machine"]), f"{count_poses(audit)}, {plan.get('poses', '')}; readings of "
-    if audit.is_of_legs:
-        model = summary.get("model_title", summary["model"])
-        machine += f", {model} {describe_deformation(summary['deformation'])}"
-        measured = _describe_poses(audit)
-    else:
-        measured += join_words(plan["sensors"])
-    facts = [("Machine", machine), ("Plan", measured)]
+    machine = str(summary["machine"])
+    if "model" in summary:
+        machine += f", {summary['model']} {describe_deformation(summary['deformation'])}"
+    poses = "" if audit.is_measured else f", {plan['poses']}"
+    facts = [("Machine", machine), ("Plan", f"{count_poses(audit)}{poses}; readings of {join_words(plan['sensors'])}")]
     titles = name_titles(audit.tables)
     return (*facts, ("Details of", titles[audit.best])) if len(titles) > 1 else tuple(facts)
-
-
-def _describe_poses(audit: AuditResults) -> str:
-    """Return the poses of a platform that instruments see, and what errs."""
-    plan = audit.summary["plan"]
-    moved, most, noise, model_error = (
-        format_plain(plan[key], 3)
-        for key in ("largest_displacement_mm", "actuator_range_mm", "actuator_noise_um", "model_error_um")
-    )
-    sensors = join_words([str(name).replace("_", " ") for name in plan["sensors"]])
-    seen = f", seen by {sensors}" if sensors else ""
-    errors = f", model error {model_error} µm" if plan["model_error_um"] else ""
-    return (
-        f"{count_poses(audit)}{seen}; displacements up to {moved} mm of {most} mm; noise: actuators {noise} µm{errors}"
-    )
 
 
 # --- sections --------------------------------------------------------------------------------------------------------
@@ -104,10 +85,6 @@ def _build_sections(audit: AuditResults) -> tuple[Section, ...]:
     profiles = (figures.show_profiles(audit), *_if_any(tables.tabulate_profiles(audit)))
     simulated = tuple(tables.tabulate_simulated(audit))
     left_out = Absent("Left out: the design asks for no simulated calibrations.")
-    of_legs = (
-        Section("Profile likelihoods", profiles, "profiles", "Profiles"),
-        Section("Ridges as draws show them", _show_draws(audit), "draws", "Ridge plots"),
-    )
     return (
         *show_variants(audit),
         *((accuracy,) if accuracy is not None else ()),
@@ -122,7 +99,8 @@ def _build_sections(audit: AuditResults) -> tuple[Section, ...]:
         *show_counts(audit),
         Section("What would help", (*changes, *helped), "changes"),
         Section("Noise, number of poses, displacements", (figures.show_sweeps(audit),), "sweeps", "Sweeps"),
-        *(of_legs if audit.is_of_legs else ()),
+        Section("Profile likelihoods", profiles, "profiles", "Profiles"),
+        Section("Ridges as draws show them", _show_draws(audit), "draws", "Ridge plots"),
         Section("Simulated calibrations", simulated or (left_out,), "simulated"),
         Section("How it was computed", (_describe_method(audit), tables.tabulate_audit(audit)), "method"),
     )
@@ -145,13 +123,13 @@ def _show_selection(audit: AuditResults) -> tuple[Block, ...]:
 
 
 def _show_draws(audit: AuditResults) -> tuple[Block, ...]:
-    """Return the ridges in pictures, with what explains the curve of the first of each kind."""
+    """Return the ridges in pictures, with the slope of the first of each kind."""
     first, *others = figures.show_ridges(audit)
     blocks: list[Block] = [first]
     for group in audit.groups:
         ridge = next((ridge for ridge in group if ridge.plot), None)
-        if ridge is not None and (text := ridge.explanation or ridge.plot["formula"]):
-            blocks.append(Statement(f"{ridge.plot['y']} against {ridge.plot['x']}: {text}"))
+        if ridge is not None:
+            blocks.append(Statement(f"{ridge.plot['y']} against {ridge.plot['x']}: {ridge.plot['formula']}"))
     blocks += _fold("The other ridges", *others)
     if drawn := _if_any(tables.tabulate_posterior(audit)):
         blocks += [*drawn, Statement(f"Draws: {_find_origin(audit)}.")]
@@ -185,9 +163,9 @@ def _describe_method(audit: AuditResults) -> Definitions:
             ),
             (
                 "Does it matter, and does it hold beyond first order?",
-                "Ridges are followed with the machine itself, not with its derivatives; requirements are judged by "
-                "draws of the remaining uncertainty over the workspace; and where they were asked for, profile "
-                "likelihoods, draws of the posterior and simulated calibrations check the linear picture.",
+                "Requirements are judged by draws of the remaining uncertainty over the workspace. Profile likelihoods "
+                "follow ridges with the machine itself, not with its derivatives; where they were asked for, draws of "
+                "the posterior and simulated calibrations check the linear picture, too.",
             ),
         )
     )

@@ -439,7 +439,6 @@ SOURCES: dict[str, tuple[str, str, dict[str, Any]]] = {
         {"color": BLUE, "alpha": 0.5, **DOTS},
     ),
     "posterior": ("posterior", "draws of the posterior (blue)", {"color": BLUE, "alpha": 0.5, **DOTS}),
-    "analytic": ("analytic curve", "the analytic curve (red)", {"color": RED, "linewidth": 1.2}),
     "profile": (
         "profile path",
         "the path that the profile takes (dashed)",
@@ -496,7 +495,7 @@ def _draw_ridges(ridges: Sequence[Ridge], draws: pd.DataFrame, curves: pd.DataFr
             if len(points):
                 axes.plot(x, y, markersize=2.4, **SOURCES[source][2])
         limits = axes.get_xlim(), axes.get_ylim()
-        for source in ("analytic", "profile", "tangent"):
+        for source in ("profile", "tangent"):
             line = own[own["source"] == source]
             if len(line):
                 axes.plot(line["x"], line["y"], **SOURCES[source][2])

@@ -65,13 +65,14 @@ def _texts(*names: str) -> dict[str, Any]:
 # the kind of a value, words to choose from, or the keys of an object, optional ones with a question mark
 SUMMARY: dict[str, Any] = {
     **_texts("name", "title", "machine"),
+    **_texts("model?", "deformation?"),
     **dict.fromkeys(("n_parameters", "structural_rank", "n_structural", "n_practical", "n_informed"), int),
     **dict.fromkeys(("recommended_free", "could_also_be_freed", "directions"), list),
     "structural_rank_is_clear": bool,
     "total_nats": NUMBER,
     "units": _texts("length", "angle"),
-    "plan": {"n_poses": int, "sensors": list, "n_held_back?": int},
-    "far_readings?": {"legs": list, **_numbers("reading_mm", "direction_sd")},
+    "plan": {"n_poses": int, "sensors": list, "poses": str, "n_held_back?": int},
+    "far_readings?": {"channels": list, **_numbers("reading_mm", "moved_mm")},
     "parameters": _Each(
         {
             **_texts("unit", "why"),
@@ -99,10 +100,6 @@ SUMMARY: dict[str, Any] = {
         "converged": bool,
         "parameters": _Each(_numbers("mean", "sd")),
     },
-}
-LEGS = {
-    **_texts("model", "deformation"),
-    "plan": _numbers("actuator_noise_um", "model_error_um", "largest_displacement_mm", "actuator_range_mm"),
 }
 DIRECTION = {
     "kind": ("structural", "practical", "informed"),
@@ -135,8 +132,6 @@ CALIBRATIONS = {
 def check_summary(summary: dict[str, Any], path: Path) -> None:
     """Raise InputError where an audit's summary lacks something or holds something else."""
     _check(summary, SUMMARY | dict.fromkeys((f"{name}?" for name in SIMULATED), CALIBRATIONS), path, "")
-    if "model" in summary:
-        _check(summary, LEGS, path, "")
     known = summary["parameters"]
     if not known:
         raise InputError(f"{path}: parameters: found none, expected some")
@@ -230,8 +225,6 @@ class Ridge:
         From draws; NaN without.
     plot : dict
         What the axes of its plot are; empty where there is none.
-    explanation : str
-        Of its curve, in words.
     """
 
     number: int
@@ -246,7 +239,6 @@ class Ridge:
     rotation: float
     posterior_contraction: float
     plot: dict[str, str]
-    explanation: str
 
 
 @dataclass(frozen=True)
@@ -318,14 +310,9 @@ class AuditResults:
         return str(self.summary.get("best", ""))
 
     @property
-    def is_of_legs(self) -> bool:
-        """Whether instruments see the platform of a mechanism on legs."""
-        return "model" in self.summary
-
-    @property
     def is_measured(self) -> bool:
         """Whether the poses are those of a study's data, no plan."""
-        return not self.summary["plan"]["sensors"]
+        return "n_held_back" in self.summary["plan"]
 
     @property
     def member(self) -> str:
@@ -385,7 +372,6 @@ class AuditResults:
                 float(one["changes_workspace_rotation"]),
                 _number(one.get("posterior_contraction")),
                 one.get("plot") or {},
-                text if isinstance(text := one.get("explanation"), str) else "",
             )
             for number, one in enumerate(self.summary["directions"], start=1)
             if one["kind"] != "informed"

@@ -411,7 +411,7 @@ def tabulate_profiles(results: AuditResults) -> Table | None:
     group = "95 % interval, from expected"
     fields: list[Field] = [
         (Column("Symbol", kind="symbol"), lambda one: split(one)[0]),
-        (Column("Leg"), lambda one: str(split(one)[1] or NOTHING)),
+        (Column(results.member.capitalize()), lambda one: str(split(one)[1] or NOTHING)),
         SYMBOL[1],
         (Column("measurements alone", "", group), write_interval("deviance_data")),
         (Column("with the tolerances", "", group), write_interval("deviance_total")),

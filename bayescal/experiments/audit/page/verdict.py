@@ -160,7 +160,7 @@ def _state_poses(results: AuditResults) -> Iterator[Statement]:
 
 def _state_equations(results: AuditResults) -> Iterator[Statement]:
     """Warn of variants whose readings are fewer than what they are to determine."""
-    if results.is_of_legs or "variants" not in results.tables:
+    if "variants" not in results.tables:
         return
     for row in list_rows(results.tables["variants"]):
         if row["n_equations"] < row["n_parameters"]:
@@ -267,20 +267,16 @@ def _state_special_case(results: AuditResults) -> Iterator[Statement]:
 
 
 def _state_far_readings(results: AuditResults) -> Iterator[Statement]:
-    """Say how far from zero the actuators read, and what a direction's tolerance comes to there."""
+    """Say how far from zero channels read, and what a direction's tolerance comes to there."""
     found, asked = results.summary.get("far_readings"), results.summary["units"]
     if found is None:
         return
-    reading, turned = float(found["reading_mm"]), float(found["direction_sd"])
-    moved = ""
-    if turned > 0.0:
-        angle, length = format_amount(turned, "rad", 2, asked), format_amount(abs(reading) * turned, "mm", 2, asked)
-        moved = f" (a tolerance of {angle} is {length} there)"
+    reading, moved = float(found["reading_mm"]), format_amount(float(found["moved_mm"]), "mm", 2, asked)
     text = (
-        f"Of leg{'s' if len(found['legs']) > 1 else ''} {join_words([str(leg) for leg in found['legs']])} the joint's "
-        "place and the actuator's direction are hardly distinguishable: readings lie around "
-        f"{format_place('x_mm', reading, asked)} {name_unit('x_mm', asked)} from where the direction's tolerance "
-        f"turns it{moved}; put the zero there, with base points and readings counted from it."
+        f"Place and direction of {join_words([str(one) for one in found['channels']])} are hardly distinguishable: "
+        f"readings lie around {format_place('x_mm', reading, asked)} {name_unit('x_mm', asked)} from where the "
+        f"direction's tolerance turns it (it comes to {moved} there); put the zero there, with places and readings "
+        "counted from it."
     )
     yield Statement(text, "plain", "Actuators' zero")
 

@@ -20,14 +20,17 @@ from bayescal.report.symbols import shown_in, split_name
 
 SURE = 0.9995
 SMALLEST_SAID = {"mm": 1e-6, "rad": 5e-9}
-DIRECTIONS = {"x": "x", "y": "y", "z": "z", "position": "position (length)", "rotation": "rotation (angle)"}
+DIRECTIONS = {
+    **{f"r{axis}": f"rotation about {axis}" for axis in "xyz"},
+    "position": "position (length)",
+    "rotation": "rotation (angle)",
+}
 UNITS = {"1": "", "N mm2": "N mm²", "um": "µm", "rad": "rad"}
 
 
 def name_requirement(name: str) -> str:
-    """Return a requirement in words: ``rotation_x`` is rotation about x."""
-    axis = name.removeprefix("rotation_")
-    return f"rotation about {axis}" if axis != name else DIRECTIONS.get(name, name)
+    """Return a requirement in words: ``rx`` is rotation about x."""
+    return DIRECTIONS.get(name, name)
 
 
 def name_change(change: Change) -> str:

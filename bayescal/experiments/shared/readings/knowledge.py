@@ -29,13 +29,11 @@ from bayescal.identifiability.reading_rows import (
     whiten,
 )
 from bayescal.identifiability.requirements import ErrorsInUse, Forecast, forecast_tool
-from bayescal.identifiability.ridges import describe_reading_ridges
+from bayescal.identifiability.ridges import describe_ridges
 from bayescal.machines.readings import Given
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import Units
 from bayescal.pose_selection.next_pose import compute_gains
-
-N_WORKSPACE = 200
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,7 +192,7 @@ def _err_in_use(
 
 def look_around(variant: Variant, posterior: CalibrationPosterior, y: Array, rng: np.random.Generator) -> View:
     """Return random poses of the workspace seen by the machine's own sensors."""
-    return look(posterior, variant, y, variant.workspace.draw(N_WORKSPACE, rng), variant.internal)
+    return look(posterior, variant, y, variant.workspace.draw(variant.workspace.n_poses, rng), variant.internal)
 
 
 def look(
@@ -266,7 +264,7 @@ def _judge(
     information = inform(posterior, y, rows)
     nothing = np.empty((posterior.n_geometry, 0))
     names, n = posterior.sampling.names, posterior.n_geometry
-    found = describe_reading_ridges(
+    found = describe_ridges(
         find_directions(information, nothing, ()),
         rows,
         names,
@@ -275,7 +273,7 @@ def _judge(
         Units(section.length, section.angle),
         posterior.likelihood.model.member,
     )
-    ridges = [(names[direction.pivot or 0], direction.contraction, sentence) for direction, _, _, sentence in found]
+    ridges = [(names[direction.pivot or 0], direction.contraction, sentence) for direction, _, sentence in found]
     return judge_parameters(information, nothing), ridges
 
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
+from typing import Literal
 
 import numpy as np
 
@@ -13,11 +14,13 @@ from bayescal.data.truth import round_as_written
 from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.density.calibration.poses import search_poses
 from bayescal.errors import InputError
-from bayescal.experiments.shared.schema import UnitsConfig
-from bayescal.machines.readings import Given, ReadingModel
+from bayescal.experiments.shared.schema import UnitsConfig, WorkspaceConfig
+from bayescal.machines.readings import POSE, Given, ReadingModel
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import Units
 
+N_WORKSPACE = 200
+"""How many poses stand for a workspace where a config does not say it."""
 STARTS = 0.6  # of the half widths, from where poses are looked for
 MOST_TRIES = 100
 LARGEST_GRID = 81  # starts; beyond, they are drawn
@@ -30,15 +33,22 @@ SINGULAR = 1e-10  # of the largest singular value of H in units of the workspace
 
 @dataclass(frozen=True, eq=False)
 class Workspace:
-    """Bounds of the coordinates, (q,) each, in mm, rad or their own units."""
+    """Bounds of the coordinates, (q,) each, in mm, rad or their own units.
+
+    ``shape``: every combination of coordinates (``box``), all within one ``ellipsoid``, or one at a time (``axes``);
+    ``n_poses``: how many poses stand for it; ``scale`` (q,): what steps are small against where a bound is the other.
+    """
 
     low: Array
     high: Array
+    scale: Array
+    shape: Literal["box", "ellipsoid", "axes"] = "box"
+    n_poses: int = N_WORKSPACE
 
     @cached_property
     def volume(self) -> float:
-        """Its volume, one for a machine without coordinates."""
-        return float(np.prod(self.high - self.low))
+        """Volume of the box of its bounds, one for a machine without coordinates."""
+        return float(np.prod(2.0 * self.half))
 
     @cached_property
     def middle(self) -> Array:
@@ -47,12 +57,33 @@ class Workspace:
 
     @cached_property
     def half(self) -> Array:
-        """Half widths, shape (q,)."""
-        return 0.5 * (self.high - self.low)
+        """Half widths, shape (q,); of a coordinate that stays where it is its scale."""
+        return np.where(self.high > self.low, 0.5 * (self.high - self.low), self.scale)
 
     def draw(self, n: int, rng: np.random.Generator) -> Array:
         """Return n poses spread evenly, shape (n, q)."""
-        return rng.uniform(self.low, self.high, (n, len(self.low)))
+        if self.shape == "box":
+            return rng.uniform(self.low, self.high, (n, len(self.low)))
+        moves = np.flatnonzero(self.high > self.low)
+        if self.shape == "axes":
+            inside = rng.uniform(-1.0, 1.0, (n, 1)) * (rng.integers(len(moves), size=(n, 1)) == np.arange(len(moves)))
+        else:
+            normal = rng.standard_normal((n, len(moves)))
+            radius = rng.uniform(size=(n, 1)) ** (1.0 / len(moves))
+            inside = radius * normal / np.linalg.norm(normal, axis=1, keepdims=True)
+        pose = np.tile(self.middle, (n, 1))
+        pose[:, moves] += self.half[moves] * inside
+        return pose
+
+    def list_ends(self) -> Array:
+        """Return its middle and the ends of its axes, shape (2 q + 1, q)."""
+        half = np.diag(0.5 * (self.high - self.low))
+        return self.middle + np.concatenate([np.zeros((1, len(half))), half, -half])
+
+    def widen(self, factor: float) -> Workspace:
+        """Return a workspace so many times as wide about the same middle."""
+        half = 0.5 * factor * (self.high - self.low)
+        return replace(self, low=self.middle - half, high=self.middle + half)
 
     def starts(self, seed: int) -> Array:
         """Return poses from which to look for others, the middle first, shape (S, q)."""
@@ -65,9 +96,25 @@ class Workspace:
         return self.middle + STARTS * self.half * grid
 
 
-def build_workspace(model: ReadingModel, given: Mapping[str, list[float]], section: UnitsConfig) -> Workspace:
-    """Return the workspace: what the config says, else the machine; InputError for an unknown coordinate."""
-    names, units = [one.name for one in model.coordinates], Units(section.length, section.angle)
+def build_workspace(
+    model: ReadingModel, given: WorkspaceConfig | Mapping[str, list[float]], section: UnitsConfig
+) -> Workspace:
+    """Return the workspace: what the config says, else the machine; InputError for an unknown coordinate.
+
+    ``given``: bounds of coordinates, or half widths about the home pose of a machine whose coordinates are a pose's.
+    """
+    names, units, scale = (
+        [one.name for one in model.coordinates],
+        Units(section.length, section.angle),
+        model.pose_scale,
+    )
+    if isinstance(given, WorkspaceConfig):
+        if tuple(names) != POSE:
+            raise InputError(f"workspace: found half widths of a pose, expected bounds of {', '.join(names) or 'none'}")
+        half = np.concatenate([given.position_mm, np.radians(given.rotation_deg)])
+        if not half.any():
+            raise InputError("workspace: found half widths of zero alone, expected one above it")
+        return Workspace(model.home_pose - half, model.home_pose + half, scale, given.shape, given.poses)
     for name in given:
         if name not in names:
             raise InputError(f"workspace: found {name!r}, expected some of {', '.join(names) or 'none'}")
@@ -80,7 +127,7 @@ def build_workspace(model: ReadingModel, given: Mapping[str, list[float]], secti
         else:
             raise InputError(f"workspace: found no {one.name}, expected its smallest and its largest value")
     low, high = np.array(bounds).reshape(-1, 2).T
-    return Workspace(low, high)
+    return Workspace(low, high, scale)
 
 
 def check_given(given: Mapping[str, list[float]], model: ReadingModel) -> None:

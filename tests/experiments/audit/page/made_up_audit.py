@@ -28,17 +28,12 @@ def describe_audit() -> dict[str, Any]:
         "title": "Made up for a test",
         "machine": "made-up machine",
         "model": "six_pus",
-        "model_title": "6-PUS",
         "deformation": "none",
         "units": {"length": "mm", "angle": "deg"},
         "plan": {
             "n_poses": 40,
             "sensors": ["camera"],
-            "actuator_noise_um": 1.0,
-            "model_error_um": 0.0,
-            "largest_displacement_mm": 1.3,
-            "actuator_range_mm": 1.3,
-            "workspace": {"position_mm": [1, 1, 1], "rotation_deg": [1, 1, 0], "shape": "box", "poses": 12},
+            "poses": "random ones of the workspace",
         },
         "n_parameters": len(NAMES),
         "structural_rank": 4,
@@ -64,7 +59,7 @@ def describe_audit() -> dict[str, Any]:
             {"symbol": "l", "nats": 2.0, "contraction": 0.8, "taken": True},
             {"symbol": "rho0", "nats": 0.1, "contraction": 0.2, "taken": False},
         ],
-        "requirements": {"x": describe_requirement(0.004, 1.0), "rotation_x": describe_requirement(0.001, 0.999)},
+        "requirements": {"x": describe_requirement(0.004, 1.0), "rx": describe_requirement(0.001, 0.999)},
         "what_if": [
             *(describe_change(name, nats, beyond) for name, (nats, beyond) in CHANGES.items()),
             {
@@ -112,8 +107,6 @@ def describe_ridge(kind: str, pivot: str) -> dict[str, Any]:
         "sentence": f"{start} {pivot.partition('[')[0]} by +1 mm changes nothing.",
         "pivot": pivot,
         "step": {pivot: 1.0},
-        "changes_measured_position": 1e-5,
-        "changes_measured_rotation": 1e-6,
         "changes_workspace_position": 2e-5,
         "changes_workspace_rotation": 2e-6,
         "effect_on_pose": "harmless",
@@ -145,7 +138,7 @@ def describe_change(name: str, nats: float, beyond: bool) -> dict[str, Any]:
         "total_nats": nats,
         "n_identifiable": 4,
         "ridges": {"l[1]": nats / 100.0},
-        "requirements": {"x": 0.004 * 20.0 / nats, "rotation_x": 0.001},
+        "requirements": {"x": 0.004 * 20.0 / nats, "rx": 0.001},
     }
 
 
@@ -203,7 +196,7 @@ def make_tables(checks: bool) -> dict[str, pd.DataFrame]:
                 {"sweep": sweep, "value": value, "requirement": name, "unit": "mm", "predicted_sd": 0.004, "limit": 0.1}
                 for sweep in ("noise", "poses", "workspace")
                 for value in (0.5, 2.0)
-                for name in ("x", "rotation_x")
+                for name in ("x", "rx")
             ]
         ),
     }
@@ -234,7 +227,7 @@ def _make_checks() -> dict[str, pd.DataFrame]:
         cloud = {"direction": direction, "source": "posterior", "x": x, "y": 200.0 - x + rng.normal(0, 0.1, 300)}
         prior = {"direction": direction, "source": "prior", "x": x, "y": rng.normal(100.0, 2.0, 300)}
         draws += [pd.DataFrame(cloud), pd.DataFrame(prior)]
-        for source in ("analytic", "profile"):
+        for source in ("tangent", "profile"):
             curves.append(pd.DataFrame({"direction": direction, "source": source, "x": value, "y": 200.0 - value}))
     return {
         "profiles": pd.concat(profiles),

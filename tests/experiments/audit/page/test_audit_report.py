@@ -204,7 +204,7 @@ def test_the_headline_counts_what_is_determined():
     assert describe_determined(make(know_all, [9.0] * 7)) == "The 40 planned poses determine all 7 parameters."
 
     def know_nothing(summary):
-        summary["plan"]["sensors"] = []
+        summary["plan"]["n_held_back"] = 0
         summary["directions"][3]["contraction"] = 0.5
         for parameter in summary["parameters"].values():
             parameter["verdict"] = "weak"
@@ -217,7 +217,7 @@ def test_the_headline_counts_what_is_determined():
 
 def test_measured_poses_that_are_left_out_are_counted():
     def change(summary):
-        summary["plan"] |= {"sensors": [], "n_held_back": 8}
+        summary["plan"]["n_held_back"] = 8
 
     assert "Poses" not in say(make())
     assert say(make(change))["Poses"] == ("plain", "40 calibration poses; 8 held back are left out.")
@@ -349,11 +349,11 @@ def test_the_ridges_of_the_draws_are_held_against_the_information(angle, level):
 
 def test_readings_far_from_the_actuators_zero_are_a_warning():
     assert "Actuators' zero" not in say(make())
-    far = {"legs": [1, 2], "reading_mm": 731.2, "direction_sd": 0.0005}
+    far = {"channels": ["rho[1]", "rho[2]"], "reading_mm": 731.2, "moved_mm": 0.3656}
     level, text = say(make(put(far, "far_readings")))["Actuators' zero"]
     assert level == "plain"
     assert "readings lie around 731 mm from where the direction's tolerance turns it" in text
-    assert "(a tolerance of 0.029° is 0.37 mm there); put the zero there" in text
+    assert "(it comes to 0.37 mm there); put the zero there" in text
 
 
 def test_a_larger_rank_beside_the_expected_machine_is_a_warning():
@@ -433,7 +433,7 @@ def test_requirements_kept_less_often_than_claimed_are_a_warning(tmp_path):
 
 def test_draws_that_break_a_requirement_are_bad_news(tmp_path):
     def change(summary):
-        summary["posterior"]["requirements"] = {"x": {"probability": 0.3}, "rotation_x": {"probability": 0.99}}
+        summary["posterior"]["requirements"] = {"x": {"probability": 0.3}, "rx": {"probability": 0.99}}
 
     results = read_audit(write_audit_results(tmp_path, change, checks=True))
     level, text = say(results)["Requirements by draws"]
@@ -447,7 +447,7 @@ def test_draws_that_break_a_requirement_are_bad_news(tmp_path):
 
 def test_data_show_their_origin_and_draws_left_out_their_reason(tmp_path, no_pictures):
     def change(summary):
-        summary["plan"]["sensors"] = []
+        summary["plan"]["n_held_back"] = 0
 
     text = write_audit_report(write_audit_results(tmp_path, change, checks=True)).read_text(encoding="utf-8")
     assert "<strong>Data origin</strong> simulated at the expected machine" in text
@@ -576,7 +576,7 @@ def test_ridge_plots_show_draws_prior_and_curves():
     assert len(shown) == 2  # one of the two legs of rho0, and l
     assert len(shown[0].lines) == 4
     assert [key.get_text() for key in figure.legends[0].get_texts()] == [
-        *("prior", "posterior", "analytic curve", "profile path"),
+        *("prior", "posterior", "profile path", "direction of the information"),
     ]
     assert shown[0].get_xlabel() == "$ρ_{1}^{0}$ (mm)"
     others = draw(make_audit_results(checks=True), "ridges_others")

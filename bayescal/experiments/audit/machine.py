@@ -1,0 +1,235 @@
+"""A machine and its instruments as an audit is given them: where it is planned to measure, and what is read there."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from bayescal.calibrated.tables import list_columns, read_given, read_named, read_quantities
+from bayescal.data.actuators import check_moves
+from bayescal.density.calibration.measurements import Measurements
+from bayescal.density.calibration.terms import Errors
+from bayescal.density.priors import NormalPrior, Prior
+from bayescal.errors import InputError, name_faults
+from bayescal.experiments.audit.planned import PlannedPoses, count_poses
+from bayescal.experiments.audit.pose_sensors import PoseSensor
+from bayescal.experiments.audit.schema import AuditConfig, PosesConfig, VariantConfig
+from bayescal.experiments.shared.readings.errors import build_terms_of_model
+from bayescal.experiments.shared.readings.inputs import Variant
+from bayescal.experiments.shared.readings.noise import noise_of_channels
+from bayescal.experiments.shared.readings.priors import choose_priors
+from bayescal.experiments.shared.readings.schema import ChannelConfig, FreeConfig
+from bayescal.experiments.shared.readings.workspace import (
+    Workspace,
+    check_given,
+    check_told,
+    draw_given,
+    draw_standing,
+)
+from bayescal.experiments.shared.study_schema import VariantConfig as FittedConfig
+from bayescal.files.csv_tables import read_matrix
+from bayescal.identifiability.design import draw_displacements
+from bayescal.machines.readings import Given, ReadingModel
+from bayescal.numerics.geometry import Array
+
+
+@dataclass(frozen=True, eq=False)
+class PlannedMachine:
+    """A machine and its instruments, of which variants are made by choosing channels and poses.
+
+    Attributes
+    ----------
+    config : AuditConfig
+    folder : Path
+        Where the config's file names start.
+    model : ReadingModel
+        With all instruments.
+    workspace : Workspace
+    sensors : dict of name to PoseSensor
+        Those whose noise follows from what they tell of a pose.
+    symbols : collection of str
+        Of parameters that other variants' machines have.
+    """
+
+    config: AuditConfig
+    folder: Path
+    model: ReadingModel
+    workspace: Workspace
+    sensors: Mapping[str, PoseSensor]
+    symbols: Collection[str]
+
+    # --- poses -----------------------------------------------------------------------------------------------------
+
+    def plan(self, section: PosesConfig, factor: float = 1.0) -> PlannedPoses:
+        """Return where it is planned to measure, of a workspace so many times as wide.
+
+        InputError for a faulty file, missing bounds and a pose at which the machine as expected cannot be.
+        """
+        config, model = self.config, self.model
+        if section.file is not None:
+            known = [*list_columns(model.coordinates), *model.given]
+            expected = [*(f"{one.name}_{one.unit}" for one in model.coordinates), *model.given]
+            table, names = read_named(self.folder / section.file, known, expected)
+            return PlannedPoses(names, read_quantities(table, model.coordinates), read_given(table, model.given))
+        check_given(config.given, model)
+        rng, theta = np.random.default_rng([config.seed, 8]), self._expect()
+        if section.configurations is not None:
+            moves = self._read_moves(section)
+            middle, given = find_middle(model, theta), draw_given(config.given, len(moves), rng)
+            return locate(model, theta, middle, moves, given)
+        assert section.count is not None
+        given = draw_given(config.given, section.count, rng)
+        if section.plan != "workspace":
+            return plan_commands(model, theta, section, given, config.seed)
+        pose, _ = draw_standing(model, self.workspace.widen(factor), theta, given, section.count, rng)
+        return PlannedPoses(count_poses(section.count), pose, given)
+
+    def _expect(self) -> Array:
+        """Return the machine as expected, shape (D,)."""
+        layout = self.model.layout
+        priors, fixed, _ = choose_priors(self.config, FreeConfig(), layout, self.symbols)
+        expects = fixed | {name: one.mean for name, one in priors.items()}
+        return np.array([expects.get(name, value) for name, value in zip(layout.names, layout.nominal, strict=True)])
+
+    def _read_moves(self, section: PosesConfig) -> Array:
+        """Return displacements of the actuators (P, C) from a file, in the channels' units."""
+        assert section.configurations is not None
+        path, model = self.folder / section.configurations, self.model
+        units = [model.channels[k].unit for k in model.select(model.commanded)]
+        moves = read_matrix(path, len(units)) * np.where([unit == "mm" for unit in units], section.unit_mm, 1.0)
+        with name_faults(path):
+            check_moves(moves)
+        return np.asarray(moves)
+
+    # --- variants ----------------------------------------------------------------------------------------------------
+
+    def spread(self, names: Sequence[str]) -> list[str]:
+        """Return channels and kinds of them, each sensor of poses by all of its channels."""
+        own = {channel: one.name for one in self.sensors.values() for channel in (*one.channels, f"{one.name}_r")}
+        for name in names:
+            if name in own:
+                raise InputError(f"sensor {name!r}: found a part of {own[name]!r}, expected {own[name]!r} as a whole")
+        return [
+            channel for name in names for channel in (self.sensors[name].channels if name in self.sensors else [name])
+        ]
+
+    def list_priors(self, section: VariantConfig) -> Mapping[str, Prior]:
+        """Return the priors of a variant's free parameters as they are stated, by name."""
+        return choose_priors(self.config, section, self.model.layout, self.symbols)[0]
+
+    def list_unused(self, used: Sequence[str]) -> dict[str, list[str]]:
+        """Return instruments by name that are not among sensors used, with what [sensors] calls their channels."""
+        found = dict[str, list[str]]()
+        for name in (*self.config.instruments, *self.sensors):
+            own = [one for one in self.config.sensors if one == name or one.startswith((f"{name}_", f"{name}["))]
+            if own and not set(own) & set(used):
+                found[name] = own
+        return found
+
+    def build(self, section: VariantConfig, planned: PlannedPoses) -> Variant:
+        """Return a variant at planned poses; InputError for one at which the machine as expected cannot be."""
+        config, whole = self.config, self.model
+        chosen = whole.select(self.spread(list(config.sensors) if section.sensors is None else section.sensors))
+        model = whole.pick(chosen)
+        priors, fixed, common = choose_priors(config, section, model.layout, self.symbols)
+        shared = section.model_dump(include=set(FreeConfig.model_fields) | {"name", "sensors"})
+        shape = (len(planned.names), len(chosen))
+        variant = Variant(
+            FittedConfig(**shared, title=section.label, noise="stated"),
+            whole,
+            model,
+            {name: NormalPrior(one.mean, one.sd) for name, one in priors.items()},
+            fixed,
+            common,
+            Errors(),
+            Measurements(planned.names, np.zeros(shape), np.ones(shape), planned.given),
+            np.zeros(shape[0], dtype=bool),
+            planned.pose,
+            self.workspace,
+            config.aligned,
+        )
+        read = whole.read(variant.posterior().sampling.start, planned.pose, planned.given)
+        values = read[:, chosen]
+        for k, channel in np.argwhere(~np.isfinite(values))[:1]:
+            raise InputError(
+                f"pose {planned.names[k]!r}: found no reading of {model.names[channel]}, expected a pose at which the "
+                "machine as expected stands"
+            )
+        variant = replace(variant, data=self._add_noise(replace(variant.data, values=values), chosen, read))
+        check_told(variant.posterior(), planned.pose, self.workspace)
+        terms, missing = build_terms_of_model(
+            config.model_error,
+            model,
+            variant.data,
+            planned.pose,
+            ~variant.verification,
+            self.workspace,
+            priors,
+            few=True,
+        )
+        return replace(variant, errors=Errors(terms), missing=missing)
+
+    def _add_noise(self, data: Measurements, chosen: np.ndarray, read: Array) -> Measurements:
+        """Return readings of the chosen channels with their noise, all channels reading (P, K)."""
+        sections = {k: v for k, v in self.config.sensors.items() if isinstance(v, ChannelConfig)}
+        names = [self.model.names[k] for k in chosen]
+        sd = np.tile(noise_of_channels(sections, self.model)[chosen], (data.n_poses, 1))
+        correlation = np.tile(np.eye(len(names)), (data.n_poses, 1, 1))
+        for one in self.sensors.values():
+            if one.channels[0] not in names:
+                continue
+            places = np.array([names.index(name) for name in one.channels])
+            tool = read[:, self.model.select([one.name, f"{one.name}_r"])]
+            covariance = one.find_noise(tool, data.poses)
+            sd[:, places] = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+            correlation[:, places[:, None], places] = covariance / (sd[:, places, None] * sd[:, None, places])
+        for k in np.flatnonzero(~np.isfinite(sd[0]))[:1]:
+            raise InputError(f"sensors: found {names[k]} without noise, expected an entry in [sensors]")
+        alone = np.array_equal(correlation, np.broadcast_to(np.eye(len(names)), correlation.shape))
+        return replace(data, sd=sd, correlation=None if alone else correlation)
+
+
+# --- actuator positions ----------------------------------------------------------------------------------------------
+
+
+def plan_commands(model: ReadingModel, theta: Array, section: PosesConfig, given: Given, seed: int) -> PlannedPoses:
+    """Return poses of random actuator positions of a machine (D,).
+
+    InputError where the actuators have no range, or there is a position at which the machine cannot stand.
+    """
+    limits = model.command_range
+    if not len(limits) or not np.isfinite(limits).all():
+        raise InputError(f"poses.plan: found {section.plan!r}, but no range of the actuators, expected 'workspace'")
+    assert section.count is not None
+    half = 0.5 * (limits[:, 1] - limits[:, 0]) if section.range_mm is None else section.range_mm
+    rng = np.random.default_rng([seed, 1])
+    moves = half * draw_displacements(section.plan, section.count, len(limits), 1.0, rng)
+    return locate(model, theta, limits.mean(axis=1), moves, given)
+
+
+def find_middle(model: ReadingModel, theta: Array) -> Array:
+    """Return where displacements of the actuators are zero: in the middle of their range, or at home without any, (C,).
+
+    Of a machine (D,).
+    """
+    limits = model.command_range
+    if np.isfinite(limits).all():
+        return np.asarray(limits.mean(axis=1))
+    home = model.read(theta, model.home_pose[None], {name: np.ones(1) for name in model.given})
+    return np.asarray(home[0, model.select(model.commanded)])
+
+
+def locate(model: ReadingModel, theta: Array, middle: Array, moves: Array, given: Given) -> PlannedPoses:
+    """Return the poses of a machine (D,) at displacements (P, C), of redundant actuators those of least squares."""
+    pose, found = model.locate(theta, middle + moves, given)
+    names = count_poses(len(moves))
+    for k in np.flatnonzero(~found)[:1]:
+        moved = ", ".join(f"{one:g}" for one in moves[k])
+        raise InputError(
+            f"poses: pose {names[k]!r}: found no pose at displacements {moved} of the actuators, expected one the "
+            "machine can take"
+        )
+    return PlannedPoses(names, pose, dict(given))

@@ -1,0 +1,238 @@
+"""A study's measured poses as an audit takes them: machine, priors, noise and posterior are the study's.
+
+A machine that has been measured is known better than its drawings, and the ridges of its posterior bend. Derivatives
+are therefore taken at the posterior mean: there the tangent of a bent ridge is, to second order, the chord through the
+draws, while at the nominal machine it is turned away by the bend times the distance. Without draws the most probable
+machine stands in for it. Tolerances stay those of the priors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from bayescal.config.classes import label_class
+from bayescal.density.calibration.measurements import Measurements
+from bayescal.density.calibration.model_error import FunctionsOfPose, IndependentErrors, ThinFunctionsOfPose
+from bayescal.density.calibration.terms import Errors, ErrorTerm
+from bayescal.density.priors import NormalPrior, Prior
+from bayescal.errors import InputError
+from bayescal.experiments.audit.machine import plan_commands
+from bayescal.experiments.audit.planned import PlannedPoses, count_poses
+from bayescal.experiments.audit.schema import AuditConfig, PosesConfig, VariantConfig
+from bayescal.experiments.frame.load import load
+from bayescal.experiments.frame.parallel import Run
+from bayescal.experiments.shared.measured import MeasuredReadings, measure_variants
+from bayescal.experiments.shared.readings.inputs import Variant
+from bayescal.experiments.shared.readings.workspace import Workspace, build_workspace, check_told, draw_standing
+from bayescal.experiments.shared.study_schema import VariantConfig as FittedConfig
+from bayescal.experiments.shared.study_schema import name_variant
+from bayescal.identifiability.draws import Draws, sample
+from bayescal.identifiability.reading_rows import typical_given
+from bayescal.inference.mode import find_modes
+from bayescal.inference.schema import DrawsConfig
+from bayescal.machines.readings import ReadingModel
+from bayescal.numerics.geometry import Array
+
+DRAWS_WITH_DATA = 100_000
+"""So many that chance turns the ridges' directions by less than what is said of them; a few seconds."""
+SEED = 4
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredMachine:
+    """A machine that has been measured, of which variants are made at its own poses and at others.
+
+    Attributes
+    ----------
+    config : AuditConfig
+    found : MeasuredReadings
+        A variant of the study.
+    workspace : Workspace
+    centre : mapping of str to float
+        Where free parameters are expected: their posterior means, or the mode; the priors' means before it is drawn.
+    """
+
+    config: AuditConfig
+    found: MeasuredReadings
+    workspace: Workspace
+    centre: Mapping[str, float]
+
+    @property
+    def model(self) -> ReadingModel:
+        """The machine with the channels that the study takes in."""
+        return self.found.posterior.likelihood.model
+
+    @property
+    def own_poses(self) -> PlannedPoses:
+        """The poses that were measured."""
+        likelihood, data = self.found.posterior.likelihood, self.found.posterior.likelihood.data
+        return PlannedPoses(data.poses, likelihood.start, dict(data.given), np.arange(data.n_poses))
+
+    def list_priors(self, section: VariantConfig) -> Mapping[str, Prior]:
+        """Return the study's priors."""
+        del section
+        return self.found.posterior.priors
+
+    def list_unused(self, used: Sequence[str]) -> dict[str, list[str]]:
+        """Return no instruments: what has been measured was measured."""
+        del used
+        return {}
+
+    def plan(self, section: PosesConfig, factor: float = 1.0) -> PlannedPoses:
+        """Return random poses of a workspace so many times as wide, or of the actuators; InputError for a file."""
+        if section.count is None:
+            raise InputError("poses: found a file beside [data], expected a count")
+        posterior, rng, seed = self.found.posterior, np.random.default_rng([self.config.seed, 8]), self.config.seed
+        given, theta = typical_given(posterior.likelihood.data.given, section.count), posterior.sampling.start
+        if section.plan != "workspace":
+            return plan_commands(self.model, theta, section, given, seed)
+        pose, _ = draw_standing(self.model, self.workspace.widen(factor), theta, given, section.count, rng)
+        return PlannedPoses(count_poses(section.count), pose, given)
+
+    def build(self, section: VariantConfig, planned: PlannedPoses) -> Variant:
+        """Return the variant at poses, of others than those measured seen as well as these on average."""
+        if section.sensors is not None:
+            raise InputError("sensors: found them beside [data], expected those of the study")
+        posterior, model = self.found.posterior, self.model
+        data = posterior.likelihood.data
+        if planned.rows is not None:
+            some = data.pick(planned.rows)
+            sd, correlation = some.sd, some.correlation
+        else:
+            sd = np.tile(np.median(data.sd, axis=0), (len(planned.names), 1))
+            mean = None if data.correlation is None else data.correlation.mean(axis=0)
+            correlation = None if mean is None else np.tile(mean, (len(sd), 1, 1))
+        priors: dict[str, Prior] = {
+            name: NormalPrior(self.centre[name], prior.sd) for name, prior in posterior.priors.items()
+        }
+        nothing = Measurements(planned.names, np.zeros_like(sd), sd, planned.given, correlation)
+        variant = Variant(
+            FittedConfig(name=section.name, title=section.label, noise="stated"),
+            model,
+            model,
+            priors,
+            posterior.fixed,
+            posterior.common,
+            Errors(),
+            nothing,
+            np.zeros(len(planned.names), dtype=bool),
+            planned.pose,
+            self.workspace,
+            self.config.aligned,
+        )
+        values = model.read(variant.posterior().sampling.start, planned.pose, planned.given)
+        if not np.isfinite(values).all():
+            raise InputError("poses: found one that the machine cannot take, expected none")
+        if planned.rows is not None:  # what was not read, is not
+            values = np.where(data.present[planned.rows], values, np.nan)
+        variant = replace(variant, data=replace(nothing, values=values))
+        check_told(variant.posterior(), planned.pose, self.workspace)
+        terms = tuple(_move(one, model, variant.data, planned.pose) for one in posterior.errors.terms)
+        return replace(variant, errors=Errors(terms))
+
+
+def _move(term: ErrorTerm, model: ReadingModel, data: Measurements, pose: Array) -> ErrorTerm:
+    """Return a study's error at other rows; functions of the pose are made of few columns there."""
+    if not isinstance(term, FunctionsOfPose):
+        return term
+    read = model.read(model.layout.nominal, pose, data.given)[:, term.own.places]
+    own = replace(
+        term.own,
+        order=data.order,
+        n_places=data.n_poses,
+        expected=np.where(np.isfinite(read), read, term.own.home),
+        readings=data.values[:, term.own.places],
+        used=np.ones(data.n_poses, dtype=bool),
+    )
+    return ThinFunctionsOfPose(term.sort, own, term.scale, term.floor, n_channels=len(model.channels))
+
+
+def read_measured(config: AuditConfig, folder: Path) -> MeasuredMachine:
+    """Return what a design's study says of its machine.
+
+    Raises
+    ------
+    InputError
+        Where there is no such study, or it has no variant of the design's model, deformation and name, or several.
+    """
+    assert config.data is not None
+    where, section, named = folder / config.data.study, config.variants[0], config.data.variant
+    experiment, study = load(where)
+    variants, model = getattr(study, "variants", ()), section.model
+    names = [one.name for one in variants]
+    if model is not None and names:
+        wanted = name_variant(label_class(model), label_class(section.deformation))
+        seen = {one.name: name_variant(*one.seen) for one in variants if one.model is not None}
+        names = [name for name in names if seen.get(name) == wanted]
+        if not names:
+            known = ", ".join(dict.fromkeys(seen.values())) or "no model"
+            raise InputError(f"{where}: variants: found no {wanted}, expected one of {known}")
+    chosen = [name for name in names if named in (None, name)] if named is None or named in names else []
+    if names and not chosen:
+        raise InputError(f"{where}: variants: found no {named!r}, expected {', '.join(map(repr, names))}")
+    if len(chosen) > 1:
+        listed = ", ".join(map(repr, names))
+        raise InputError(f"{where}: variants: found {listed}, expected data.variant with one of these names")
+    (found,) = measure_variants(experiment, study, where, chosen, config.data.with_model_error).values()
+    posterior = found.posterior
+    if posterior.errors.outliers.expected:
+        raise InputError(f"{where}: found outlier_share, expected none: audits have no poses that may be spoilt")
+    model_of, scale = posterior.likelihood.model, posterior.likelihood.model.pose_scale
+    workspace = (
+        build_workspace(model_of, config.workspace, config.units)
+        if config.workspace
+        else Workspace(found.low, found.high, scale)
+    )
+    return MeasuredMachine(config, found, workspace, {name: one.mean for name, one in posterior.priors.items()})
+
+
+def draw(task: tuple[MeasuredReadings, DrawsConfig, int, int]) -> Draws:
+    """Return draws of what was found of a machine: so many, by a design's effort and seed."""
+    found, effort, wanted, seed = task
+    y, diagnostics, problems = sample(found.found, effort, wanted, np.random.SeedSequence([seed, SEED]))
+    return Draws(*_take(found, y), diagnostics, problems)
+
+
+def _take(found: MeasuredReadings, y: Array) -> tuple[Array, Array]:
+    """Return parameters (S, m), in the order of the readings' posterior, and errors (S, k) of draws (S, n)."""
+    target, names = found.found, found.posterior.sampling.names
+    places = [target.names.index(name) for name in names]
+    return target.natural(y)[:, places], found.posterior.zeta(found.adopt(y))
+
+
+def centre(measured: MeasuredMachine, run: Run) -> tuple[MeasuredMachine, Draws | None, Array]:
+    """Return a measured machine about its posterior, the draws of this, and coordinates of its errors (S, k).
+
+    About its mode, without draws, where the design wants none.
+    """
+    config, found = measured.config, measured.found
+    wanted = DRAWS_WITH_DATA if config.posterior.draws is None else config.posterior.draws
+    if wanted:
+        draws = run.once("posterior", draw, (found, config.posterior, wanted, config.seed), (Draws,))
+        values, zeta = draws.mean, draws.zeta
+    else:
+        draws, (values, zeta) = None, _take(found, find_modes(found.found)[0].y[None])
+        values = values[0]
+    where = dict(zip(found.posterior.sampling.names, values.tolist(), strict=True))
+    return replace(measured, centre=where), draws, zeta
+
+
+def describe_found(errors: Errors, zeta: Array) -> tuple[float, dict[str, float], dict[str, float], dict[str, float]]:
+    """Return root mean squares over draws (S, k) of errors: τ and sizes by sort, mm, then floors, and others' means.
+
+    The latter are standardised, by name.
+    """
+    square, sizes, floors, others = list[float](), dict[str, float](), dict[str, float](), dict[str, float]()
+    for term, own in errors.of(zeta):
+        if isinstance(term, FunctionsOfPose):
+            sizes[term.sort] = float(np.sqrt(np.mean(term.amplitude(own) ** 2)))
+            floors |= {term.sort: term.floor} if term.floor > 0.0 else {}
+        elif isinstance(term, IndependentErrors):
+            square.append(float(np.mean(term.square(own))))
+        else:
+            others |= dict(zip(term.names, own.mean(axis=0).tolist(), strict=True))
+    return float(np.sqrt(np.mean(square))) if square else 0.0, sizes, floors, others
