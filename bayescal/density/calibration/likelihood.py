@@ -465,7 +465,7 @@ MAX_ITERATIONS = 200
 
 @dataclass(frozen=True, eq=False)
 class JointFit:
-    """Machine and poses that explain readings and priors best, by Levenberg and Marquardt.
+    """Machine and poses that explain readings and priors best, by Levenberg's damped steps.
 
     Machine, poses and coefficients move together, the latter two eliminated from each step; what is unknown of the
     errors stays as it is.
@@ -558,6 +558,7 @@ class JointFit:
         across, shown = acted.T @ rows.reshape(right.size, -1), acted.T @ right.ravel()
         normal -= across.T @ np.linalg.solve(inner, across)
         side -= across.T @ np.linalg.solve(inner, shown)
-        move = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), side)
+        # in prior deviations: scaled by the diagonal it would hold back the ridges, which have the smallest eigenvalues
+        move = np.linalg.solve(normal + damping * np.eye(m), side)
         common = columns @ np.linalg.solve(inner, shown - across @ move)
         return move, left_of(stiff, error - by_parameters @ move - common)
