@@ -12,7 +12,7 @@ with M what the sensors tell of the pose. It holds for a singular M too, where t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -22,13 +22,12 @@ import numpy as np
 from bayescal.errors import InputError
 from bayescal.identifiability.design import Knowledge, Plan, predict_poses
 from bayescal.machines.frames import N_FRAME_PARAMETERS, frame_slopes, move_frames
-from bayescal.machines.kinematics import SINGULAR_CONDITION, ForwardKinematics, Machine, solve_forward_kinematics
+from bayescal.machines.kinematics import SINGULAR_CONDITION, ForwardKinematics, solve_forward_kinematics
 from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array
 
 if TYPE_CHECKING:
-    import pandas as pd
+    pass
 
-COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
 UNSEEN = 1e-13  # of a scaled matrix: what rounding leaves of a pose's coordinate that no sensor sees
 
 
@@ -191,44 +190,3 @@ def compute_measured_poses(knowledge: Knowledge, theta: Array, actuators: Array)
     found = solve_forward_kinematics(machine, theta[..., None, :-N_FRAME_PARAMETERS], actuators, check=False)
     position, rotation = move_frames(theta[..., -N_FRAME_PARAMETERS:], found.position, found.rotation)
     return np.where(found.converged[..., None], position, np.nan), rotation
-
-
-# --- as a table ------------------------------------------------------------------------------------------------------
-
-
-def tabulate_jacobian(
-    machine: Machine, actuators: Array, parameters: Sequence[str] | None = None, theta: Array | None = None
-) -> pd.DataFrame:
-    """Return how poses change with the parameters, ∂pose/∂θ = -A⁻¹ F (RR-8096 eq. 37), actuators held.
-
-    Parameters
-    ----------
-    machine : Machine
-    actuators : ndarray, shape (P, N)
-        Actuator positions, mm.
-    parameters : sequence of str, optional
-        Names such as ``l[1]``; all of the machine by default.
-    theta : ndarray, shape (D,), optional
-        The machine's parameters; nominal by default.
-
-    Returns
-    -------
-    DataFrame
-        A row for each pose, counted from one, and component (position in mm, rotation vector in rad, base frame); a
-        column for each parameter, in pose units per the parameter's unit.
-
-    Raises
-    ------
-    InputError
-        Where forward kinematics finds no pose.
-    """
-    import pandas as pd  # a third of a second, for those who have tables
-
-    layout = machine.layout
-    names = list(layout.names if parameters is None else parameters)
-    values = layout.nominal if theta is None else theta
-    knowledge = Knowledge(machine, dict.fromkeys(names, 1.0), dict(zip(layout.names, values.tolist(), strict=True)))
-    slope = compute_sensitivity(knowledge, np.atleast_2d(actuators)).slope
-    order = [knowledge.names.index(name) for name in names]
-    index = pd.MultiIndex.from_product([range(1, len(slope) + 1), COMPONENTS], names=["pose", "component"])
-    return pd.DataFrame(slope[..., order].reshape(-1, len(names)), index=index, columns=names)
