@@ -15,7 +15,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,9 +23,6 @@ from bayescal.identifiability.design import Knowledge, Plan, predict_poses
 from bayescal.machines.frames import N_FRAME_PARAMETERS, frame_slopes, move_frames
 from bayescal.machines.kinematics import SINGULAR_CONDITION, ForwardKinematics, solve_forward_kinematics
 from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array
-
-if TYPE_CHECKING:
-    pass
 
 UNSEEN = 1e-13  # of a scaled matrix: what rounding leaves of a pose's coordinate that no sensor sees
 
