@@ -341,7 +341,7 @@ def _settle(posterior: Target, mode: Mode) -> Mode:
 
 
 def _factor_negative(posterior: Target, y: Array, curvature: Array) -> tuple[Array, Array]:
-    """Return F, F Fᵀ the inverse of minus the Hessian, and the slope along its columns (n,), zero where none is told.
+    """Return F, F Fᵀ the inverse of minus the Hessian, and the slope along its columns (n,), zero where it is unknown.
 
     F is that of Gauss and Newton's Hessian where the exact one is no maximum's.
 
