@@ -10,6 +10,7 @@ from typing import Self
 import numpy as np
 
 from bayescal.density.calibration.frozen import FrozenRows
+from bayescal.density.calibration.lone_rows import LoneRows
 from bayescal.density.calibration.poses import MANY_ROWS, PoseElimination, Stand
 from bayescal.density.calibration.terms import CommonDraws, Errors
 from bayescal.density.components import LinearRows
@@ -33,14 +34,16 @@ LEAST_SHARE = 1e-3  # of a variance, that an unknown noise is taken to have
 class CalibrationLikelihood(PoseElimination, Elimination[AffineSampling, Errors]):
     """Log-density of the readings of P poses under machines θ (B, D) and errors with coordinates ζ (B, k).
 
-    ``frozen``: a fast form of it about a machine that explains the readings, where errors are functions of the pose.
+    ``frozen`` and ``lone``: fast forms of it about a machine that explains the readings, where errors are functions of
+    the pose, and where each pose is by itself.
     """
 
     frozen: FrozenRows | None = None
+    lone: LoneRows | None = None
 
     def pick(self, which: np.ndarray) -> Self:
-        """Return the density of the readings of some poses, which is not frozen."""
-        return replace(super().pick(which), frozen=None)
+        """Return the density of the readings of some poses, in no fast form."""
+        return replace(super().pick(which), frozen=None, lone=None)
 
     @property
     def layout(self) -> ParameterLayout:  # type: ignore[override]
@@ -86,6 +89,10 @@ class CalibrationLikelihood(PoseElimination, Elimination[AffineSampling, Errors]
         if self.frozen is not None:
             for part in self.batches(len(theta), MANY_ROWS):
                 result[part] = self.frozen.density_by_row(self, theta[part], errors, zeta[part])
+            return result
+        if self.lone is not None:
+            for part in self.batches(len(theta), MANY_ROWS):
+                result[part] = self.lone.density_by_row(self, theta[part], errors, zeta[part])
             return result
 
         def weigh(part: slice) -> None:
@@ -139,8 +146,8 @@ class CalibrationLikelihood(PoseElimination, Elimination[AffineSampling, Errors]
         return np.concatenate([found.residual for _, found in self._absorb(errors, zeta, white, at)])
 
     def finer(self) -> Self | None:
-        """Return the density that is not frozen; None where it is none, which leaves nothing out."""
-        return None if self.frozen is None else replace(self, frozen=None)
+        """Return the density in no fast form; None where it is in none, which leaves nothing out."""
+        return None if self.frozen is None and self.lone is None else replace(self, frozen=None, lone=None)
 
     def _explain_in_parts(self, theta: Array, errors: Errors, zeta: Array) -> Iterator[tuple[slice, Whitening, Stand]]:
         """Yield machines that are looked at together, with whitening and where they explain readings best."""
@@ -318,7 +325,7 @@ class CalibrationLikelihood(PoseElimination, Elimination[AffineSampling, Errors]
         """
         white, at = self.explain(theta, errors, zeta)
         near = self.expansion if self.is_near(theta).all() else None  # H of a pose close by for machines much alike
-        raw = self._linearise(theta, at.pose)[1] if near is None else near.predict(theta)[1]
+        raw = self.linearise_raw(theta, at.pose)[1] if near is None else near.predict(theta)[1]
         there = Stand(at.pose, at.error, white.rows(raw))
         volume = self.log_volume(there, white).sum(axis=1)
         if turn is None:
@@ -361,7 +368,8 @@ class CalibrationLikelihood(PoseElimination, Elimination[AffineSampling, Errors]
         with np.errstate(all="ignore"):  # one of them may be no machine
             error = near.density(every, alone, zeta) - exact.density(every, alone, zeta)
         found = near.limited(every, np.where(self.layout.inside(every), error, np.nan))
-        return replace(found, frozen=FrozenRows.build(found, errors, theta))
+        frozen = FrozenRows.build(found, errors, theta)
+        return replace(found, frozen=frozen, lone=LoneRows.build(found, errors, theta))
 
     def _draw_near(self, sampling: AffineSampling, y: Array, pose: Array, white: Whitening) -> Array:
         """Return coordinates (N, m) thrice as far off the best ones (m,) as the posterior's, always the same."""
@@ -398,7 +406,7 @@ class CalibrationLikelihood(PoseElimination, Elimination[AffineSampling, Errors]
         if cause or self.expansion is None or errors.has_columns or errors.outliers.expected or not errors.has_noise:
             return None
         _, at = self.explain(theta, errors, y[None, sampling.size :])
-        error, slope, by_parameters = self._linearise(theta, at.pose, with_parameters=True)
+        error, slope, by_parameters = self.linearise_raw(theta, at.pose, with_parameters=True)
         both = np.concatenate([-by_parameters @ change, error[..., None]], axis=-1)
 
         def square(zeta: Array) -> tuple[Array, float]:

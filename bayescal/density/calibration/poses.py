@@ -239,10 +239,10 @@ class PoseElimination:
         self, theta: Array, pose: Array, white: Whitening, with_parameters: bool = False
     ) -> tuple[Array, Array, Array]:
         """Return white errors (C, P, K), H (C, P, K, q) and A (C, P, K, D) of machines (C, D) at poses (C, P, q)."""
-        error, by_pose, by_parameters = self._linearise(theta, pose, with_parameters)
+        error, by_pose, by_parameters = self.linearise_raw(theta, pose, with_parameters)
         return white.vector(error), white.rows(by_pose), white.rows(by_parameters) if with_parameters else by_parameters
 
-    def _linearise(self, theta: Array, pose: Array, with_parameters: bool = False) -> tuple[Array, Array, Array]:
+    def linearise_raw(self, theta: Array, pose: Array, with_parameters: bool = False) -> tuple[Array, Array, Array]:
         """Return the same as they are, not white; zero for readings that were not taken."""
         here = self.model.linearise(theta[:, None], pose, with_parameters, self._given)
         error = self.comparison.subtract(self.data.values, here.values)
@@ -282,7 +282,7 @@ class PoseElimination:
     def _improve(self, found: Stand, going: np.ndarray, theta: Array, white: Whitening) -> Array:
         """Move some of the machines by a step, or two where H is as good as that of the next pose; return the sizes."""
         theta, white = theta[going], white.pick(going)
-        error, raw, _ = self._linearise(theta, found.pose[going])
+        error, raw, _ = self.linearise_raw(theta, found.pose[going])
         error, slope = white.vector(error), white.rows(raw)
         with np.errstate(all="ignore"):
             factor = factorise(slope)
@@ -344,7 +344,7 @@ class PoseElimination:
         """Return what machines near an anchor (D,) at the start have in common."""
         white = reference or self.whiten(self.sd[None], np.zeros((1, 1, len(self.model.channels))))
         with np.errstate(all="ignore"):
-            _, slope, by_parameters = self._linearise(anchor[None], self.start[None], with_parameters=True)
+            _, slope, by_parameters = self.linearise_raw(anchor[None], self.start[None], with_parameters=True)
             inverse = invert(white.rows(slope)[0], 0.0)
             moves = -inverse @ white.rows(by_parameters)[0]
             first = Expansion(
@@ -383,7 +383,7 @@ class PoseElimination:
         bends = np.empty((len(free), *first.slope.shape))
         for part in self.batches(len(free)):
             up, down = (
-                self._linearise(first.anchor + sign * change[part], first.pose + sign * pose[part])[1]
+                self.linearise_raw(first.anchor + sign * change[part], first.pose + sign * pose[part])[1]
                 for sign in (1.0, -1.0)
             )
             width = 2.0 * change[part].sum(axis=1)
@@ -427,11 +427,22 @@ class PoseElimination:
             return np.zeros(len(theta))
         if near is None or not self.is_near(theta[None]).all():
             return None
-        result, bends, commanded = np.zeros(len(theta)), near.by_parameter, self.data.commanded
-        result[near.free] = -np.einsum("pik,fpki->f", invert(slope, 0.0), white.rows(bends), optimize=True)
+        result = np.zeros(len(theta))
+        result[near.free] = self.differentiate_volumes(theta, white, slope).sum(axis=1)
+        return result
+
+    def differentiate_volumes(self, theta: Array, white: Whitening, slope: Array) -> Array:
+        """Return the derivatives of each pose's `log_volume` by what the F machines of the expansion differ in, (F, P).
+
+        Arguments as of `differentiate_volume`.
+        """
+        near, commanded = self.expansion, self.data.commanded
+        assert near is not None
+        bends = near.by_parameter
+        result = -np.einsum("pik,fpki->fp", invert(slope, 0.0), white.rows(bends), optimize=True)
         if commanded is not None:
             own = np.where(commanded[..., None], near.predict(theta[None])[1][0], 0.0)
-            result[near.free] += np.einsum("pik,fpki->f", invert(own, 0.0), bends, optimize=True)
+            result += np.einsum("pik,fpki->fp", invert(own, 0.0), bends, optimize=True)
         return result
 
     # --- density -------------------------------------------------------------------------------------------------

@@ -1,6 +1,6 @@
 """Internal and external sensors as functions of the pose and of the machine's parameters."""
 
-from bayescal.machines.readings.base import POSE, Channel, Coordinate, Given, ReadingModel, Readings
+from bayescal.machines.readings.base import POSE, Bound, Channel, Coordinate, Given, ReadingModel, Readings
 from bayescal.machines.readings.function import FunctionModel, Parameters, ReadingMachine
 from bayescal.machines.readings.legs import Legs
 from bayescal.machines.readings.placed import Instrument, Placed, PoseInstrument, place
@@ -20,6 +20,7 @@ __all__ = [
     "INSTRUMENTS",
     "MACHINES",
     "POSE",
+    "Bound",
     "Channel",
     "Coordinate",
     "FunctionModel",

@@ -283,6 +283,29 @@ def hand_on(name: str) -> Any:
     return property(attrgetter(name))
 
 
+class Bound(ABC):
+    """Readings of C channels of many machines at poses that stay, and how they follow where these are moved.
+
+    Arrays run over (channel, pose, machine), the machine last: there every operation is a long contiguous loop. What a
+    method returns is scratch, valid until the method is called again.
+
+    Attributes
+    ----------
+    places : ndarray of int, shape (C,)
+        The channels; what others read at a pose is the same for all machines.
+    """
+
+    places: np.ndarray
+
+    @abstractmethod
+    def errors(self, theta: Array) -> Array:
+        """Return measured minus read, (C, P, B), of machines (B, D)."""
+
+    @abstractmethod
+    def follow(self, step: Array) -> Array:
+        """Return by how much readings of the same machines change, (C, P, B), as poses move by steps (q, P, B)."""
+
+
 @dataclass(frozen=True, eq=False)
 class ReadingModel(ABC):
     """A machine seen by its sensors: K readings of a pose with q coordinates, D parameters.
@@ -366,6 +389,14 @@ class ReadingModel(ABC):
         """Return which readings (..., K) of commanded channels lie beyond their range, shape (..., C)."""
         read, limits = values[..., self.select(self.commanded)], self.command_range
         return np.asarray((read < limits[:, 0] - SLACK) | (read > limits[:, 1] + SLACK))
+
+    def bind(self, theta: Array, values: Array, pose: Array, given: Given = NOTHING) -> Bound | None:
+        """Return readings near measured ones (P, K) bound to poses (P, q); None, as by default, where `read` is all.
+
+        ``theta`` (D,) is a machine much like those that will be asked for.
+        """
+        del theta, values, pose, given
+        return None
 
     @property
     def instrument_symbols(self) -> tuple[str, ...]:

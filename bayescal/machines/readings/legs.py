@@ -29,12 +29,14 @@ from bayescal.machines.kinematics import (
     solve_forward_kinematics,
     solve_inverse_kinematics,
 )
+from bayescal.machines.models.base import BoundClosure
 from bayescal.machines.models.legs import LegVectors, compute_leg_vectors, scatter
 from bayescal.machines.parameters import ParameterBlock, ParameterLayout
 from bayescal.machines.readings.base import (
     NOTHING,
     POSE,
     POSE_CHANNELS,
+    Bound,
     Channel,
     Coordinate,
     Given,
@@ -267,6 +269,19 @@ class Legs(ReadingModel):
             by_pose[..., 3:] = -skew_matrix(place - pose[..., :3]) @ compute_left_jacobian(pose[..., 3:])
         return place, by_pose, np.zeros((*place.shape, self.layout.size))
 
+    def bind(self, theta: Array, values: Array, pose: Array, given: Given = NOTHING) -> Bound | None:
+        """Return the encoders' readings by the closure at these poses; see `ReadingModel.bind`.
+
+        What they read is ρ - (∂f/∂ρ)⁻¹ f at the measured ρ, to first order, with the slope of one machine: no inverse
+        kinematics for each. None beside inclinometers, and where an encoder was not read.
+        """
+        del given
+        own = [k for k, one in enumerate(self.channels) if one.kind == "rho"]
+        if self._tilts or len(own) < self.n_legs or not np.isfinite(values[:, own]).all():
+            return None
+        places = np.array(own)
+        return BoundLegs.build(self.machine, self._own(theta), values[:, places], pose, places)
+
     # --- commands --------------------------------------------------------------------------------------------------
 
     def locate(
@@ -306,6 +321,47 @@ class Legs(ReadingModel):
             residual = closure.evaluate(np.asfortranarray(self._own(theta))).transpose(1, 0, 2)
             here = machine.model.prepare(machine.layout, self._own(mean))(position, rotation, basis, False)
             return -divide_closure(here.actuators, residual)
+
+
+@dataclass(frozen=True, eq=False)
+class BoundLegs(Bound):
+    """Encoders of machines on legs at poses that stay, by a bound closure.
+
+    ``inverse`` (P, N, N): (∂f/∂ρ)⁻¹; ``more`` (P, N, 6): what the closure leaves out of ∂f/∂pose; ``turns`` (P, 3, 3):
+    from a change of a rotation vector to a rotation in the base frame.
+    """
+
+    places: np.ndarray
+    n_own: int
+    closure: BoundClosure
+    inverse: Array
+    more: Array
+    turns: Array
+
+    @classmethod
+    def build(cls, machine: Machine, theta: Array, actuators: Array, pose: Array, places: np.ndarray) -> BoundLegs:
+        """Return it for measured actuators (P, N) at poses (P, 6), by the slope of a machine (D,)."""
+        position, rotation = pose[:, :3], matrix_from_rotation_vector(pose[:, 3:])
+        basis = machine.basis(actuators)
+        closure = machine.model.bind(machine.layout, position, rotation, basis)
+        here = machine.model.prepare(machine.layout, theta)(position, rotation, basis, False)
+        closure.evaluate(np.asfortranarray(np.broadcast_to(theta, (len(POSE), len(theta)))))
+        unit = np.ascontiguousarray(np.broadcast_to(np.eye(len(POSE))[:, None], (len(POSE), len(pose), len(POSE))))
+        more = here.pose - closure.along(unit).transpose(1, 0, 2)
+        inverse = divide_closure(here.actuators, np.broadcast_to(np.eye(actuators.shape[1]), here.actuators.shape))
+        return cls(places, len(theta), closure, inverse, more, compute_left_jacobian(pose[:, 3:]))
+
+    def errors(self, theta: Array) -> Array:
+        """Return (∂f/∂ρ)⁻¹ f; see `Bound.errors`."""
+        residual = self.closure.evaluate(np.asfortranarray(theta[:, : self.n_own]))
+        return np.asarray((self.inverse @ residual.transpose(1, 0, 2)).transpose(1, 0, 2))
+
+    def follow(self, step: Array) -> Array:
+        """Return -(∂f/∂ρ)⁻¹ ∂f/∂pose times the steps; see `Bound.follow`."""
+        moved = step.copy()
+        moved[3:] = (self.turns @ step[3:].transpose(1, 0, 2)).transpose(1, 0, 2)
+        change = self.closure.along(moved).transpose(1, 0, 2) + self.more @ moved.transpose(1, 0, 2)
+        return np.asarray(-(self.inverse @ change).transpose(1, 0, 2))
 
 
 def divide_closure(actuators: Array, rows: Array) -> Array:

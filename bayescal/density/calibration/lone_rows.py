@@ -1,0 +1,156 @@
+"""Readings of poses that do not depend on each other, fast where a machine's readings are bound to poses that stay.
+
+About a machine that explains the readings, H of the best poses hardly turns with the machine. With Z of orthonormal
+columns that span what H leaves of a pose's white readings there, and readings errors e(θ) at poses that stay,
+
+    z(θ) = Zᵀ (e(θ) - H(θ) δ),    δ = H⁺ e(θ),    z ~ N(0, Zᵀ R Z)
+
+up to the square of how far H turns: one evaluation and one directional derivative, which a machine binds to the poses
+(`bayescal.machines.readings.Bound`), in place of a search for the poses. Logarithms of volumes are taken as linear in
+the parameters. The density that leaves nothing out (`CalibrationLikelihood.finer`) corrects what was found with it.
+
+Model errors τ_c of M channels add columns Zᵀ g_c τ_c; where M is the number of rows, rows are turned so that these are
+the unit matrix, and C = C⁰ + diag(τ²) is factorised by columns.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from bayescal.density.calibration.terms import Errors
+from bayescal.density.elimination import invert
+from bayescal.density.low_rank import factor_by_columns
+from bayescal.machines.readings import Bound
+from bayescal.numerics.geometry import Array
+from bayescal.numerics.scratch import Scratch
+
+if TYPE_CHECKING:
+    from bayescal.density.calibration.likelihood import CalibrationLikelihood
+
+ILL = 1e8  # condition of the columns of model errors, beyond which rows are not turned to them
+
+
+@dataclass(frozen=True, eq=False)
+class LoneRows:
+    """The density of readings about a machine, each pose by itself.
+
+    Attributes
+    ----------
+    bound : Bound
+        The machine's readings at the poses that stay.
+    anchor : ndarray, shape (D,)
+    turn : ndarray, shape (P, m, C)
+        From errors of the C readings that are bound to rows.
+    follow : ndarray, shape (P, q, C)
+        H⁺ of the same errors.
+    rest : ndarray, shape (P, m)
+        What the errors of other readings, which no machine changes, make of the rows.
+    step : ndarray, shape (P, q)
+        And of the poses' steps.
+    loss : ndarray, shape (P, m, q)
+        What steps make of the rows by these readings.
+    known : ndarray, shape (P, m, m)
+        Covariance of the rows by the stated noise.
+    channels : ndarray of int, shape (m,)
+        Channels whose model errors are the rows.
+    offset : ndarray, shape (P,)
+        What log-densities have beside those of the rows, at the anchor.
+    drift : ndarray, shape (D, P)
+        How that follows the parameters.
+    """
+
+    bound: Bound
+    anchor: Array
+    turn: Array
+    follow: Array
+    rest: Array
+    step: Array
+    loss: Array
+    known: Array
+    channels: np.ndarray
+    offset: Array
+    drift: Array
+    scratch: Scratch = field(default_factory=Scratch)
+
+    @classmethod
+    def build(cls, likelihood: CalibrationLikelihood, errors: Errors, theta: Array) -> LoneRows | None:
+        """Return it about a machine (D,) for a density that starts where that explains the readings; None if it cannot.
+
+        It cannot where readings are missing, noise has an unknown factor, the machine binds no readings, or model
+        errors are not those of as many channels as there are rows.
+        """
+        data, near = likelihood.data, likelihood.expansion
+        n, q = data.sd.shape[1], len(likelihood.model.coordinates)
+        if errors.has_columns or not q or n <= q or not data.present.all() or near is None or near.bends is None:
+            return None
+        if any(one.factor(np.zeros((1, len(one.names)))) is not None for one in errors.noisy):
+            return None
+        bound = likelihood.model.bind(theta, data.values, likelihood.start, data.given)
+        if bound is None:
+            return None
+        white = likelihood.whiten(likelihood.sd[None], np.zeros((1, 1, n)))
+        at = likelihood.stand(theta[None], white)
+        slope = at.slope[0]
+        if not (np.isfinite(slope).all() and np.isfinite(at.error).all()):
+            return None
+        axes, _ = np.linalg.qr(slope / np.linalg.norm(slope, axis=1, keepdims=True), mode="complete")
+        whitening = white.rows(np.broadcast_to(np.eye(n), (1, data.n_poses, n, n)))[0]
+        left = np.swapaxes(axes[..., q:], -1, -2) @ whitening
+        channels = np.flatnonzero(~errors.is_known(n)) if errors.has_noise else np.arange(n - q)
+        gain = np.eye(n)[None] if likelihood.error_gain is None else likelihood.error_gain
+        seen = left @ gain[..., channels]
+        if seen.shape[-1] != n - q or not np.all(np.linalg.cond(seen) < ILL):
+            return None
+        to_rows, follow = np.linalg.inv(seen), invert(slope, 0.0) @ whitening
+        turn, own, other = to_rows @ left, bound.places, np.delete(np.arange(n), bound.places)
+        error, by_pose, _ = likelihood.linearise_raw(theta[None], likelihood.start[None])
+        error, by_pose = error[0][..., other, None], by_pose[0][:, other]
+        drift = np.zeros((len(theta), data.n_poses))
+        drift[near.free] = likelihood.differentiate_volumes(theta, white, slope)
+        return cls(
+            bound,
+            theta,
+            turn[..., own],
+            follow[..., own],
+            (turn[..., other] @ error)[..., 0],
+            (follow[..., other] @ error)[..., 0],
+            turn[..., other] @ by_pose,
+            to_rows @ np.swapaxes(to_rows, -1, -2),
+            channels if errors.has_noise else channels[:0],
+            likelihood.offset(white, at)[0] + np.linalg.slogdet(to_rows)[1],
+            drift,
+        )
+
+    def evaluate(
+        self, likelihood: CalibrationLikelihood, theta: Array, errors: Errors, zeta: Array
+    ) -> tuple[Array, Array]:
+        """Return log-densities but for those of rows' squares, and the squares, both (B, P)."""
+        rows = self._find_rows(theta)
+        beside = errors.noise(zeta, likelihood.data, likelihood.sd)[1] if len(self.channels) else None
+
+        def add(row: int) -> Array:
+            if beside is None:
+                return np.zeros(1)
+            return np.asarray(beside[..., self.channels[row]].T ** 2)
+
+        density, square = factor_by_columns(self.known, add, rows, self.scratch)
+        rest = self.offset + (theta - self.anchor) @ self.drift
+        return (density + 0.5 * square).T + rest, square.T
+
+    def density_by_row(self, likelihood: CalibrationLikelihood, theta: Array, errors: Errors, zeta: Array) -> Array:
+        """Return the log-likelihood of each pose's readings, (B, P); -inf where there is no machine."""
+        with np.errstate(all="ignore"):
+            rest, square = self.evaluate(likelihood, theta, errors, zeta)
+            found = errors.tails(zeta).weigh(square, likelihood.n_spare) + rest
+        return np.where(np.isfinite(found), found, -np.inf)
+
+    def _find_rows(self, theta: Array) -> Array:
+        """Return rows, shape (m, P, B)."""
+        error = self.bound.errors(theta)  # (C, P, B)
+        step = self.follow @ error.transpose(1, 0, 2) + self.step[..., None]
+        moved = error - self.bound.follow(np.ascontiguousarray(step.transpose(1, 0, 2)))
+        rows = self.turn @ moved.transpose(1, 0, 2) - self.loss @ step + self.rest[..., None]
+        return np.ascontiguousarray(rows.transpose(1, 0, 2))
