@@ -56,6 +56,11 @@ class Sampling(ABC):
     n_jumps: int = 0
 
     @property
+    @abstractmethod
+    def free(self) -> np.ndarray:
+        """Where the free parameters stand in θ, the first of those that deviate alike, shape (m,)."""
+
+    @property
     def size(self) -> int:
         """Number m of coordinates."""
         return len(self.names)

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.density.posterior import Sampling
 from bayescal.density.priors import Prior, UniformPrior
 from bayescal.errors import InputError
-from bayescal.machines.coordinates import Coordinates, close_at_mean, mirror_direction
-from bayescal.machines.kinematics import Machine, compute_leg_lines
+from bayescal.machines.coordinates import Coordinates, mirror_direction
 from bayescal.machines.parameters import ParameterLayout
 from bayescal.numerics.geometry import Array
 
@@ -147,41 +145,34 @@ class AffineSampling(Sampling):
 
 
 def build_sampling(
-    machine: Machine,
     layout: ParameterLayout,
     priors: Mapping[str, Prior],
     fixed: Mapping[str, float],
-    closing: MeasuredPoses | None,
-) -> LegSampling:
-    """Return the coordinates of the free parameters of a machine.
+    common: Mapping[str, tuple[str, ...]],
+    straighten: Callable[[Coordinates], Coordinates | None],
+) -> Sampling:
+    """Return the coordinates of the free parameters; arguments as of `Elimination.sampling`.
 
-    Parameters
-    ----------
-    machine : Machine
-    layout : ParameterLayout
-        Of θ: the machine's parameters first.
-    priors : mapping of parameter name to Prior
-        Of the free parameters.
-    fixed : mapping of parameter name to float
-        Values of fixed parameters that are not nominal.
-    closing : MeasuredPoses or None
-        Where lengths follow the joints so that the legs close at the mean of these.
+    ``straighten`` takes coordinates in which each parameter is by itself to those in which a machine's ridges are
+    straight; None where they are that already.
 
     Raises
     ------
     InputError
         For a name that no parameter has.
     """
+    if common:
+        return AffineSampling.build(layout, priors, fixed, common)
     names, start, moved = place_free(layout, priors, fixed, {})
     free, ordered = np.flatnonzero(moved.any(axis=0)), tuple(priors[name] for name in names)
     bounds = [(p.lower, p.upper) if isinstance(p, UniformPrior) else (-np.inf, np.inf) for p in ordered]
     lower, upper = np.array(bounds).reshape(-1, 2).T
     scale = np.array([p.sd for p in ordered])
-    coordinates = Coordinates(layout, start, free, scale, compute_leg_lines(machine), lower, upper)
-    if closing is not None:
-        coordinates = close_at_mean(coordinates, machine, closing.position, closing.rotation, closing.actuators)
+    found = straighten(Coordinates(layout, start, free, scale, np.zeros((0, 3)), lower, upper))
+    if found is None:
+        return AffineSampling.build(layout, priors, fixed, common)
     units = tuple(layout.units[k] for k in free)
-    return LegSampling(layout, coordinates.start, ordered, names, units, coordinates, len(coordinates.legs))
+    return LegSampling(layout, found.start, ordered, names, units, found, len(found.legs))
 
 
 def check_bounds(coordinates: Coordinates) -> None:
@@ -294,6 +285,11 @@ class LegSampling(Sampling):
             return self.coordinates.y_from_theta(theta)
 
     # --- legs ----------------------------------------------------------------------------------------------------
+
+    @property
+    def moved(self) -> Array:
+        """Which parameters are free, shape (m, D)."""
+        return np.eye(self.layout.size)[self.free]
 
     @cached_property
     def legs(self) -> list[np.ndarray]:

@@ -17,9 +17,9 @@ from bayescal.density.components import LinearRows
 from bayescal.density.elimination import Whitening, half_log_volume, invert, left_of, orthonormalise, project_out
 from bayescal.density.low_rank import Coefficients, find_coefficients, gather_columns, split
 from bayescal.density.outliers import Outliers
-from bayescal.density.posterior import Elimination, Funnel, Posterior
+from bayescal.density.posterior import Elimination, Funnel, Posterior, Sampling
 from bayescal.density.priors import Prior
-from bayescal.density.sampling import AffineSampling
+from bayescal.density.sampling import build_sampling
 from bayescal.errors import NumericalError
 from bayescal.machines.parameters import ParameterLayout
 from bayescal.numerics.geometry import Array
@@ -31,7 +31,7 @@ LEAST_SHARE = 1e-3  # of a variance, that an unknown noise is taken to have
 
 
 @dataclass(frozen=True, eq=False)
-class CalibrationLikelihood(PoseElimination, Elimination[AffineSampling, Errors]):
+class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
     """Log-density of the readings of P poses under machines θ (B, D) and errors with coordinates ζ (B, k).
 
     ``frozen`` and ``lone``: fast forms of it about a machine that explains the readings, where errors are functions of
@@ -52,9 +52,9 @@ class CalibrationLikelihood(PoseElimination, Elimination[AffineSampling, Errors]
 
     def sampling(
         self, priors: Mapping[str, Prior], fixed: Mapping[str, float], common: Mapping[str, tuple[str, ...]]
-    ) -> AffineSampling:
-        """Return each parameter by itself; see `Elimination.sampling`."""
-        return AffineSampling.build(self.layout, priors, fixed, common)
+    ) -> Sampling:
+        """Return each parameter by itself, or as the machine's ridges are straight; see `Elimination.sampling`."""
+        return build_sampling(self.layout, priors, fixed, common, self.model.straighten)
 
     def noise(self, errors: Errors, zeta: Array) -> tuple[Array, Array]:
         """Return f σ (B, P, K) and the root of the variances beside (B, 1 or P, K)."""
@@ -337,24 +337,24 @@ class CalibrationLikelihood(PoseElimination, Elimination[AffineSampling, Errors]
 
     # --- search for the mode -------------------------------------------------------------------------------------
 
-    def approach(self, sampling: AffineSampling, errors: Errors) -> Array:
+    def approach(self, sampling: Sampling, errors: Errors) -> Array:
         """Return the least-squares solution from the machine as expected, shape (n,)."""
         return self._fit(sampling, errors)[0]
 
-    def polish(self, sampling: AffineSampling, errors: Errors, y: Array) -> Array:
+    def polish(self, sampling: Sampling, errors: Errors, y: Array) -> Array:
         """Return y with the geometry that is best, by least squares, at its noise."""
         m = sampling.size
         theta, zeta = sampling.theta_from_y(y[None, :m]), y[None, m:]
         pose = self.explain(theta, errors, zeta)[1].pose[0]
         return np.append(JointFit(self, sampling, errors, y[m:]).run(y[:m], pose)[0], y[m:])
 
-    def _fit(self, sampling: AffineSampling, errors: Errors) -> tuple[Array, Array]:
+    def _fit(self, sampling: Sampling, errors: Errors) -> tuple[Array, Array]:
         """Return coordinates (n,) and poses (P, q) of least squares, from the machine as expected."""
         zeta = np.zeros(errors.n_parameters)
         y, pose = JointFit(self, sampling, errors, zeta).run(np.zeros(sampling.size), self.start)
         return np.append(y, zeta), pose
 
-    def anchored(self, sampling: AffineSampling, errors: Errors) -> Self:
+    def anchored(self, sampling: Sampling, errors: Errors) -> Self:
         """Return the same density that looks for poses from those of the least-squares solution.
 
         Functions of an unknown size hardly move machine and poses as far as that matters here: it is found without.
@@ -371,14 +371,15 @@ class CalibrationLikelihood(PoseElimination, Elimination[AffineSampling, Errors]
         frozen = FrozenRows.build(found, errors, theta)
         return replace(found, frozen=frozen, lone=LoneRows.build(found, errors, theta))
 
-    def _draw_near(self, sampling: AffineSampling, y: Array, pose: Array, white: Whitening) -> Array:
+    def _draw_near(self, sampling: Sampling, y: Array, pose: Array, white: Whitening) -> Array:
         """Return coordinates (N, m) thrice as far off the best ones (m,) as the posterior's, always the same."""
         theta = sampling.theta_from_y(y[None])[0]
         with np.errstate(all="ignore"):
             _, slope, by_parameters = self.rows(theta, sampling.jacobian(theta), white, pose[None])
             rows = project_out(slope) @ by_parameters
         # by orthogonal steps: of readings that are far off, squares of the rows have lost what the prior adds
-        stacked = np.concatenate([np.nan_to_num(rows).reshape(-1, len(y)), np.eye(len(y))])
+        prior = sampling.prior_slope(sampling.jacobian(theta))
+        stacked = np.concatenate([np.nan_to_num(rows).reshape(-1, len(y)), prior])
         root = np.linalg.qr(stacked, mode="r")
         root *= np.sign(np.diag(root))[:, None]
         normal = np.random.default_rng(1777).standard_normal((len(y), NEARBY))
@@ -393,7 +394,7 @@ class CalibrationLikelihood(PoseElimination, Elimination[AffineSampling, Errors]
         mine = there * errors.groups(there.shape[1])[:, None]
         return np.sqrt(np.einsum("bpk,gpk->bg", square, mine) / np.maximum(mine.sum(axis=(1, 2)), 1))
 
-    def linear_rows(self, sampling: AffineSampling, errors: Errors, y: Array, cause: str = "") -> LinearRows | None:
+    def linear_rows(self, sampling: Sampling, errors: Errors, y: Array, cause: str = "") -> LinearRows | None:
         """Return rows as linear in the geometry about y, shape (n,); None where all of their noise is known.
 
         None, too, before a machine is known that explains the readings, where errors common to all rows are not frozen,
@@ -404,6 +405,8 @@ class CalibrationLikelihood(PoseElimination, Elimination[AffineSampling, Errors]
         if self.frozen is not None:
             return self.frozen.linear_rows(self, theta[0], change, errors, cause)
         if cause or self.expansion is None or errors.has_columns or errors.outliers.expected or not errors.has_noise:
+            return None
+        if sampling.curved_ridges():  # which no closed form follows
             return None
         _, at = self.explain(theta, errors, y[None, sampling.size :])
         error, slope, by_parameters = self.linearise_raw(theta, at.pose, with_parameters=True)
@@ -417,7 +420,7 @@ class CalibrationLikelihood(PoseElimination, Elimination[AffineSampling, Errors]
 
         return LinearRows(np.zeros((sampling.size,) * 2), np.zeros(sampling.size), square)
 
-    def funnel(self, sampling: AffineSampling, errors: Errors, y: Array) -> Funnel | None:
+    def funnel(self, sampling: Sampling, errors: Errors, y: Array) -> Funnel | None:
         """Return how the geometry depends on the noise at y, shape (n,); None where that is known."""
         if not errors.has_noise:
             return None
@@ -425,8 +428,10 @@ class CalibrationLikelihood(PoseElimination, Elimination[AffineSampling, Errors]
         theta = sampling.theta_from_y(y[None, :m])
         with np.errstate(all="ignore"):
             white, at = self.explain(theta, errors, zeta)
-            _, slope, by_parameters = self.rows(theta[0], sampling.jacobian(theta[0]), white, at.pose)
-        left, prior = project_out(slope), np.eye(m)
+            change = sampling.jacobian(theta[0])
+            _, slope, by_parameters = self.rows(theta[0], change, white, at.pose)
+        left, own = project_out(slope), sampling.prior_slope(change)
+        prior = own.T @ own
         tails = errors.tails(zeta)
         trust = tails.trust(at.square, self.n_spare)[0]
         rows = left @ by_parameters
@@ -461,7 +466,7 @@ class CalibrationLikelihood(PoseElimination, Elimination[AffineSampling, Errors]
         return np.maximum(1.0 - from_known / np.where(every > 0.0, every, 1.0), LEAST_SHARE)
 
 
-type CalibrationPosterior = Posterior[CalibrationLikelihood, AffineSampling, Errors]
+type CalibrationPosterior = Posterior[CalibrationLikelihood, Sampling, Errors]
 """The posterior of any machine, from its readings."""
 
 
@@ -480,7 +485,7 @@ class JointFit:
     """
 
     likelihood: CalibrationLikelihood
-    sampling: AffineSampling
+    sampling: Sampling
     errors: Errors
     zeta: Array  # (k,): coordinates of the errors
 
@@ -533,13 +538,14 @@ class JointFit:
 
     def _cost(self, y: Array, error: Array, columns: Array) -> tuple[Array, float]:
         """Return white errors (P, K) without what the best coefficients explain, and what all squares sum up to."""
-        spare, tails, square = self.likelihood.n_spare, self._tails, float(y @ y + self.zeta @ self.zeta)
+        theta = self.sampling.theta_from_y(y[None])[0]
+        prior = self.sampling.prior_residual(y, theta)
+        spare, tails, square = self.likelihood.n_spare, self._tails, float(prior @ prior + self.zeta @ self.zeta)
         if self.errors.has_columns:
             found = find_coefficients(error[None], columns, tails, spare)
             error, square = found.residual[0], square + float(found.mean[0] @ found.mean[0])
         total = square + float(tails.penalise(np.einsum("pk,pk->p", error, error)[None], spare).sum())
-        inside = self.likelihood.layout.inside(self.sampling.theta_from_y(y[None]))[0]
-        return error, total if inside else np.nan
+        return error, total if self.likelihood.layout.inside(theta[None])[0] else np.nan
 
     def _propose(
         self,
@@ -559,8 +565,10 @@ class JointFit:
         left = np.eye(slope.shape[1]) - slope @ stiff
         rows = trust[:, None, None] * (left @ by_parameters)
         right = trust[:, None] * left_of(left, error)
-        normal = np.einsum("pki,pkj->ij", rows, rows, optimize=True) + np.eye(m)
-        side = np.einsum("pki,pk->i", rows, right) - y
+        theta = self.sampling.theta_from_y(y[None])[0]
+        prior = self.sampling.prior_slope(self.sampling.jacobian(theta))
+        normal = np.einsum("pki,pkj->ij", rows, rows, optimize=True) + prior.T @ prior
+        side = np.einsum("pki,pk->i", rows, right) - prior.T @ self.sampling.prior_residual(y, theta)
         acted = (trust[:, None, None] * (left @ columns)).reshape(right.size, -1)
         inner = np.eye(acted.shape[1]) + acted.T @ acted
         across, shown = acted.T @ rows.reshape(right.size, -1), acted.T @ right.ravel()

@@ -42,7 +42,8 @@ from bayescal.experiments.shared.study_inputs import Described, Task
 from bayescal.experiments.shared.trees import Draws, Readings, build_tree, group_functions, limit_draws, spread
 from bayescal.experiments.shared.variant_tables import NOISE, describe_fit, tabulate_left_out, tabulate_parameters
 from bayescal.experiments.study.calibrated import ERRORS, tabulate_errors
-from bayescal.inference.exploration import explore
+from bayescal.inference.correction import CostlyDensity
+from bayescal.inference.exploration import Exploration, explore
 from bayescal.inference.importance import resample
 from bayescal.inference.stages import stage
 from bayescal.inference.target import Fittable
@@ -223,6 +224,13 @@ class ReadingSubject(Subject):
         there = np.isfinite(made).all(axis=(1, 2), where=own.likelihood.data.present)
         return {"prior": own.natural(y[there]), "prior_replicated": made[there].astype(np.float32)}
 
+    def find_costly(self, exploration: Exploration) -> CostlyDensity | None:
+        """Return the density that leaves nothing out, where a fast form of it for single rows was explored."""
+        explored = cast("CalibrationPosterior", exploration.straight.posterior)
+        if explored.likelihood.lone is None:
+            return None
+        return weigh_beside(explored, exploration)
+
     def measure_misfit(self, posterior: Fittable, mode: Array) -> ChiSquare:
         """Return χ² of what no pose explains at the mode (n,)."""
         own = cast("CalibrationPosterior", posterior)
@@ -253,6 +261,21 @@ class ReadingSubject(Subject):
             group_functions(functions, self.posterior.sampling.names),
             variant=variant,
         )
+
+
+def weigh_beside(explored: CalibrationPosterior, exploration: Exploration) -> CostlyDensity:
+    """Return the density of a posterior that leaves nothing out, beside the fast form that was explored."""
+    straight, finer = exploration.straight, explored.finer()
+    assert finer is not None
+
+    def excess(x: Array) -> Array:
+        at = explored.at(straight.y_from_x(x))
+        with np.errstate(invalid="ignore"):
+            found = finer.likelihood.density(*at) - explored.likelihood.density(*at)
+        return np.where(np.isfinite(found), found, -np.inf)
+
+    n = len(exploration.modes[0].y)
+    return CostlyDensity(straight.log_density, excess, np.zeros((n, n)))
 
 
 def _explain(posterior: CalibrationPosterior, fit: Fit) -> Residuals:

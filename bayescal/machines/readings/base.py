@@ -23,6 +23,7 @@ from typing import Any, Self
 import numpy as np
 
 from bayescal.errors import InputError
+from bayescal.machines.coordinates import Coordinates
 from bayescal.machines.parameters import ParameterLayout
 from bayescal.numerics.geometry import Array
 
@@ -396,6 +397,14 @@ class ReadingModel(ABC):
         ``theta`` (D,) is a machine much like those that will be asked for.
         """
         del theta, values, pose, given
+        return None
+
+    def straighten(self, known: Coordinates) -> Coordinates | None:
+        """Return coordinates of the free parameters in which ridges of posteriors are straight, from those as they are.
+
+        None, as by default, where they are straight as they stand.
+        """
+        del known
         return None
 
     @property

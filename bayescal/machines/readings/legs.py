@@ -22,10 +22,12 @@ from functools import cached_property
 
 import numpy as np
 
+from bayescal.machines.coordinates import Coordinates, close_at_mean
 from bayescal.machines.kinematics import (
     Machine,
     check_home_pose,
     compute_home_legs,
+    compute_leg_lines,
     solve_forward_kinematics,
     solve_inverse_kinematics,
 )
@@ -281,6 +283,18 @@ class Legs(ReadingModel):
             return None
         places = np.array(own)
         return BoundLegs.build(self.machine, self._own(theta), values[:, places], pose, places)
+
+    def straighten(self, known: Coordinates) -> Coordinates | None:
+        """Return coordinates that follow directions and hidden joints; see `bayescal.machines.coordinates`.
+
+        Where a deformation leaves the joints hardly known, lengths follow these so that the legs close at home.
+        """
+        machine, layout = self.machine, self.machine.layout
+        straight = replace(known, legs=compute_leg_lines(machine))
+        if machine.deformation.hides_joints:
+            home, start = self.home_pose, machine.mechanism.initial_actuator_positions
+            return close_at_mean(straight, machine, home[None, :3], matrix_from_rotation_vector(home[None, 3:]), start[None])
+        return straight if layout.direction_symbols else None
 
     # --- commands --------------------------------------------------------------------------------------------------
 

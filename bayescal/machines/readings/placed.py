@@ -243,6 +243,7 @@ class Placed(ReadingModel):
     states_tool = hand_on("whole.states_tool")
     tells_rotation = hand_on("whole.tells_rotation")
     check_given = hand_on("whole.check_given")
+    straighten = hand_on("whole.straighten")
     rotation = hand_on("whole.rotation")
 
     def _split(self, theta: Array) -> list[Array]:
