@@ -178,8 +178,9 @@ def poses_from_targets(
     from bayescal.config.load import look_up
     from bayescal.data.photogrammetry.poses import METHODS
     from bayescal.experiments.frame.load import load_kind
-    from bayescal.experiments.study.inputs import load_inputs
+    from bayescal.experiments.shared.readings.measurement import read_measurement
     from bayescal.experiments.study.tables import format_poses
+    from bayescal.machines.read import load_mechanism
 
     config = load_kind(experiment, "study")
     check_out(out)
@@ -189,4 +190,6 @@ def poses_from_targets(
     if method is not None:
         look_up(METHODS, method, "--method", experiment)
         config = config.model_copy(update={"data": config.data.model_copy(update={"pose_method": method})})
-    put(format_poses(load_inputs(config, experiment.parent)), out)
+    folder = experiment.parent
+    measured = read_measurement(config, folder, load_mechanism(folder / config.machine))
+    put(format_poses(measured, config.origin), out)

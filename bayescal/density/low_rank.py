@@ -1,13 +1,4 @@
-"""Covariances of low rank beside independent errors: of many legs at a pose, and of what all rows have in common.
-
-Many legs need no matrix of all of them: each errs by itself, but for the six of the pose. Of N legs' errors r,
-C = D + U Uᵀ with D diagonal, from actuators, deformations and model errors, and U = A⁰ L of six columns, Σ = L Lᵀ, from
-the measured pose. By Woodbury's identity and the determinant's lemma with M = 1 + Uᵀ D⁻¹ U,
-
-    rᵀ C⁻¹ r = rᵀ D⁻¹ r - vᵀ M⁻¹ v,   v = Uᵀ D⁻¹ r,   log det C = log det D + log det M,
-
-which grows with N where a factor of C grows with its cube. With six legs nothing is gained, and digits are lost where D
-is tiny beside U Uᵀ: then there is no such form, as where actuators' errors are seen by other legs.
+"""Errors that rows have in common beside independent ones: coefficients integrated out of the density of all rows.
 
 Errors that are linear in coefficients common to all rows are integrated out of the density of these rows. With white
 rows e (P, m) that are free of the poses, and what coefficients u ~ N(0, 1) do to them, e = A u + ε,
@@ -34,16 +25,8 @@ from functools import cached_property
 import numpy as np
 
 from bayescal.density.outliers import Outliers
-from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array
+from bayescal.numerics.geometry import Array
 from bayescal.numerics.scratch import Scratch
-
-FEWEST_LEGS = 10
-SMALLEST = 1e-5
-"""Share of the covariance that D has to have: five of sixteen digits may be lost."""
-DIAGONAL = 1e-12
-"""Share that may stand beside the diagonal."""
-PAIRS = np.tril_indices(DEGREES_OF_FREEDOM)
-
 
 def factor_by_columns(
     known: Array, add: Callable[[int], Array], errors: Array, scratch: Scratch
@@ -85,80 +68,6 @@ def factor_by_columns(
     return np.log(determinant) - 0.5 * square, square
 
 
-@dataclass(frozen=True, eq=False)
-class LowRank:
-    """Covariances of the legs' errors at P poses, but for the model error."""
-
-    own: Array  # (P, N): D, mm²
-    columns: Array  # (P, 6, N): Uᵀ, mm
-    products: Array  # (P, 21, N): products of two of the columns, those of the lower triangle row by row
-
-    def select(self, part: slice) -> LowRank:
-        """Return those of some of the poses."""
-        return LowRank(self.own[part], self.columns[part], self.products[part])
-
-    def evaluate(self, add: Callable[[int], Array], errors: Array, scratch: Scratch) -> tuple[Array, Array]:
-        """Return log-densities but for 2 π, and rᵀ C⁻¹ r, both (P, B); arguments as of `factor_by_columns`."""
-        n_legs, n_poses, n_batch = errors.shape
-        inverse = scratch.take("inverse", n_poses, n_legs, n_batch)
-        for leg in range(n_legs):
-            np.add(self.own[:, leg, None], add(leg), out=inverse[:, leg])
-        log_det = np.log(inverse).sum(axis=1)
-        np.reciprocal(inverse, out=inverse)
-        seen = errors.transpose(1, 0, 2)
-        scaled = np.multiply(seen, inverse, out=scratch.take("scaled", n_poses, n_legs, n_batch))
-        square = np.einsum("pib,pib->pb", seen, scaled)
-        factor = scratch.take("small", DEGREES_OF_FREEDOM + 1, DEGREES_OF_FREEDOM, n_poses, n_batch)
-        inner = scratch.take("inner", n_poses, len(PAIRS[0]), n_batch)
-        np.matmul(self.products, inverse, out=inner)
-        factor[PAIRS] = inner.transpose(1, 0, 2)
-        factor[-1] = (self.columns @ scaled).transpose(1, 0, 2)
-        determinant = _factorise(factor)
-        square -= np.einsum("kpb,kpb->pb", factor[-1], factor[-1])
-        return np.log(determinant) - 0.5 * log_det - 0.5 * square, square
-
-
-def _factorise(factor: Array) -> Array:
-    """Take 1 + M (6, 6, ...) to its Cholesky factor, and one more row along; return the inverse of its determinant."""
-    determinant = np.ones(factor.shape[2:])
-    for j in range(DEGREES_OF_FREEDOM):
-        column = factor[j:, j]
-        column[0] += 1.0
-        if j:
-            column -= np.einsum("ikpb,kpb->ipb", factor[j:, :j], factor[j, :j])
-        inverse = 1.0 / np.sqrt(column[0])
-        column[1:] *= inverse
-        determinant *= inverse
-    return determinant
-
-
-def find_low_rank(pose: Array, measured: Array, known: Array) -> LowRank | None:
-    """Return a covariance in terms of six columns, None where it is not worth it or loses digits.
-
-    Parameters
-    ----------
-    pose : ndarray, shape (P, N, 6)
-        A⁰.
-    measured : ndarray, shape (P, 6, 6)
-        Σ, mm and rad.
-    known : ndarray, shape (P, N, N)
-        C but for the model error, mm².
-    """
-    if pose.shape[1] < FEWEST_LEGS:
-        return None
-    try:
-        columns = np.swapaxes(pose @ np.linalg.cholesky(measured), -1, -2)
-    except np.linalg.LinAlgError:
-        return None
-    rest = known - np.swapaxes(columns, -1, -2) @ columns
-    own = np.diagonal(rest, axis1=-2, axis2=-1)
-    largest = np.diagonal(known, axis1=-2, axis2=-1).max()
-    beside = rest * ~np.eye(pose.shape[1], dtype=bool)
-    if own.min() < SMALLEST * largest or np.abs(beside).max() > DIAGONAL * largest:
-        return None
-    return LowRank(own.copy(), columns, columns[:, PAIRS[0]] * columns[:, PAIRS[1]])
-
-
 BUDGET = 1 << 17  # numbers of the columns of all machines that are worked on together
 STEP_TOLERANCE = 1e-7  # of a coefficient's prior standard deviation: what it leaves enters the density squared
 MAX_ITERATIONS = 200
@@ -176,6 +85,7 @@ class Coefficients:
     residual: Array  # (B, P, m): e - A û
     trust: Array  # (B, P): w; one without outliers
     columns: Array  # (B, P, m, N): A
+    signs: Array | float = 1.0  # (N,): of what columns add to the covariance, u ~ N(0, signs)
 
     @cached_property
     def inverse(self) -> Array:
@@ -190,7 +100,7 @@ class Coefficients:
     @property
     def penalty(self) -> Array:
         """-½ |û|² - ½ log |M|, what coefficients add to the density of the residuals, shape (B,)."""
-        return np.asarray(self.log_volume - 0.5 * np.einsum("bi,bi->b", self.mean, self.mean))
+        return np.asarray(self.log_volume - 0.5 * np.einsum("bi,bi->b", self.mean, self.signs * self.mean))
 
     def draw(self, rng: np.random.Generator) -> Array:
         """Return one draw for each machine, (B, N)."""
@@ -201,7 +111,7 @@ class Coefficients:
         """Return S⁻¹ x for x (B, P, m, n), S = W⁻¹ + A Aᵀ being the rows' covariance by noise and coefficients."""
         weighed = self.trust[..., None, None] * rows
         flat = _flatten(self.columns)
-        curvature = _accumulate(self.columns, self.residual, self.trust)[0]
+        curvature = _accumulate(self.columns, self.residual, self.trust, self.signs)[0]
         back = flat @ np.linalg.solve(curvature, np.swapaxes(flat, -1, -2) @ _flatten(weighed))
         return np.asarray(weighed - self.trust[..., None, None] * back.reshape(weighed.shape))
 
@@ -230,7 +140,7 @@ class Coefficients:
             return np.asarray(found)
         mixed = (noise @ own).reshape(n, -1) @ reduced.reshape(n, -1).T
         weighed = self.trust[0, :, None, None] * columns
-        inverse = np.linalg.inv(_accumulate(self.columns, self.residual, self.trust)[0][0])
+        inverse = np.linalg.inv(_accumulate(self.columns, self.residual, self.trust, self.signs)[0][0])
         pulled, through = (one.reshape(n, -1, size) for one in (noise @ weighed, seen @ weighed))
         inner = inverse @ (weighed.reshape(-1, size).T @ pulled)
         found += 0.5 * np.einsum("nuv,ovu->no", inner, inner, optimize=True)
@@ -277,7 +187,9 @@ def split(n_machines: int, n_poses: int, n_rows: int, n_columns: int) -> Iterato
     yield from (slice(k, k + size) for k in range(0, n_machines, size))
 
 
-def find_coefficients(error: Array, columns: Array, outliers: Outliers, spare: np.ndarray) -> Coefficients:
+def find_coefficients(
+    error: Array, columns: Array, outliers: Outliers, spare: np.ndarray, signs: Array | None = None
+) -> Coefficients:
     """Return the coefficients given the rows.
 
     Parameters
@@ -289,34 +201,42 @@ def find_coefficients(error: Array, columns: Array, outliers: Outliers, spare: n
     outliers : Outliers
     spare : ndarray, shape (P,)
         Degrees of freedom of each pose's rows: m, or less where rows lie in a subspace.
+    signs : ndarray, shape (N,), optional
+        Of what each column adds to the covariance.
     """
-    shape = columns.shape
+    shape, prior = columns.shape, 1.0 if signs is None else signs
     good = np.isfinite(error).all(axis=(1, 2)) & np.isfinite(columns).all(axis=(1, 2, 3))
     safe = np.where(good[:, None, None], error, 0.0)
     columns = np.where(good[:, None, None, None], columns, 0.0)
     if not outliers.expected:
-        curvature, told = _accumulate(columns, safe, np.ones(shape[:2]))
+        curvature, told = _accumulate(columns, safe, np.ones(shape[:2]), prior)
         mean = np.linalg.solve(curvature, told[..., None])[..., 0]
-        return _conclude(error, columns, mean, curvature, np.ones(shape[:2]))
-    mean = _reweight(safe, columns, outliers, spare)
+        return _conclude(error, columns, mean, curvature, np.ones(shape[:2]), prior)
+    mean = _reweight(safe, columns, outliers, spare, prior)
     residual = safe - _act(columns, mean)
     square = np.einsum("bpk,bpk->bp", residual, residual)
     trust = outliers.trust(square, spare)
-    curvature = _accumulate(columns, residual, trust)[0]
+    curvature = _accumulate(columns, residual, trust, prior)[0]
     pulled = np.einsum("bpkn,bpk->bpn", columns, residual, optimize=True)
     softer = curvature - np.swapaxes(pulled, -1, -2) @ (outliers.soften(square, spare)[..., None] * pulled)
-    definite = np.linalg.eigvalsh(softer)[:, 0] > 0.0  # as at every mode; elsewhere the weights' own curvature
+    # as at every mode; elsewhere the weights' own curvature
+    definite = np.linalg.eigvalsh(softer)[:, 0] > 0.0 if signs is None else np.zeros(len(softer), dtype=bool)
     curvature = np.where(definite[:, None, None], softer, curvature)
-    return _conclude(error, columns, mean, curvature, trust)
+    return _conclude(error, columns, mean, curvature, trust, prior)
 
 
-def _conclude(error: Array, columns: Array, mean: Array, curvature: Array, trust: Array) -> Coefficients:
-    factor = np.linalg.cholesky(curvature)
-    log_volume = -np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(axis=-1)
-    return Coefficients(mean, curvature, log_volume, error - _act(columns, mean), trust, columns)
+def _conclude(
+    error: Array, columns: Array, mean: Array, curvature: Array, trust: Array, signs: Array | float
+) -> Coefficients:
+    if np.ndim(signs):  # the curvature is that of no maximum; the determinant of the prior is one or minus one
+        log_volume = -0.5 * np.linalg.slogdet(curvature)[1]
+    else:
+        factor = np.linalg.cholesky(curvature)
+        log_volume = -np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(axis=-1)
+    return Coefficients(mean, curvature, log_volume, error - _act(columns, mean), trust, columns, signs)
 
 
-def _reweight(error: Array, columns: Array, outliers: Outliers, spare: np.ndarray) -> Array:
+def _reweight(error: Array, columns: Array, outliers: Outliers, spare: np.ndarray, signs: Array | float) -> Array:
     """Return û, shape (B, N), by iteratively reweighted least squares."""
     mean = np.zeros((len(error), columns.shape[-1]))
     going = np.arange(len(error))
@@ -324,8 +244,8 @@ def _reweight(error: Array, columns: Array, outliers: Outliers, spare: np.ndarra
         own = columns[going]
         residual = error[going] - _act(own, mean[going])
         trust = outliers.pick(going).trust(np.einsum("bpk,bpk->bp", residual, residual), spare)
-        curvature, told = _accumulate(own, residual, trust)
-        step = np.linalg.solve(curvature, (told - mean[going])[..., None])[..., 0]
+        curvature, told = _accumulate(own, residual, trust, signs)
+        step = np.linalg.solve(curvature, (told - signs * mean[going])[..., None])[..., 0]
         mean[going] += step
         going = going[np.abs(step).max(axis=-1, initial=0.0) > STEP_TOLERANCE]
         if not len(going):
@@ -333,15 +253,15 @@ def _reweight(error: Array, columns: Array, outliers: Outliers, spare: np.ndarra
     return mean
 
 
-def _accumulate(columns: Array, rows: Array, trust: Array) -> tuple[Array, Array]:
-    """Return 1 + AᵀWA and AᵀW times rows (B, P, m)."""
+def _accumulate(columns: Array, rows: Array, trust: Array, signs: Array | float = 1.0) -> tuple[Array, Array]:
+    """Return 1 + AᵀWA and AᵀW times rows (B, P, m); signs in place of ones."""
     if (trust != 1.0).any():
         root = np.sqrt(trust)[..., None]
         columns, rows = root[..., None] * columns, root * rows
     flat = _flatten(columns)
     turned = np.swapaxes(flat, -1, -2)
     curvature = turned @ flat
-    curvature[..., *np.diag_indices(flat.shape[-1])] += 1.0
+    curvature[..., *np.diag_indices(flat.shape[-1])] += signs
     return curvature, (turned @ rows.reshape(len(rows), -1, 1))[..., 0]
 
 

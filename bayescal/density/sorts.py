@@ -30,6 +30,9 @@ from bayescal.errors import InputError
 from bayescal.numerics.geometry import Array
 
 FEWEST_POSES: Final = 3
+TAU: Final = "tau"
+OF_SORT: Final = "sigma_"
+"""Before the name of a sort: that of its unknown size."""
 DRIFT: Final = "drift"
 START: Final = 0.02  # of a drift, that is there at the first pose
 MOST_SMOOTH, MOST_DRIFT = 30, 12  # columns

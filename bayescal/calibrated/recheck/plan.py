@@ -35,7 +35,7 @@ from bayescal.data.instruments.read_poses import (
     read_noise,
     read_poses,
 )
-from bayescal.data.instruments.readings import COORDINATES, PoseReadings, check_units
+from bayescal.data.instruments.readings import COORDINATES, TrackedPoses, check_units
 from bayescal.density.calibration.measurements import Measurements
 from bayescal.errors import InputError, name_faults
 from bayescal.files.csv_tables import format_table, read_table
@@ -319,7 +319,7 @@ def has_noise(path: Path) -> bool:
     return any(name.startswith(("cov_", "sd_")) for name in columns)
 
 
-def read_session(path: Path, actuators: Path | None, noise: PoseNoise, calibrated: CalibratedMachine) -> PoseReadings:
+def read_session(path: Path, actuators: Path | None, noise: PoseNoise, calibrated: CalibratedMachine) -> TrackedPoses:
     """Return the poses of a session in the base frame; actuator positions from its table or the plan's.
 
     Raises

@@ -24,7 +24,7 @@ from bayescal.data.instruments.read_poses import (
     name_covariances,
     read_covariances,
 )
-from bayescal.data.instruments.readings import PointReadings
+from bayescal.data.instruments.readings import TrackedPoints
 from bayescal.errors import InputError
 from bayescal.files.csv_tables import Table, read_table
 from bayescal.numerics.geometry import Array, matrix_from_rotation_vector
@@ -66,7 +66,7 @@ class Stations:
 
 def read_points(
     path: Path, probe: Path, stations: Path | None, actuators: Path, noise: PointNoise, n_legs: int
-) -> tuple[PointReadings, Taken]:
+) -> tuple[TrackedPoints, Taken]:
     """Return tracked points, and when they were taken.
 
     Raises
@@ -88,7 +88,7 @@ def read_points(
     seen = standing.position[station] + np.einsum("rij,rj->ri", turn, coordinates)
     values[pose, station, point] = seen
     spread[pose, station, point] = turn @ covariance @ np.swapaxes(turn, -1, -2)
-    readings = PointReadings(tuple(names), positions, standing.names, points, places, values, spread)
+    readings = TrackedPoints(tuple(names), positions, standing.names, points, places, values, spread)
     return readings, Taken(tuple(names), verification, positions)
 
 

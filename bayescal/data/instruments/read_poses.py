@@ -24,7 +24,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from bayescal.data.actuators import check_calibration, name_actuators, read_actuators, read_uses
-from bayescal.data.instruments.readings import COORDINATES, PoseReadings
+from bayescal.data.instruments.readings import COORDINATES, TrackedPoses
 from bayescal.errors import InputError
 from bayescal.files.atomic import read_text
 from bayescal.files.csv_tables import Table, read_table
@@ -276,7 +276,7 @@ class PoseNoise:
         return self.position_um is not None or self.orientation_arcsec is not None
 
 
-def read_poses(path: Path, actuators: Path | None, noise: PoseNoise, n_legs: int) -> tuple[PoseReadings, Taken]:
+def read_poses(path: Path, actuators: Path | None, noise: PoseNoise, n_legs: int) -> tuple[TrackedPoses, Taken]:
     """Return measured poses, and when they were taken.
 
     Raises
@@ -290,7 +290,7 @@ def read_poses(path: Path, actuators: Path | None, noise: PoseNoise, n_legs: int
     values = _read_values(table)
     covariance = read_noise(table, noise, np.isfinite(values))
     check_positive(table, covariance, np.isfinite(values))
-    return PoseReadings(taken.names, taken.actuators, values, covariance * np.outer(UNITS, UNITS)), taken
+    return TrackedPoses(taken.names, taken.actuators, values, covariance * np.outer(UNITS, UNITS)), taken
 
 
 def _read_columns(path: Path, actuators: tuple[str, ...]) -> Table:

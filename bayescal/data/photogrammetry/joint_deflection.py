@@ -64,6 +64,12 @@ class MatrixEstimate:
     # in the measurement frame; None where that of the deflections is not known
     with_pose: Array | None = None
 
+    @property
+    def by_row(self) -> Array:
+        """Covariance of each row of K, shape (N, N, N)."""
+        n, legs = len(self.matrix), np.arange(len(self.matrix))
+        return np.asarray(self.covariance.reshape(n, n, n, n)[legs, :, legs, :])
+
 
 def _find_used_targets(deflection: Array, pad: NDArray[np.bool_], noise: float) -> NDArray[np.bool_]:
     """Return the targets of one pad to average, shape (P, n), from deflections (P, n) in mm with NaN where not seen.

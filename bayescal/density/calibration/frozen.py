@@ -27,7 +27,7 @@ import numpy as np
 
 from bayescal.density.calibration.model_error import FunctionsOfPose, IndependentErrors, ThinFunctionsOfPose
 from bayescal.density.calibration.poses import MANY_ROWS
-from bayescal.density.calibration.terms import Errors
+from bayescal.density.calibration.terms import Errors, KnownErrors
 from bayescal.density.components import (
     MOST_ROWS,
     LinearRows,
@@ -119,7 +119,7 @@ class FrozenRows:
         thin = [one for one in errors.terms if isinstance(one, ThinFunctionsOfPose)]
         is_few = bool(thin) and len(thin) == errors.n_common
         m = n - len(likelihood.model.coordinates)
-        if not errors.has_columns or errors.outliers.expected or m < 1:
+        if not errors.has_columns or errors.is_common_known or errors.outliers.expected or m < 1:
             return None
         if not is_few and data.present.sum() - n_poses * (n - m) > MOST_ROWS:  # before their columns are made
             return None
@@ -154,7 +154,7 @@ class FrozenRows:
             total += self._weigh_few(self.few, likelihood, errors, zeta, rows)
             return np.where(np.isfinite(total), total, -np.inf)
         for part in batches(len(theta), rows.shape[1]):
-            own, weights = self._blocks(likelihood, errors, zeta[part]), errors.amplitudes(zeta[part]) ** 2
+            own, weights = self._blocks(likelihood, errors, zeta[part]), errors.weights(zeta[part])
             total[part] += weigh(self._assemble(own, weights), rows[part])
         return np.where(np.isfinite(total), total, -np.inf)
 
@@ -167,7 +167,7 @@ class FrozenRows:
                 found[k] += weigh_left_out(deviation[None], precision[None])[0][0]
             return np.where(np.isfinite(found), found, -np.inf)
         for part in batches(len(theta), rows.shape[1]):
-            own, weights = self._blocks(likelihood, errors, zeta[part]), errors.amplitudes(zeta[part]) ** 2
+            own, weights = self._blocks(likelihood, errors, zeta[part]), errors.weights(zeta[part])
             found[part] += weigh_left_out(*self._leave_out(self._assemble(own, weights), rows[part]))[0]
         return np.where(np.isfinite(found), found, -np.inf)
 
@@ -200,7 +200,7 @@ class FrozenRows:
         by_pose = [one.reshape(n_poses, m, -1) for one in beyond.shown]
         inner = np.stack([one @ np.swapaxes(one, -1, -2) for one in by_pose])
         for part in batches(len(theta), rows.shape[1] + there.shape[1]):
-            weights = errors.amplitudes(zeta[part]) ** 2
+            weights = errors.weights(zeta[part])
             total = self._assemble(self._blocks(likelihood, errors, zeta[part]), weights)
             shared = np.tensordot(weights, across, 1)
             solved = np.linalg.solve(total, np.concatenate([np.swapaxes(shared, -1, -2), rows[part, :, None]], axis=-1))
@@ -232,11 +232,18 @@ class FrozenRows:
         drawn, noise = rng.standard_normal((len(theta), ends[-1])), rng.standard_normal((len(theta), n_poses, m, 1))
         for part in batches(len(theta), rows.shape[1]):
             own, amplitudes = self._blocks(likelihood, errors, zeta[part]), errors.amplitudes(zeta[part])
-            apart = (np.linalg.cholesky(own) @ noise[part]).reshape(len(own), -1)
-            left, each = rows[part] - apart[:, self.kept], np.split(drawn[part], ends[:-1], axis=1)
+            weights = errors.weights(zeta[part])
+            known = np.array([isinstance(term, KnownErrors) for term in errors.common])
+            if known.any():  # noise that they are correlated with is drawn with them
+                apart = np.linalg.cholesky(self._assemble(own, weights * known)) @ noise[part].reshape(len(own), -1, 1)
+                left, amplitudes = rows[part] - apart[..., 0], amplitudes * ~known
+            else:
+                apart = (np.linalg.cholesky(own) @ noise[part]).reshape(len(own), -1)
+                left = rows[part] - apart[:, self.kept]
+            each = np.split(drawn[part], ends[:-1], axis=1)
             for one, shown, size in zip(each, self.shown, amplitudes.T, strict=True):
                 left -= size[:, None] * (one @ shown.T)
-            told = np.linalg.solve(self._assemble(own, amplitudes**2), left[..., None])[..., 0]
+            told = np.linalg.solve(self._assemble(own, weights), left[..., None])[..., 0]
             for one, shown, size in zip(each, self.shown, amplitudes.T, strict=True):
                 one += size[:, None] * (told @ shown)  # a view of ``drawn``
         return drawn
@@ -277,7 +284,7 @@ class FrozenRows:
                 thin = self._factorise(few, likelihood, errors, one)
                 return thin.square(both), thin.half_log_det
             own = self._blocks(likelihood, errors, one[None])
-            total = self._assemble(own, errors.amplitudes(one[None]) ** 2)[0]
+            total = self._assemble(own, errors.weights(one[None]))[0]
             white = White(factorise(total))
             return white.square(both), white.half_log_det
 
@@ -288,7 +295,9 @@ class FrozenRows:
     ) -> Array | None:
         """Return what a named cause's directions do to the rows, (M, A), at poses (P, q); None where it has none."""
         model, data = likelihood.model, likelihood.data
-        own = next(one.own for one in errors.terms if isinstance(one, FunctionsOfPose))
+        own = next((one.own for one in errors.terms if isinstance(one, FunctionsOfPose)), None)
+        if own is None:
+            return None
         angles = np.array([one.unit == "rad" for one in model.coordinates])
         columns = list_directions(cause, pose - model.home_pose, angles, len(own.places))
         if columns is None:

@@ -69,7 +69,7 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
 
     def density(self, theta: Array, errors: Errors, zeta: Array) -> Array:
         """Return the log-likelihood, shape (B,); see `Elimination.density`."""
-        if not errors.has_columns:
+        if self.lone is not None or not errors.has_columns:
             return np.asarray(self.density_by_row(theta, errors, zeta).sum(axis=1))
         total = np.empty(len(theta))
         if self.frozen is not None:
@@ -169,8 +169,8 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
 
     def draw_common(self, theta: Array, errors: Errors, zeta: Array, rng: np.random.Generator) -> CommonDraws:
         """Return draws of the errors common to all rows, one for each machine."""
-        if not errors.has_columns:
-            return CommonDraws(errors, ())
+        if not errors.has_columns or errors.is_common_known:
+            return CommonDraws(errors.without_known(), ())
         if self.frozen is not None:
             return CommonDraws(errors, ((zeta, self.frozen.draw(self, theta, errors, zeta, rng)),))
         white, at = self.explain(theta, errors, zeta)
@@ -180,10 +180,11 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
     def _absorb(self, errors: Errors, zeta: Array, white: Whitening, at: Stand) -> Iterator[tuple[slice, Coefficients]]:
         """Yield the coefficients of errors common to all rows given the readings, of machines worked on together."""
         n_columns = errors.columns(zeta[:1], self.data).shape[-1]
-        n_machines, n_poses, n_channels = at.error.shape
+        (n_machines, n_poses, n_channels), signs = at.error.shape, errors.signs(self.data)
         for some in split(n_machines, n_poses, n_channels, n_columns):
             columns = self.columns(errors, zeta[some], white.pick(some), at.slope[some])
-            yield some, find_coefficients(at.error[some], columns, errors.tails(zeta[some]), self.n_spare)
+            tails = errors.tails(zeta[some])
+            yield some, find_coefficients(at.error[some], columns, tails, self.n_spare, signs)
 
     # --- derivatives ---------------------------------------------------------------------------------------------
 
@@ -215,7 +216,9 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
         m, rows = change.shape[1], self.reduced_rows(theta, change, errors, zeta)[1]
         whole = np.einsum("pki,pkj->ij", rows, rows, optimize=True)
         across, inner = whole[m:, :m], whole[m:, m:]
-        return np.asarray(whole[:m, :m] - across.T @ np.linalg.solve(np.eye(len(inner)) + inner, across))
+        signs = errors.signs(self.data)
+        prior = np.eye(len(inner)) if signs is None else np.diag(signs)
+        return np.asarray(whole[:m, :m] - across.T @ np.linalg.solve(prior + inner, across))
 
     def inform_row(self, theta: Array, change: Array, errors: Errors, zeta: Array, row: int) -> Array:
         """Return what one pose's readings tell of the geometry, shape (m, m)."""
@@ -240,7 +243,7 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
             weighed, found, turn = trust[:, None, None] * rows, None, None
             if errors.has_columns:
                 acted = self.white_columns(errors, zeta[None], white)[0]
-                found = find_coefficients(error[None], (left @ acted)[None], tails, self.n_spare)
+                found = find_coefficients(error[None], (left @ acted)[None], tails, self.n_spare, errors.signs(self.data))
                 error, trust, weighed = found.residual[0], found.trust[0], found.reduce(rows[None])[0]
                 follow = left_of(invert(slope, 0.0), acted @ found.mean[0])  # what coefficients make of the poses
                 turn = (trust[:, None] * error)[..., None] * follow[:, None]
@@ -435,9 +438,9 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
         tails = errors.tails(zeta)
         trust = tails.trust(at.square, self.n_spare)[0]
         rows = left @ by_parameters
-        if errors.has_columns:  # JᵀS⁻¹J = Gᵀ(W⁻¹ + AAᵀ)G with G = S⁻¹J; the part with A does not hang on the noise
+        if errors.has_columns and not errors.is_common_known:  # JᵀS⁻¹J = Gᵀ(W⁻¹ + AAᵀ)G with G = S⁻¹J; the part with A does not hang on the noise
             columns = (left @ self.white_columns(errors, zeta, white)[0])[None]
-            found = find_coefficients(at.error, columns, tails, self.n_spare)
+            found = find_coefficients(at.error, columns, tails, self.n_spare, errors.signs(self.data))
             reduced, trust = found.reduce(rows[None])[0], found.trust[0]
             acted = np.einsum("pku,pki->ui", found.columns[0], reduced, optimize=True)
             rows, prior = reduced / trust[:, None, None], prior + acted.T @ acted
@@ -493,6 +496,10 @@ class JointFit:
     def _tails(self) -> Outliers:
         return self.errors.tails(self.zeta[None])
 
+    @cached_property
+    def _signs(self) -> Array | None:
+        return self.errors.signs(self.likelihood.data)
+
     def run(self, y: Array, pose: Array) -> tuple[Array, Array]:
         """Return the geometry's coordinates (m,) and poses (P, q), from others.
 
@@ -503,7 +510,8 @@ class JointFit:
         """
         zeta, damping = self.zeta[None], DAMPING
         white = self.likelihood.whiten(*self.likelihood.noise(self.errors, zeta))
-        columns = gather_columns(self.likelihood.white_columns(self.errors, zeta, white))
+        columns = self.likelihood.white_columns(self.errors, zeta, white)
+        columns = gather_columns(columns) if self._signs is None else columns
         pose = np.broadcast_to(pose, (1, *pose.shape[-2:]))
         here = self._rows(y, white, pose)
         residual, cost = self._cost(y, here[0], columns)
@@ -542,8 +550,8 @@ class JointFit:
         prior = self.sampling.prior_residual(y, theta)
         spare, tails, square = self.likelihood.n_spare, self._tails, float(prior @ prior + self.zeta @ self.zeta)
         if self.errors.has_columns:
-            found = find_coefficients(error[None], columns, tails, spare)
-            error, square = found.residual[0], square + float(found.mean[0] @ found.mean[0])
+            found = find_coefficients(error[None], columns, tails, spare, self._signs)
+            error, square = found.residual[0], square + float(found.mean[0] @ (found.signs * found.mean[0]))
         total = square + float(tails.penalise(np.einsum("pk,pk->p", error, error)[None], spare).sum())
         return error, total if self.likelihood.layout.inside(theta[None])[0] else np.nan
 
@@ -570,7 +578,7 @@ class JointFit:
         normal = np.einsum("pki,pkj->ij", rows, rows, optimize=True) + prior.T @ prior
         side = np.einsum("pki,pk->i", rows, right) - prior.T @ self.sampling.prior_residual(y, theta)
         acted = (trust[:, None, None] * (left @ columns)).reshape(right.size, -1)
-        inner = np.eye(acted.shape[1]) + acted.T @ acted
+        inner = np.diag(np.ones(acted.shape[1]) if self._signs is None else self._signs) + acted.T @ acted
         across, shown = acted.T @ rows.reshape(right.size, -1), acted.T @ right.ravel()
         normal -= across.T @ np.linalg.solve(inner, across)
         side -= across.T @ np.linalg.solve(inner, shown)

@@ -9,6 +9,8 @@ up to the square of how far H turns: one evaluation and one directional derivati
 (`bayescal.machines.readings.Bound`), in place of a search for the poses. Logarithms of volumes are taken as linear in
 the parameters. The density that leaves nothing out (`CalibrationLikelihood.finer`) corrects what was found with it.
 
+Errors that rows have in common, and that are known but for their coefficients, count for each row alone.
+
 Model errors τ_c of M channels add columns Zᵀ g_c τ_c; where M is the number of rows, rows are turned so that these are
 the unit matrix, and C = C⁰ + diag(τ²) is factorised by columns.
 """
@@ -20,6 +22,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from bayescal.density.calibration.measurements import Comparison
 from bayescal.density.calibration.terms import Errors
 from bayescal.density.elimination import invert
 from bayescal.density.low_rank import factor_by_columns
@@ -41,6 +44,10 @@ class LoneRows:
     ----------
     bound : Bound
         The machine's readings at the poses that stay.
+    comparison : Comparison
+        Of the C channels that are bound.
+    values : ndarray, shape (C, P, 1)
+        What they read.
     anchor : ndarray, shape (D,)
     turn : ndarray, shape (P, m, C)
         From errors of the C readings that are bound to rows.
@@ -63,6 +70,8 @@ class LoneRows:
     """
 
     bound: Bound
+    comparison: Comparison
+    values: Array
     anchor: Array
     turn: Array
     follow: Array
@@ -84,7 +93,7 @@ class LoneRows:
         """
         data, near = likelihood.data, likelihood.expansion
         n, q = data.sd.shape[1], len(likelihood.model.coordinates)
-        if errors.has_columns or not q or n <= q or not data.present.all() or near is None or near.bends is None:
+        if (errors.has_columns and not errors.is_common_known) or not q or n <= q or not data.present.all() or near is None or near.bends is None:
             return None
         if any(one.factor(np.zeros((1, len(one.names)))) is not None for one in errors.noisy):
             return None
@@ -108,17 +117,23 @@ class LoneRows:
         turn, own, other = to_rows @ left, bound.places, np.delete(np.arange(n), bound.places)
         error, by_pose, _ = likelihood.linearise_raw(theta[None], likelihood.start[None])
         error, by_pose = error[0][..., other, None], by_pose[0][:, other]
+        known = to_rows @ np.swapaxes(to_rows, -1, -2)
+        for term in errors.known:  # what rows have in common counts for each of them alone
+            acted = turn @ term.act(data)
+            known = known + term.sign * acted @ np.swapaxes(acted, -1, -2)
         drift = np.zeros((len(theta), data.n_poses))
         drift[near.free] = likelihood.differentiate_volumes(theta, white, slope)
         return cls(
             bound,
+            Comparison(tuple(likelihood.model.channels[k] for k in own)),
+            np.ascontiguousarray(data.values[:, own].T[..., None]),
             theta,
             turn[..., own],
             follow[..., own],
             (turn[..., other] @ error)[..., 0],
             (follow[..., other] @ error)[..., 0],
             turn[..., other] @ by_pose,
-            to_rows @ np.swapaxes(to_rows, -1, -2),
+            known,
             channels if errors.has_noise else channels[:0],
             likelihood.offset(white, at)[0] + np.linalg.slogdet(to_rows)[1],
             drift,
@@ -149,8 +164,14 @@ class LoneRows:
 
     def _find_rows(self, theta: Array) -> Array:
         """Return rows, shape (m, P, B)."""
-        error = self.bound.errors(theta)  # (C, P, B)
+        error = self._compare(self.bound.read(theta))  # (C, P, B)
         step = self.follow @ error.transpose(1, 0, 2) + self.step[..., None]
         moved = error - self.bound.follow(np.ascontiguousarray(step.transpose(1, 0, 2)))
         rows = self.turn @ moved.transpose(1, 0, 2) - self.loss @ step + self.rest[..., None]
         return np.ascontiguousarray(rows.transpose(1, 0, 2))
+
+    def _compare(self, read: Array) -> Array:
+        """Return measured minus read, (C, P, B)."""
+        if self.comparison.is_plain:
+            return np.asarray(self.values - read)
+        return self.comparison.subtract(self.values.T, read.transpose(2, 1, 0)).transpose(2, 1, 0)

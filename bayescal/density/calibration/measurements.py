@@ -116,6 +116,11 @@ class Comparison:
         starts = [names.index(name) for name in dict.fromkeys(filter(None, names)) if names.count(name) == 3]
         return [slice(k, k + 3) for k in starts]
 
+    @property
+    def is_plain(self) -> bool:
+        """Whether all are on a line."""
+        return self._periods is None and not self.rotations
+
     def subtract(self, measured: Array, read: Array) -> Array:
         """Return measured minus read, (..., K); NaN where nothing was measured."""
         error = measured - read

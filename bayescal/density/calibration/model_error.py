@@ -26,7 +26,7 @@ import numpy as np
 
 from bayescal.density.calibration.measurements import Comparison, Measurements
 from bayescal.density.calibration.terms import ErrorTerm, ModelErrorTerm, Slopes
-from bayescal.density.errors import TAU
+from bayescal.density.sorts import TAU
 from bayescal.density.priors import HalfCauchyPrior, Prior
 from bayescal.density.sorts import FEWEST_POSES, MOST_DRIFT, MOST_SMOOTH, Place, PoseFunctions
 from bayescal.machines.readings import ReadingModel

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from bayescal.density.calibration.likelihood import CalibrationLikelihood, CalibrationPosterior
 from bayescal.density.calibration.poses import Stand
 from bayescal.density.elimination import find_step
+from bayescal.density.prediction import Prediction, summarise_errors
 from bayescal.numerics.geometry import Array
 
 INTERVAL = 0.9
@@ -84,6 +86,55 @@ def predict_readings(
             if told.any():
                 parts.append((where[told], int(channel), mean[:, told], spread[:, told]))
     return replace(_collect(held, parts), lost=tuple(lost))
+
+
+def predict_poses(
+    posterior: CalibrationPosterior,
+    held: CalibrationLikelihood,
+    y: Array,
+    rng: np.random.Generator,
+    by: np.ndarray,
+    seen: Sequence[int | None],
+) -> Prediction:
+    """Return how far poses that an instrument saw lie from where draws of a posterior expect them by other channels.
+
+    Parameters
+    ----------
+    posterior : CalibrationPosterior
+    held : CalibrationLikelihood
+        Of P poses.
+    y : ndarray, shape (T, n)
+        Draws.
+    rng : Generator
+    by : ndarray of bool, shape (K,)
+        Channels that tell the pose.
+    seen : sequence of int or None, length 6
+        Channels that read position and rotation; None where there is none.
+    """
+    known = [k for k, place in enumerate(seen) if place is not None]
+    places = [place for place in seen if place is not None]
+    rest = replace(held, data=held.data.only(by), expansion=None)
+    theta, (own, tau) = posterior.theta(y), held.noise(posterior.errors, posterior.zeta(y))
+    error, noise = np.full((2, len(y), held.data.n_poses, len(seen)), np.nan)
+    common = np.zeros((len(y), *held.data.sd.shape))
+    if posterior.errors.has_columns:
+        common = posterior.likelihood.draw_common(*posterior.at(y), rng).at(held.data, held.error_gain)
+    given = {name: value[None] for name, value in held.data.given.items()}
+    related = np.broadcast_to(held.correlation, (held.data.n_poses, *held.correlation.shape[1:]))
+    factor = np.linalg.cholesky(related[:, places][:, :, places])
+    for part in rest.batches(len(y)):
+        white = rest.whiten(own[part], tau[part])
+        at = rest.stand(theta[part], white)
+        here = held.model.linearise(theta[part][:, None], at.pose, False, given)
+        left = held.comparison.subtract(held.data.values, here.values)
+        slope = held.comparison.pull_back(left, here.values, here.by_pose)[..., places, :]
+        moved = _draw_poses(at.slope, rng)
+        if posterior.errors.has_columns:  # what errors common to all rows make of the pose, to first order
+            moved -= find_step(at.slope, white.vector(np.where(rest.data.present, common[part], 0.0)))[0]
+        drawn = own[part][..., places] * (factor @ rng.standard_normal((*left.shape[:2], len(places), 1)))[..., 0]
+        error[part][..., known] = left[..., places]
+        noise[part][..., known] = drawn + (slope @ moved[..., None])[..., 0]
+    return summarise_errors(error, noise)
 
 
 def replicate_readings(

@@ -116,6 +116,8 @@ class ErrorTerm(ABC):
     """
 
     Config: ClassVar[type[Section]] = Section
+    sign: ClassVar[float] = 1.0
+    """Of what its columns add to the covariance of all rows."""
     of_model: ClassVar[bool] = False
     """Whether its columns are errors of the machine's model, and show in the readings as its `error_gain` says."""
     names: tuple[str, ...]
@@ -259,6 +261,36 @@ class ModelErrorTerm(GroupTerm):
 
 
 @dataclass(frozen=True, eq=False)
+class KnownErrors(ErrorTerm):
+    """Errors that all rows have in common and that are known but for their coefficients, standard normal ones.
+
+    Noise that is correlated with them takes a second such term, whose columns are taken away from the covariance: with
+    k ~ N(0, 1) in columns A and cov(noise, k) = G, the covariance is (A + G)(A + G)ᵀ - G Gᵀ beside that of the noise.
+
+    ``design`` (M, K, N): columns at all rows that were read, held-back ones too.
+    """
+
+    design: Array
+    sign: float = 1.0  # type: ignore[misc]  # of its own
+    names: tuple[str, ...] = ()
+    units: tuple[str, ...] = ()
+    priors: tuple[Prior, ...] = ()
+
+    def columns(self, zeta: Array, data: Measurements) -> Array:
+        """Return those of the rows, (1, P, K, N)."""
+        del zeta
+        return self.design[data.order][None]
+
+    def act(self, data: Measurements) -> Array:
+        """Return the same."""
+        return np.asarray(self.design[data.order])
+
+    def amplitude(self, zeta: Array) -> Array:
+        """Return one."""
+        return np.ones(zeta.shape[:-1])
+
+
+@dataclass(frozen=True, eq=False)
 class Errors:
     """All terms together, and what rows are like that are wrong as a whole.
 
@@ -389,6 +421,32 @@ class Errors:
     def amplitudes(self, zeta: Array) -> Array:
         """Return the amplitudes of the same terms, (B, k) to (B, C)."""
         return np.stack([term.amplitude(own) for term, own in self.of(zeta) if term in self.common], axis=-1)
+
+    def weights(self, zeta: Array) -> Array:
+        """Return by how much the squares of these terms' columns count in the covariance of all rows, (B, C)."""
+        return np.asarray(self.amplitudes(zeta) ** 2 * [term.sign for term in self.common])
+
+    def signs(self, data: Measurements) -> Array | None:
+        """Return the sign of each of N columns, (N,); None where all of them add to the covariance."""
+        if all(term.sign > 0.0 for term in self.common):
+            return None
+        zeta = np.zeros((1, self.n_parameters))
+        widths = [(t.sign, c.shape[-1]) for t, part in self.of(zeta) if (c := t.columns(part, data)) is not None]
+        return np.concatenate([np.full(width, sign) for sign, width in widths])
+
+    @cached_property
+    def known(self) -> list[KnownErrors]:
+        """The terms with columns of which nothing is unknown but their coefficients."""
+        return [term for term in self.common if isinstance(term, KnownErrors)]
+
+    @property
+    def is_common_known(self) -> bool:
+        """Whether what rows have in common is known but for its coefficients, and there is any."""
+        return self.has_columns and len(self.known) == self.n_common
+
+    def without_known(self) -> Errors:
+        """Return the same without these."""
+        return Errors(tuple(term for term in self.terms if not isinstance(term, KnownErrors)), self.outliers)
 
     @cached_property
     def noisy(self) -> list[ErrorTerm]:

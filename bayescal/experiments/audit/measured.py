@@ -193,15 +193,15 @@ def read_measured(config: AuditConfig, folder: Path) -> MeasuredMachine:
 def draw(task: tuple[MeasuredReadings, DrawsConfig, int, int]) -> Draws:
     """Return draws of what was found of a machine: so many, by a design's effort and seed."""
     found, effort, wanted, seed = task
-    y, diagnostics, problems = sample(found.found, effort, wanted, np.random.SeedSequence([seed, SEED]))
+    y, diagnostics, problems = sample(found.anchored, effort, wanted, np.random.SeedSequence([seed, SEED]))
     return Draws(*_take(found, y), diagnostics, problems)
 
 
 def _take(found: MeasuredReadings, y: Array) -> tuple[Array, Array]:
     """Return parameters (S, m), in the order of the readings' posterior, and errors (S, k) of draws (S, n)."""
-    target, names = found.found, found.posterior.sampling.names
+    target, names = found.anchored, found.posterior.sampling.names
     places = [target.names.index(name) for name in names]
-    return target.natural(y)[:, places], found.posterior.zeta(found.adopt(y))
+    return target.natural(y)[:, places], found.posterior.zeta(y)
 
 
 def centre(measured: MeasuredMachine, run: Run) -> tuple[MeasuredMachine, Draws | None, Array]:
@@ -215,7 +215,7 @@ def centre(measured: MeasuredMachine, run: Run) -> tuple[MeasuredMachine, Draws 
         draws = run.once("posterior", draw, (found, config.posterior, wanted, config.seed), (Draws,))
         values, zeta = draws.mean, draws.zeta
     else:
-        draws, (values, zeta) = None, _take(found, find_modes(found.found)[0].y[None])
+        draws, (values, zeta) = None, _take(found, find_modes(found.anchored)[0].y[None])
         values = values[0]
     where = dict(zip(found.posterior.sampling.names, values.tolist(), strict=True))
     return replace(measured, centre=where), draws, zeta

@@ -19,7 +19,7 @@ from bayescal.errors import NumericalError
 from bayescal.experiments.check.inputs import Subject, draw_posterior
 from bayescal.experiments.shared.chi_square import ChiSquare, format_chance
 from bayescal.experiments.shared.leg_readings import SharedErrors
-from bayescal.experiments.shared.measured import Found, MeasuredReadings, MeasuredVariant, see_legs
+from bayescal.experiments.shared.measured import MeasuredReadings
 from bayescal.experiments.shared.slip_search import PATIENCE, Search, search_cause
 from bayescal.experiments.shared.soundness import fit_rows
 from bayescal.inference.mode import Mode, find_mode
@@ -77,7 +77,7 @@ def check_derivatives(subject: Subject, rng: np.random.Generator) -> Finding:
     worst: dict[str, float] = {}
     for _ in range(MACHINES):
         y, _ = subject.draw_truth(rng)
-        for name, value in _compare(subject, subject.measured.adopt(y[None])[0]).items():
+        for name, value in _compare(subject, y).items():
             worst[name] = max(worst.get(name, 0.0), value)
     wrong = {name: value for name, value in worst.items() if value > WRONG}
     if not wrong:
@@ -169,7 +169,7 @@ def check_noise(measured: MeasuredReadings) -> Finding:
     and once by so many times the stated noise and such model errors. An error that all poses share, of a measured K, is
     fitted along: as noise of single poses it would count as often as there are poses, and χ² come out too low.
     """
-    extraction = None if measured.legs is None else _check_extraction(measured.legs)
+    extraction = _check_extraction(measured)
     if extraction is not None:
         return extraction
     left = _fit_known(measured)
@@ -216,9 +216,9 @@ def check_noise(measured: MeasuredReadings) -> Finding:
     return Finding("Noise", "model error", "warning", text)
 
 
-def _check_extraction(legs: MeasuredVariant) -> Finding | None:
+def _check_extraction(measured: MeasuredReadings) -> Finding | None:
     """Return whether the targets scatter about rigid bodies by another noise than stated; None where they do not."""
-    described = legs.described.get("pose_extraction")
+    described = measured.described.get("pose_extraction")
     if not isinstance(described, dict):
         return None
     found = ChiSquare(described["chi2_per_dof"] * described["dof"], described["dof"])
@@ -283,12 +283,8 @@ class Left:
 
 def _fit_known(measured: MeasuredReadings) -> Left:
     """Return what is left at the best machine by the stated noise; what all poses share is fitted along."""
-    legs, terms = measured.legs, tuple[ErrorTerm, ...]()
-    if legs is not None and legs.shared_errors is not None:
-        measured = see_legs(replace(legs, actuator_variance=None))
-        terms = (_share(legs, len(measured.internal)),)
     own = measured.posterior.errors
-    known = replace(measured.posterior, errors=Errors(terms, own.outliers)).anchored()
+    known = replace(measured.posterior, errors=Errors(tuple(own.known), own.outliers)).anchored()
     y = known.approach()
     white, slope = known.likelihood.reduced_rows(*known.around(y), known.errors, known.zeta(y))
     m, n_spare = known.n_geometry, int(known.likelihood.n_spare.sum())
@@ -309,16 +305,6 @@ def _have_nothing(zeta: Array) -> Array:
     """Return no columns."""
     del zeta
     return np.zeros((1, 1, 0))
-
-
-def _share(legs: MeasuredVariant, n_channels: int) -> SharedErrors:
-    """Return what moves all legs' closures as errors of the actuators."""
-    shared, poses, machine = legs.shared_errors, legs.poses, legs.machine
-    assert shared is not None
-    here = machine.linearise(legs.posterior.sampling.start, poses.position, poses.rotation, poses.actuators)
-    each = np.zeros((poses.n_poses, n_channels, shared.shape[-1]))
-    each[:, : shared.shape[1]] = np.linalg.solve(here.actuators, shared)
-    return SharedErrors(each)
 
 
 def _name_largest(posterior: CalibrationPosterior, white: Array) -> str:
@@ -347,7 +333,7 @@ def _log_density(errors: Array, covariance: Array, common: Array) -> float:
     return -0.5 * (square + log_det + float(np.linalg.slogdet(inner)[1]))
 
 
-def check_priors(posterior: Found, draws: Array) -> Finding:
+def check_priors(posterior: CalibrationPosterior, draws: Array) -> Finding:
     """Return whether the machine lies within its tolerances; draws of the posterior in natural units, (S, n).
 
     In units of the tolerances a posterior mean has the prior covariance 1 - C, with C that of the posterior. Along the

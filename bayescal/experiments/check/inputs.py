@@ -8,13 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
+from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.density.calibration.prediction import draw_readings
 from bayescal.density.calibration.terms import CommonDraws
 from bayescal.errors import NumericalError
 from bayescal.experiments.check.schema import CheckConfig
 from bayescal.experiments.frame.load import load
-from bayescal.experiments.shared.measured import Found, MeasuredReadings, measure_variants
-from bayescal.experiments.shared.search_memory import list_readings, list_search
+from bayescal.experiments.shared.measured import MeasuredReadings, measure_variants
+from bayescal.experiments.shared.search_memory import list_readings
 from bayescal.inference.exploration import Exploration, explore
 from bayescal.inference.importance import resample
 from bayescal.inference.sampling import sample_posterior
@@ -65,24 +66,22 @@ class Subject:
     measured: MeasuredReadings
 
     @property
-    def posterior(self) -> Found:
+    def posterior(self) -> CalibrationPosterior:
         """The posterior of the measured data."""
-        return self.measured.found
+        return self.measured.anchored
 
     def list_arrays(self) -> list[Sequence[float]]:
         """Return the arrays of one data set's search; see `bayescal.experiments.frame.memory.estimate_arrays`."""
-        if self.measured.legs is not None:
-            return list_search(self.measured.legs.posterior)
         likelihood = self.measured.posterior.likelihood
         n_poses, n_coordinates = likelihood.start.shape
         return list_readings(n_poses, len(likelihood.model.channels), self.posterior.n_geometry, n_coordinates)
 
-    def draw_case(self, rng: np.random.Generator) -> tuple[Array, Found]:
+    def draw_case(self, rng: np.random.Generator) -> tuple[Array, CalibrationPosterior]:
         """Return a truth drawn from the priors, natural units, (n,), and the posterior of what is measured of it."""
         y, values = self.draw_truth(rng)
-        return self.posterior.natural(y[None])[0], self.measured.retake(values).found
+        return self.posterior.natural(y[None])[0], self.measured.retake(values).anchored
 
-    def repeat(self, y: Array, rng: np.random.Generator) -> Found:
+    def repeat(self, y: Array, rng: np.random.Generator) -> CalibrationPosterior:
         """Return the posterior of the measured data and those simulated of a true machine (n,) together.
 
         Raises
@@ -92,11 +91,11 @@ class Subject:
         """
         posterior = self.measured.anchored
         with np.errstate(all="ignore"):
-            drawn = posterior.likelihood.draw_common(*posterior.at(self.measured.adopt(y[None])), rng)
+            drawn = posterior.likelihood.draw_common(*posterior.at(y[None]), rng)
         values = self.simulate(y, rng, drawn)
         if values is None:
             raise NumericalError("a draw of the posterior cannot take the poses")
-        return self.measured.retake(np.concatenate([self.measured.posterior.likelihood.data.values, values])).found
+        return self.measured.retake(np.concatenate([self.measured.posterior.likelihood.data.values, values])).anchored
 
     def draw_truth(self, rng: np.random.Generator) -> tuple[Array, Array]:
         """Return a machine of the priors (n,), with its errors, and its readings (P, K).
@@ -120,7 +119,7 @@ class Subject:
         drawn, or of their prior, by the sizes that belong to the machine.
         """
         posterior = self.measured.anchored
-        own, likelihood = self.measured.adopt(y[None])[0], posterior.likelihood
+        own, likelihood = y, posterior.likelihood
         theta, data, model = posterior.theta(own[None])[0], likelihood.data, likelihood.model
         if not model.layout.inside(theta[None])[0]:
             return None
@@ -135,7 +134,7 @@ class Subject:
 
 
 def draw_posterior(
-    posterior: Found, n_draws: int, seed: np.random.SeedSequence
+    posterior: CalibrationPosterior, n_draws: int, seed: np.random.SeedSequence
 ) -> tuple[Array, Array, Exploration, Array]:
     """Return draws (S, n), natural and in coordinates, the exploration, and their weights' efficiency and Pareto k.
 

@@ -269,7 +269,7 @@ class State:
     @cached_property
     def _draws(self) -> Array:
         """Draws of the posterior of the readings, (S, n)."""
-        return self.subject.measured.adopt(self.belief.draws)
+        return self.belief.draws
 
     @cached_property
     def _y(self) -> Array:
@@ -289,7 +289,8 @@ class State:
     @cached_property
     def covariance(self) -> Array:
         """Of the parameters' coordinates, shape (m, m)."""
-        return self.subject.measured.adopt_covariance(self.belief.covariance, self._y)
+        m = self.subject.measured.posterior.n_geometry
+        return self.belief.covariance[:m, :m]
 
     @cached_property
     def _candidates(self) -> Array:
@@ -409,4 +410,4 @@ class State:
 
 def find_state(subject: Subject, start: Array | None, n_draws: int, seed: int, *, anew: bool = True) -> State:
     """Return what is known after a variant's poses, updated from the mode before the last of them; see `update`."""
-    return State(update(subject.measured.found, start, n_draws, seed, anew=anew), seed, subject)
+    return State(update(subject.measured.anchored, start, n_draws, seed, anew=anew), seed, subject)

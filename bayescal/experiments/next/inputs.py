@@ -28,7 +28,7 @@ from bayescal.identifiability.reading_rows import (
     typical_given,
 )
 from bayescal.identifiability.requirements import COMPONENTS, Requirement
-from bayescal.machines.readings import Channel, Coordinate, Given, ReadingModel
+from bayescal.machines.readings import Channel, Coordinate, Given, ReadingModel, legs_of
 from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array
 from bayescal.numerics.units import Units
 from bayescal.pose_selection import (
@@ -104,7 +104,8 @@ def read_next(config: NextConfig, folder: Path) -> NextInputs:
     n = there if config.first is None else config.first
     if n > there:
         raise InputError(f"first: found {n}, expected at most {there}, the calibration poses of {config.study}")
-    if first.legs is None:
+    legs = legs_of(first.posterior.likelihood.model)
+    if legs is None:
         _check_same_readings(found)
         _check_redundant(first)
         low, high = _read_bounds(config, first)
@@ -112,10 +113,10 @@ def read_next(config: NextConfig, folder: Path) -> NextInputs:
     so_far = {name: one if n == there else one.pick(np.arange(n)) for name, one in found.items()}
     first = next(iter(so_far.values()))
     workspace, candidates = (
-        _place_poses(config, folder, first) if first.legs is None else _place_legs(config, folder, first)
+        _place_poses(config, folder, first) if legs is None else _place_legs(config, folder, first)
     )
     requirements, units = _read_requirements(config, first)
-    if requirements and first.legs is None:
+    if requirements and legs is None:
         _check_located(first, workspace.values)
     subjects = {name: Subject(one, requirements, workspace, candidates) for name, one in so_far.items()}
     origin = first.origin.partition(": study ")[0]
@@ -135,7 +136,7 @@ def _read_requirements(config: NextConfig, measured: MeasuredReadings) -> tuple[
     tool = measured.posterior.likelihood.model.tool_channels
     components, kinds = (tuple(getattr(one, key) for one in tool) for key in ("name", "unit"))
     known = (*components, "position") if "mm" in kinds else components
-    if measured.legs is not None:
+    if legs_of(measured.posterior.likelihood.model) is not None:
         components, known = COMPONENTS, REQUIRED
     for name in config.requirements:
         if name not in known:
@@ -152,15 +153,16 @@ def _read_requirements(config: NextConfig, measured: MeasuredReadings) -> tuple[
 
 def _place_legs(config: NextConfig, folder: Path, measured: MeasuredReadings) -> tuple[Poses, Poses]:
     """Return the poses of workspace and candidates of a study's machine, by its actuators."""
-    section, legs = config.workspace, measured.legs
+    section, posterior, legs = config.workspace, measured.posterior, legs_of(measured.posterior.likelihood.model)
     assert legs is not None
     if isinstance(section, dict):
         raise InputError(
             f"workspace: found {', '.join(section)} of a machine on legs, expected position_mm and rotation_deg"
         )
-    priors = legs.posterior.priors
+    own = legs.machine.layout.names
+    priors = {name: one for name, one in posterior.priors.items() if name in own}
     means = {name: one.mean for name, one in priors.items()}
-    knowledge = Knowledge(legs.machine, {name: one.sd for name, one in priors.items()}, {**legs.fixed, **means})
+    knowledge = Knowledge(legs.machine, {name: one.sd for name, one in priors.items()}, {**posterior.fixed, **means})
     volume = read_workspace(section)
     candidates = read_candidates(config, folder, knowledge, volume).placed.actuators
     workspace = find_actuators(knowledge, volume, config.seed, candidates)

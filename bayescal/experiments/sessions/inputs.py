@@ -13,19 +13,19 @@ import numpy as np
 
 from bayescal.density.calibration.model_error import FunctionsOfPose, ThinFunctionsOfPose
 from bayescal.density.calibration.terms import ErrorTerm
-from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.priors import NormalPrior
 from bayescal.density.sessions import Drift, Expansion, Part, ReadingRows, SessionModel, walk_loadings
 from bayescal.density.sorts import Place
 from bayescal.errors import InputError, name_faults
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.sessions.schema import SessionConfig, SessionsConfig, ThermalConfig
-from bayescal.experiments.shared.measured import MeasuredReadings, MeasuredVariant, measure_variants
+from bayescal.experiments.shared.measured import MeasuredReadings, measure_variants
 from bayescal.experiments.shared.slip_search import find_slip
 from bayescal.experiments.shared.slips import tell_denial
 from bayescal.files.csv_tables import read_table
 from bayescal.machines.kinematics import Machine, solve_forward_kinematics
 from bayescal.machines.parameters import ParameterLayout
+from bayescal.machines.readings import Legs
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import ARCSECOND, MICROMETRE
 
@@ -73,7 +73,7 @@ class SessionsInputs:
     @property
     def by_leg(self) -> bool:
         """Whether what moved is stated by leg."""
-        return self.first.legs is not None
+        return isinstance(self.first.posterior.likelihood.model, Legs)
 
 
 def read_sessions(config: SessionsConfig, folder: Path) -> SessionsInputs:
@@ -99,9 +99,8 @@ def read_sessions(config: SessionsConfig, folder: Path) -> SessionsInputs:
     functions = [one for one in first.posterior.errors.terms if isinstance(one, FunctionsOfPose)]
     lasting = tuple(config.drift.hierarchy == "walk" and one.sort != DRIFT for one in functions)
     model = SessionModel(tuple(parts), *describe_free(first, config.study), drift, expansions, lasting)
-    legs = [one.legs for one in measured if one.legs is not None]
-    if config.drift.hierarchy == "walk" and legs:
-        check_same_machine(model, legs, [one.label for one in config.sessions])
+    if config.drift.hierarchy == "walk":
+        check_same_machine(model, measured, [one.label for one in config.sessions])
     mean_temperature = np.array([np.nan if one is None else one.mean() for one in warmth])
     n_poses = np.array([one.posterior.likelihood.data.n_poses for one in measured])
     return SessionsInputs(config, model, first, mean_temperature, n_poses, [one for one in denied if one is not None])
@@ -256,9 +255,9 @@ def find_motions(measured: MeasuredReadings, theta: Array, moves: Array) -> Moti
 
     To the readings of the machine's own channels; to each leg in terms of its length l.
     """
-    if measured.legs is not None:
-        return _move_legs(measured.legs.machine, theta, moves)
     model, data = measured.posterior.likelihood.model, measured.posterior.likelihood.data
+    if isinstance(model, Legs):
+        return _move_legs(model.machine, theta, moves)
     own = np.flatnonzero(measured.internal)
     given = {name: np.array(np.median(value)) for name, value in data.given.items()}
     slope = model.linearise(theta, model.home_pose, True, given).by_parameters[own] @ moves.T
@@ -359,15 +358,21 @@ def _place_files(study: Any, session: SessionConfig, folder: Path, path: Path) -
     return study.model_copy(update={"data": data.model_copy(update=moved)})
 
 
-def check_same_machine(model: SessionModel, sessions: Sequence[MeasuredVariant], labels: Sequence[str]) -> None:
+def check_same_machine(model: SessionModel, sessions: Sequence[MeasuredReadings], labels: Sequence[str]) -> None:
     """Raise InputError where the legs of a session are off those of the first by far more than they can have moved.
 
     Parameters
     ----------
     model : SessionModel
         Of a walk.
+    sessions : sequence of MeasuredReadings
+        Of machines on legs; of others there is nothing to compare.
+    labels : sequence of str
+        Theirs.
     """
-    first = sessions[0].posterior
+    first = sessions[0].anchored
+    if not isinstance(first.likelihood.model, Legs):
+        return
     theta = first.theta(first.approach()[None])[0]  # the machine that explains the first session best by itself
     off = np.stack([_find_offsets(one, theta) for one in sessions])
     elapsed = np.sqrt(np.sum(model.drift.loadings**2, axis=1))  # √month since the first
@@ -383,7 +388,10 @@ def check_same_machine(model: SessionModel, sessions: Sequence[MeasuredVariant],
         )
 
 
-def _find_offsets(measured: MeasuredVariant, theta: Array) -> Array:
+def _find_offsets(measured: MeasuredReadings, theta: Array) -> Array:
     """Return the mean error of each leg in a session for one machine θ (D,), shape (N,), mm."""
-    likelihood = PoseLikelihood(measured.machine, measured.poses, measured.actuator_noise)
-    return np.asarray(likelihood.error_jacobian(theta)[0].mean(axis=0))
+    likelihood = measured.posterior.likelihood
+    model, own = likelihood.model, np.flatnonzero(measured.internal)
+    seen = [k for k, one in enumerate(model.channels) if one.external]
+    read = model.read(theta, likelihood.data.values[:, seen], likelihood.data.given)
+    return np.asarray(np.nanmean(likelihood.data.values[:, own] - read[:, own], axis=0))

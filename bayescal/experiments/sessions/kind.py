@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 
-from bayescal.density.legs import BATCH, POSES
 from bayescal.experiments.frame.memory import Need, estimate_arrays
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
@@ -21,6 +20,8 @@ JOINT, ROWS, DRAWS, SCRATCH = 12, 8, 6, 24
 """Arrays of all unknowns by each other, of all rows by one session's, of draws by all unknowns, and of each session's
 hot loop, which keeps what it works in.
 """
+
+BATCH, POSES = 256, 128  # machines, and their poses, at a time
 
 
 class Sessions(OfAnother[SessionsConfig, SessionsInputs]):

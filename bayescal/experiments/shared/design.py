@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -60,11 +61,19 @@ class Design:
     requirements: list[Requirement]
 
 
-def read_machine(path: Path, variant: ModelConfig, deformation: DeformationConfig, folder: Path) -> Machine:
-    """Return the mechanism of a file seen through a model and a deformation; K is in a file of its own, in 1e-3."""
+def read_machine(
+    path: Path,
+    variant: ModelConfig,
+    deformation: DeformationConfig,
+    folder: Path,
+    measured: Callable[[], Array] | None = None,
+) -> Machine:
+    """Return the mechanism of a file seen through a model and a deformation; K is in a file, in 1e-3, or ``measured``."""
     mechanism = load_mechanism(path)
 
     def matrix() -> Array:
+        if measured is not None:
+            return measured()
         name = deformation.matrix
         if name == "targets":
             raise InputError("deformation.matrix: found 'targets' without measured ones, expected a CSV file with K")

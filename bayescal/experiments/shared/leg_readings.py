@@ -4,27 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from bayescal.calibrated.machine import CalibratedMachine
-from bayescal.data.instruments.readings import PointReadings
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.density.calibration.likelihood import CalibrationLikelihood, CalibrationPosterior
 from bayescal.density.calibration.measurements import Measurements
 from bayescal.density.calibration.model_error import IndependentErrors
 from bayescal.density.calibration.terms import Errors, ErrorTerm
-from bayescal.density.errors import TAU
+from bayescal.density.sorts import TAU
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior, Prior
 from bayescal.experiments.shared.slip_rows import Readings
 from bayescal.experiments.shared.slip_search import find_slip
 from bayescal.experiments.shared.slips import CHANNEL, FRAME, FoundSlip
-from bayescal.machines.frames import AXES, frame_blocks, frame_symbols, name_frames
 from bayescal.machines.kinematics import Machine
-from bayescal.machines.readings import Channel, Instrument, Legs, Parameters, ReadingModel, place
-from bayescal.numerics.analytic import rotation_matrix
+from bayescal.machines.readings import Legs, ReadingModel
 from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array, rotation_vector_from_matrix
 
 PROBE = "probe"
@@ -43,41 +39,6 @@ class SharedErrors(ErrorTerm):
         """Return them, row by row as these stand among all."""
         del zeta
         return self.each[data.order][None]
-
-
-class Probe(Instrument):
-    """Points on the tool as S stations read them, in the base frame by the stations' nominal places, (S Q 3).
-
-    Frames have the symbols of `bayescal.machines.frames`.
-    """
-
-    def __init__(self, readings: PointReadings) -> None:
-        """Lay out frames and channels."""
-        super().__init__()
-        self.points, self.frames = readings.probe, name_frames(readings.n_stations)
-        self.parameters = list(frame_blocks(readings.n_stations))
-        stations = [f"{one}_" if readings.n_stations > 1 else "" for one in readings.stations]
-        self.channels = [
-            Channel(f"{station}{point}[{axis}]", "mm")
-            for station in stations
-            for point in readings.points
-            for axis in AXES
-        ]
-
-    def see(self, parameters: Parameters, position: Any, rotation: Any) -> Any:
-        """Return where each station reads the points."""
-
-        def take(frame: str) -> tuple[Any, Any]:
-            vectors = (np.stack([parameters[one] for one in some], axis=-1) for some in frame_symbols(frame))
-            moved, turned = vectors
-            return moved, rotation_matrix(turned)
-
-        *bases, (moved, turned) = map(take, self.frames)
-        points = np.einsum("...ij,qj->...qi", rotation @ turned, self.points)
-        points = points + (position + (rotation @ moved[..., None])[..., 0])[..., None, :]
-        seen = [np.einsum("...ij,...qj->...qi", turn, points) + move[..., None, :] for move, turn in bases]
-        every = np.concatenate(np.broadcast_arrays(*seen), axis=-2)
-        return every.reshape(*every.shape[:-2], -1)
 
 
 def place_legs(
@@ -124,43 +85,6 @@ def _place(
         pose[missing] = np.where(found[:, None], nominal, legs.home_pose)
     posterior: CalibrationPosterior = Posterior(CalibrationLikelihood(model, data, 1.0, pose), priors, errors, fixed)
     return Readings(posterior, pose.min(axis=0), pose.max(axis=0), own)
-
-
-def read_points(
-    machine: Machine,
-    readings: PointReadings,
-    noise: float,
-    priors: Mapping[str, Prior],
-    fixed: Mapping[str, float],
-    scale: float,
-) -> Readings:
-    """Return points seen of a machine on legs, in which slips are looked for; arguments as those of `read_legs`.
-
-    Priors are of frames, too.
-    """
-    legs = Legs(machine)
-    bare = legs.pick(np.arange(legs.n_legs))
-    model = place(bare, {PROBE: Probe(readings)})
-    own = {name if name in legs.layout.names else f"{PROBE}_{name}": one for name, one in priors.items()}
-    n_poses, width = readings.n_poses, readings.values[0].size
-    values = np.where(readings.seen[..., None], readings.values, np.nan).reshape(n_poses, width)
-    each = np.where(readings.seen[..., None, None], readings.covariance, np.eye(3)).reshape(n_poses, -1, 3, 3)
-    covariance = np.zeros((n_poses, width // 3, 3, width // 3, 3))
-    points = np.arange(width // 3)
-    covariance[:, points, :, points, :] = np.moveaxis(each, 1, 0)
-    covariance = covariance.reshape(n_poses, width, width)
-    sd = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
-    correlation = np.tile(np.eye(legs.n_legs + width), (n_poses, 1, 1))
-    correlation[:, legs.n_legs :, legs.n_legs :] = covariance / (sd[:, :, None] * sd[:, None, :])
-    data = Measurements(
-        readings.names,
-        np.concatenate([readings.actuators, values], axis=1),
-        np.concatenate([np.ones_like(readings.actuators), sd], axis=1),
-        {},
-        correlation,
-    )
-    errors = Errors(_let_legs_err(legs.n_legs, len(model.channels), scale))
-    return _place(model, legs, data, np.full((n_poses, DEGREES_OF_FREEDOM), np.nan), noise, own, errors, fixed)
 
 
 def _let_legs_err(n_legs: int, n_channels: int, scale: float) -> tuple[ErrorTerm, ...]:

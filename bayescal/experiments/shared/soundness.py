@@ -11,9 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import block_diag
 
-from bayescal.density.legs import LegPosterior, Likelihood, turn_to_coordinates
 from bayescal.experiments.shared.chi_square import ChiSquare
 from bayescal.inference.target import Fittable
 from bayescal.numerics.geometry import Array
@@ -43,51 +41,6 @@ class Misfit:
     def chi_square(self) -> ChiSquare:
         """Their sum of squares."""
         return ChiSquare(float(np.sum(self.left.ravel() ** 2)), self.dof)
-
-
-def find_misfit(
-    posterior: LegPosterior,
-    mode: Array,
-    likelihood: Likelihood,
-    shared: Array | None = None,
-    counted: np.ndarray | None = None,
-) -> Misfit:
-    """Return what is left of the measured rows at the mode (n,).
-
-    Parameters
-    ----------
-    posterior : LegPosterior
-    mode : ndarray, shape (n,)
-        Its model errors count as noise.
-    likelihood : Likelihood
-        Of the same measurements, without errors that all poses share.
-    shared : ndarray, shape (P, K, M), optional
-        What M unknowns, standard normal a priori, add to the rows of all poses: as noise of single poses they would
-        count as often as there are poses. They are fitted along, to first order.
-    counted : ndarray of bool, shape (P,), optional
-        Poses that count; all without it.
-    """
-    theta = posterior.theta(mode[None])[0]
-    amplitudes = posterior.errors.amplitudes(posterior.zeta(mode[None]))
-    whiten = likelihood.whiten(np.broadcast_to(amplitudes, (1, likelihood.n_model_errors))[0])
-    errors = likelihood.errors(theta[None])[0]
-    change = posterior.sampling.jacobian(theta)
-    by_machine = turn_to_coordinates(likelihood.error_jacobian(theta)[1], change)
-    prior_slope = posterior.sampling.prior_slope(change)
-    extra = np.empty((*errors.shape, 0)) if shared is None else shared
-    white = whiten(np.concatenate([errors[..., None], by_machine, extra], axis=-1))
-    if counted is not None:
-        errors, white = errors[counted], white[counted]
-    n_extra = extra.shape[-1]
-    prior = np.concatenate([posterior.sampling.prior_residual(mode[: posterior.n_geometry], theta), np.zeros(n_extra)])
-    # rows beyond what was measured at a pose are exactly zero
-    return fit_rows(
-        white[..., 0],
-        white[..., 1:],
-        prior,
-        block_diag(prior_slope, np.eye(n_extra)),
-        int(np.count_nonzero(errors)),
-    )
 
 
 def fit_rows(white: Array, slope: Array, prior: Array, prior_slope: Array, n_measured: int) -> Misfit:

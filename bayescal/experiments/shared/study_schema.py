@@ -188,7 +188,10 @@ class VariantConfig(FreeConfig):
     no name of its own; several free sets or model errors of one model and deformation need names.
     """
 
-    gone: ClassVar[Mapping[str, str]] = dict.fromkeys(KERNEL, STATED)
+    gone: ClassVar[Mapping[str, str]] = {
+        **dict.fromkeys(KERNEL, STATED),
+        "published": "claims, whose class reads printed values by itself",
+    }
 
     model: Annotated[str, ClassMark("MODELS")] | None = None
     """Kinematic model of a machine on legs; `bayescal list models` shows all."""
@@ -218,8 +221,6 @@ class VariantConfig(FreeConfig):
     """Share of poses that are expected to be outliers, whose posterior is inferred; in place of `robust` [1]."""
     poses_with: Names = Field(default=[])
     """Keep to poses for which these columns are known."""
-    published: InputFile | None = None
-    """CSV file of printed values to compare with."""
 
     @property
     def outliers(self) -> Outliers:
@@ -288,11 +289,9 @@ class SensitivityConfig(Section):
 
 
 AS_STATED = SensitivityConfig(factor=[1.0])
-BY_INSTRUMENT = {"claims", "deformation", "frames"}
-"""Sections that mean something of an instrument's poses alone; a mechanism's deformation does of tables, too."""
-BY_TABLES = {"instruments", "sensors", "units", "unknown_noise", "errors", "workspace", "validation", "beside", "next"}
-VARIANTS_BY_INSTRUMENT = {"published"}
-VARIANTS_BY_TABLES = {"common", "sensors", "machine", "noise", "errors", "robust", "poses_with"}
+BY_INSTRUMENT = {"frames"}
+"""Sections that mean something of an instrument's poses alone."""
+BY_TABLES = {"instruments", "sensors"}
 
 
 class StudyConfig(ExperimentConfig):
@@ -411,33 +410,19 @@ class StudyConfig(ExperimentConfig):
     def _check_route(self) -> None:
         """Raise ValueError for what means nothing beside such data."""
         data, meant = ("tables of readings", "[data]") if self.by_tables else ("an instrument's poses", "[[data]]")
-        elsewhere, of_variants = BY_TABLES, VARIANTS_BY_TABLES
-        if self.by_tables:
-            elsewhere, of_variants = BY_INSTRUMENT, VARIANTS_BY_INSTRUMENT
-            if any(one.model is not None for one in self.variants):
-                elsewhere = elsewhere - {"deformation"}
-        for name in sorted(_list_stated(self) & elsewhere):
+        for name in sorted(_list_stated(self) & (BY_INSTRUMENT if self.by_tables else BY_TABLES)):
             raise ValueError(f"{name}: found beside {data}, where it means nothing, expected it beside {meant} alone")
         for variant in self.variants:
-            for name in sorted(_list_stated(variant) & of_variants):
-                raise ValueError(
-                    f"variant {variant.name!r}: {name}: found with {data}, where it means nothing, expected it with "
-                    f"{meant} alone"
-                )
             if variant.model is None and (not self.by_tables or variant.deformation != "none"):
                 raise ValueError(f"variant {variant.name!r}: model: missing, expected the kinematic model of the legs")
         if self.by_tables and not self.sensors:
             raise ValueError("sensors: missing, expected the noise of the channels")
-        if self.by_tables and self.sensitivity.tau_scale_um != TAU_SCALES:
-            raise ValueError("sensitivity.tau_scale_um: found with tables of readings, where it means nothing")
         if not isinstance(self.model_error, dict):
             every = [name for one in self.variants for name in self.model_error.of(one.model_error).terms]
             try:
                 self.model_error.check_floors(dict.fromkeys(every))
             except ValueError as error:
                 raise ValueError(f"model_error.{error}") from error
-        elif not self.by_tables:
-            raise ValueError(f"model_error: found that of channels with {data}, expected terms, scale_um")
 
 
 def _is_tables(known: Mapping[str, Any]) -> bool:

@@ -31,7 +31,6 @@ from bayescal.config.registry import list_references, list_sources
 from bayescal.config.trust import check_same
 from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.density.calibration.terms import CommonDraws
-from bayescal.density.errors import TAU
 from bayescal.errors import InputError
 from bayescal.experiments.frame.results import Results, Writer
 from bayescal.experiments.shared.calibrating import (
@@ -42,22 +41,20 @@ from bayescal.experiments.shared.calibrating import (
     read_parameters,
     write_bytes,
 )
-from bayescal.experiments.shared.estimate import Fit
 from bayescal.experiments.shared.headline import choose_best
 from bayescal.experiments.shared.origin import name_origin
 from bayescal.experiments.shared.readings.inputs import ReadingInputs, Variant
 from bayescal.experiments.shared.readings.instruments import leave_instruments, read_model
+from bayescal.experiments.shared.readings.measurement import state_noise
 from bayescal.experiments.shared.readings.noise import group_channels, noise_of_channels
 from bayescal.experiments.shared.readings.priors import choose_priors
 from bayescal.experiments.shared.readings.workspace import build_workspace
-from bayescal.experiments.shared.study_inputs import Inputs
 from bayescal.experiments.shared.study_schema import StudyConfig, VariantConfig, stem_of
 from bayescal.experiments.shared.trees import read_draws, read_functions
-from bayescal.experiments.study.inputs import StudyInputs, load_inputs
-from bayescal.experiments.study.model_error import BY_LEG
+from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.files.csv_tables import format_table, read_table
 from bayescal.machines.read import list_machine_sources
-from bayescal.machines.readings import Legs, ReadingModel
+from bayescal.machines.readings import Legs, ReadingModel, legs_of
 from bayescal.numerics.geometry import Array
 
 COMMANDS = "commands.csv"
@@ -69,10 +66,11 @@ ERRORS = "errors"
 # --- writing -------------------------------------------------------------------------------------------------------
 
 
-def list_machine_files(inputs: Inputs) -> dict[str, str | Writer]:
+def list_machine_files(inputs: StudyInputs) -> dict[str, str | Writer]:
     """Return the files that a study's results hold of its machines, and the commands of its poses, by name."""
     found: dict[str, str | Writer] = {name: write_bytes(one) for name, one in inputs.machine_files[0].items()}
-    return {f"{KEPT}/{name}": one for name, one in (found | inputs.list_commands()).items()}
+    every = found | format_variants_commands(inputs) | format_matrices(inputs)
+    return {f"{KEPT}/{name}": one for name, one in every.items()}
 
 
 def format_variants_commands(inputs: ReadingInputs) -> dict[str, str]:
@@ -80,17 +78,15 @@ def format_variants_commands(inputs: ReadingInputs) -> dict[str, str]:
     return {_name_commands(one.name): _format_commands(one) for one in inputs.variants.values()}
 
 
-def format_actuators(inputs: StudyInputs) -> dict[str, str]:
-    """Return the actuator positions of the calibration poses, and K where it was measured, as files."""
-    seen = [inputs.machine(variant) for variant in inputs.config.variants]
-    used, channels = ~inputs.verification, Legs(seen[0]).channels[: inputs.mechanism.n_legs]
-    columns = zip(channels, inputs.measured.actuators[used].T, strict=True)
-    found = {COMMANDS: _write_commands(np.array(inputs.names)[used], {f"{c.stem}_mm": one for c, one in columns})}
-    if inputs.matrix_from_targets and any(one.deformation.uses_matrix for one in seen):
-        assert inputs.matrix_covariance is not None
-        found[MATRIX] = format_matrix(inputs.matrix)
-        found[MATRIX_COVARIANCE] = format_matrix_covariance(inputs.matrix_covariance)
-    return found
+def format_matrices(inputs: StudyInputs) -> dict[str, str]:
+    """Return K and the covariance of its rows as files, where it was measured."""
+    seen = inputs.seen
+    if seen is None or seen.pads is None or not seen.needs_matrix:
+        return {}
+    return {
+        MATRIX: format_matrix(seen.pads.matrix.matrix),
+        MATRIX_COVARIANCE: format_matrix_covariance(seen.pads.matrix.by_row),
+    }
 
 
 def _name_commands(variant: str) -> str:
@@ -110,26 +106,6 @@ def _write_commands(poses: Sequence[str], columns: Mapping[str, Array]) -> str:
     written = ([repr(float(x)) if np.isfinite(x) else "" for x in one] for one in columns.values())
     comments = ["Commands of the poses that calibrated the machine: where it is known, not extrapolated"]
     return format_table(comments, ["pose", *columns], list(zip(poses, *written, strict=True)))
-
-
-def tabulate_leg_errors(inputs: StudyInputs, fits: Mapping[str, Fit]) -> pd.DataFrame:
-    """Return by what each actuator errs, of every variant with its model error, root mean squares, mm.
-
-    That is σ_ρ as noise; as model error τ, and errors that are functions of the pose as large as they are at the
-    calibration poses.
-    """
-    rows = []
-    for name, fit in fits.items():
-        floor = inputs.model_error(inputs.variant(name)).lengths().get("independent", 0.0)
-        square = dict(zip(fit.names, fit.mean**2 + fit.sd**2, strict=True))
-        by_leg = fit.evaluated.get(BY_LEG, np.zeros((1, inputs.mechanism.n_legs)))
-        functions = np.mean(by_leg**2, axis=0)
-        for leg, channel in enumerate(Legs(inputs.machine(inputs.variant(name))).names[: inputs.mechanism.n_legs], 1):
-            tau = square.get(TAU, square.get(f"{TAU}[{leg}]"))
-            variance = functions[leg - 1] + (0.0 if tau is None else tau + floor**2)
-            own = {"variant": name, "channel": channel, "unit": "mm"}
-            rows.append({**own, "noise": inputs.actuator_noise, "model_error": float(np.sqrt(variance))})
-    return pd.DataFrame(rows)
 
 
 def tabulate_errors(
@@ -208,8 +184,10 @@ def calibrate_machine(
     if chosen.model is None:
         model = read_kept(path, results.hashes)
     elif experiment is not None and not config.by_tables:
-        inputs = load_inputs(config, folder)
-        model, covariance = Legs(inputs.machine(chosen)), inputs.matrix_covariance
+        inputs = StudyInputs.load(config, folder)
+        legs, pads = legs_of(inputs.variants[chosen.name].whole), None if inputs.seen is None else inputs.seen.pads
+        assert legs is not None
+        model, covariance = Legs(legs.machine), None if pads is None else pads.matrix.by_row
     else:
         for what, name in zip(("MODELS", "DEFORMATIONS"), chosen.seen, strict=True):
             if name not in list_references(what):
@@ -220,7 +198,7 @@ def calibrate_machine(
         model = read_model(config, chosen, path, folder)
         if (kept / MATRIX_COVARIANCE).is_file():
             covariance = read_matrix_covariance(kept / MATRIX_COVARIANCE, len(model.commanded))
-    config, chosen = leave_instruments(config, chosen, model)
+    config, chosen = leave_instruments(state_noise(config), chosen, model)
     fit = results.summary["variants"][chosen.name]
     theta, draws = _read_posterior(results, config, chosen, model)
     commands, given = _read_commands(kept, chosen.name, model)

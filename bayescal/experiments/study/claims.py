@@ -11,7 +11,6 @@ from typing import Any, ClassVar
 
 import pandas as pd
 
-from bayescal.density.least_squares import LeastSquaresFit
 from bayescal.experiments.study.inputs import StudyInputs
 
 
@@ -36,13 +35,11 @@ class Claims(ABC):
     notation: ClassVar[Mapping[str, str]]
 
     @abstractmethod
-    def tabulate(
-        self, inputs: StudyInputs, summary: Mapping[str, Any], fits: Mapping[str, LeastSquaresFit]
-    ) -> pd.DataFrame:
-        """Return a row for each claim that the study allows.
+    def tabulate(self, inputs: StudyInputs, summary: Mapping[str, Any]) -> dict[str, pd.DataFrame]:
+        """Return tables for the study's results, by name: ``claims`` has a row for each claim that the study allows.
 
-        Columns ``claim``, ``section``, ``statement``, ``expected``, ``found``, ``value``, ``unit``, ``verdict`` (holds,
-        does not hold, not testable) and ``why``.
+        Its columns are ``claim``, ``section``, ``statement``, ``expected``, ``found``, ``value``, ``unit``, ``verdict``
+        (holds, does not hold, not testable) and ``why``.
         """
 
     def describe(self) -> dict[str, Any]:

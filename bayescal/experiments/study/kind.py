@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,11 +19,9 @@ from bayescal.experiments.shared.headline import list_candidates
 from bayescal.experiments.shared.measured import MeasuredReadings, Measuring
 from bayescal.experiments.shared.readings.instruments import list_machines
 from bayescal.experiments.shared.readings.machine_kind import MachineExperiment
-from bayescal.experiments.shared.study_inputs import Inputs
+from bayescal.experiments.shared.readings.measurement import list_file_faults
 from bayescal.experiments.shared.study_schema import StudyConfig
-from bayescal.experiments.study.by_tables import ReadingStudy
-from bayescal.experiments.study.inputs import load_inputs
-from bayescal.experiments.study.measurement import list_file_faults
+from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.terminal import show_comparison, show_ranking
 from bayescal.report.blocks import Page
 
@@ -32,7 +29,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-class Study(MachineExperiment[StudyConfig, Inputs], Measuring, Calibrating):
+class Study(MachineExperiment[StudyConfig, StudyInputs], Measuring, Calibrating):
     """A machine calibrated from what was measured of it: variants ranked by evidence and by prediction."""
 
     schema = StudyConfig
@@ -45,11 +42,9 @@ class Study(MachineExperiment[StudyConfig, Inputs], Measuring, Calibrating):
         """Return the files of the machine, those of single variants too."""
         return list_machines(config)
 
-    def read(self, config: StudyConfig, folder: Path) -> Inputs:
+    def read(self, config: StudyConfig, folder: Path) -> StudyInputs:
         """Return everything the study computes with."""
-        if config.by_tables:
-            return ReadingStudy.load(config, folder)
-        found = load_inputs(config, folder)
+        found = StudyInputs.load(config, folder)
         _ = found.claims  # a class at fault shows now
         return found
 
@@ -57,23 +52,23 @@ class Study(MachineExperiment[StudyConfig, Inputs], Measuring, Calibrating):
         """Return what is wrong with the machine and each table by itself."""
         return [] if isinstance(content.get("data"), list) else list_file_faults(content, folder)
 
-    def estimate_memory(self, inputs: Inputs) -> Need:
+    def estimate_memory(self, inputs: StudyInputs) -> Need:
         """Return what the posteriors take."""
         return inputs.estimate_memory()
 
-    def estimate_seconds(self, inputs: Inputs, workers: int) -> float:
+    def estimate_seconds(self, inputs: StudyInputs, workers: int) -> float:
         """Return what the posteriors take, from the time of some of their densities."""
         return inputs.estimate_seconds(workers)
 
-    def outlook(self, inputs: Inputs) -> list[str]:
+    def outlook(self, inputs: StudyInputs) -> list[str]:
         """Return what the data can determine of each variant."""
         return inputs.outlook()
 
-    def doubt(self, inputs: Inputs) -> list[str]:
+    def doubt(self, inputs: StudyInputs) -> list[str]:
         """Return what may have happened to data that no machine explains, or only one within wide tolerances."""
         return inputs.doubt()
 
-    def compute(self, inputs: Inputs, run: Run) -> Results:
+    def compute(self, inputs: StudyInputs, run: Run) -> Results:
         """Return posteriors, evidence and predictions of all variants."""
         from bayescal.experiments.study.compute import compute_study  # seconds to import, as its inputs are read first
 
@@ -99,10 +94,9 @@ class Study(MachineExperiment[StudyConfig, Inputs], Measuring, Calibrating):
     ) -> dict[str, MeasuredReadings]:
         """Return variants of the study in a file."""
         chosen = [one for one in config.variants if one.name in names]
-        with name_faults(path) if config.by_tables else nullcontext():
-            wanted = config.model_copy(update={"variants": chosen}) if config.by_tables else config
-            inputs = ReadingStudy.load(wanted, path.parent) if config.by_tables else load_inputs(config, path.parent)
-        return inputs.measure([one.name for one in chosen], path, with_model_error)
+        with name_faults(path):
+            inputs = StudyInputs.load(config.model_copy(update={"variants": chosen}), path.parent)
+        return inputs.measure([one.name for one in chosen], with_model_error)
 
     def calibrate(self, results: Results, variant: str | None, experiment: Path | None) -> CalibratedMachine:
         """Return the machine of a variant of the study."""

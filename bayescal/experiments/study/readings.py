@@ -13,8 +13,13 @@ from scipy.special import chdtrc
 
 from bayescal.calibrated.functions import KnownFunctions
 from bayescal.density.calibration.likelihood import CalibrationPosterior
-from bayescal.density.calibration.prediction import ReadingPredictions, predict_readings, replicate_readings
-from bayescal.density.prediction import compute_elpd
+from bayescal.density.calibration.prediction import (
+    ReadingPredictions,
+    predict_poses,
+    predict_readings,
+    replicate_readings,
+)
+from bayescal.density.prediction import Prediction, compute_elpd
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.shared.chi_square import ChiSquare
 from bayescal.experiments.shared.estimate import Arrays, Fit, Subject, fit_posterior
@@ -38,10 +43,19 @@ from bayescal.experiments.shared.readings.knowledge import (
 from bayescal.experiments.shared.search_memory import PRIOR_READINGS
 from bayescal.experiments.shared.soundness import fit_rows
 from bayescal.experiments.shared.stacking import tabulate_comparison
-from bayescal.experiments.shared.study_inputs import Described, Task
 from bayescal.experiments.shared.trees import Draws, Readings, build_tree, group_functions, limit_draws, spread
 from bayescal.experiments.shared.variant_tables import NOISE, describe_fit, tabulate_left_out, tabulate_parameters
 from bayescal.experiments.study.calibrated import ERRORS, tabulate_errors
+from bayescal.experiments.study.inputs import Described, StudyInputs
+from bayescal.experiments.study.tables import (
+    describe_errors,
+    describe_legs,
+    find_seen,
+    tabulate_legs,
+    tabulate_pose_errors,
+    tabulate_tau_scale,
+    title_variant,
+)
 from bayescal.inference.correction import CostlyDensity
 from bayescal.inference.exploration import Exploration, explore
 from bayescal.inference.importance import resample
@@ -53,6 +67,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 ONLY_SAVED = ("log_likelihood", "replicated", "prior", "prior_replicated")
+POSE_DRAWS = 300  # of the posterior, that predict poses
 ERROR_DRAWS = 200  # of the posterior, from which errors common to all rows are drawn for tables
 PROPOSED = 8  # draws of the proposal for each that is used
 IMPROBABLE = 0.01  # probability by the noise, of all poses together, below which a pose's residuals contradict it
@@ -142,6 +157,8 @@ class ReadingFit(Fit):
         By what each commanded channel errs.
     model_error : dict of str to DataFrame
         What each term of its model error contributes.
+    poses : Prediction or None
+        Errors of all poses that an instrument saw, by the machine's own channels; None where none saw any.
     """
 
     functions: FoundFunctions | None
@@ -151,6 +168,7 @@ class ReadingFit(Fit):
     held: list[Held]
     errors: pd.DataFrame
     model_error: dict[str, pd.DataFrame]
+    poses: Prediction | None = None
 
 
 def fit_variant(inputs: ReadingInputs, name: str) -> ReadingFit:
@@ -181,7 +199,22 @@ def fit_variant(inputs: ReadingInputs, name: str) -> ReadingFit:
             held=held,
             errors=tabulate_errors(config, variant, posterior, some, drawn),
             model_error=found,
+            poses=_predict_poses(variant, posterior, fit.kept, own),
         )
+
+
+def _predict_poses(
+    variant: Variant, posterior: CalibrationPosterior, y: Array, rng: np.random.Generator
+) -> Prediction | None:
+    """Return how far poses that an instrument saw lie from where the machine's own channels have them."""
+    seen, internal = find_seen(variant.model), variant.internal
+    told = (variant.data.present[:, internal].sum(axis=1) >= len(variant.model.coordinates)).all()
+    if seen[0] is None or not told or not len(variant.model.coordinates):
+        return None
+    every, some = np.ones(variant.data.n_poses, dtype=bool), y[spread(len(y), POSE_DRAWS)]
+    with np.errstate(all="ignore"):
+        found = predict_poses(posterior, variant.likelihood(every), some, rng, internal, seen)
+    return found if np.isfinite(found.error).any() else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -334,9 +367,8 @@ def hold_back(inputs: ReadingInputs, task: tuple[str, int], known: Array | None 
     return Held(np.flatnonzero(held), elpd, efficiency, pareto_k, predictions, tool)
 
 
-def describe_readings(inputs: ReadingInputs, fits: Mapping[Task, Fit], run: Run) -> Described:
+def describe_readings(inputs: StudyInputs, found: Mapping[str, ReadingFit], run: Run) -> Described:
     """Return the tables of all variants and their rows as the summary has them; folds are predicted in tasks."""
-    found = {task.variant: cast("ReadingFit", fit) for task, fit in fits.items()}
     folds = {
         f"{name} {fold + 1}": (name, fold)
         for name, variant in inputs.variants.items()
@@ -370,9 +402,19 @@ def describe_readings(inputs: ReadingInputs, fits: Mapping[Task, Fit], run: Run)
         **tabulate_functions([(name, fit.functions) for name, fit in found.items()]),
         ERRORS: pd.concat([fit.errors for fit in found.values()], ignore_index=True),
         **_join(fit.model_error for fit in found.values()),
+        "pose_errors": _concatenate(
+            tabulate_pose_errors(variant, fit.poses) for variant, fit in every if fit.poses is not None
+        ),
+        "tau_scale": tabulate_tau_scale(inputs, found),
+        **tabulate_legs(inputs),
     }
     known = {str(row.pop("variant")): plain(row) for row in variants.to_dict("records")}
+    for variant, fit in every:
+        known[variant.name] |= {"calibration": None, "verification": None}
+        if fit.poses is not None:
+            known[variant.name] |= describe_errors(variant, fit.poses)[1]
     summary = {
+        **describe_legs(inputs),
         "member": next(iter(inputs.variants.values())).model.member,
         "states_tool": all(one.model.states_tool for one in inputs.variants.values()),
         **({"unused": inputs.unused} if inputs.unused else {}),
@@ -388,6 +430,11 @@ def _join(tables: Iterable[Mapping[str, pd.DataFrame]]) -> dict[str, pd.DataFram
     return {name: pd.concat([one[name] for one in every if name in one], ignore_index=True) for name in names}
 
 
+def _concatenate(tables: Iterable[pd.DataFrame]) -> pd.DataFrame:
+    every = [*tables]
+    return pd.concat(every, ignore_index=True) if every else pd.DataFrame()
+
+
 def _table(rows: Iterable[Iterable[Mapping[str, Any]]]) -> pd.DataFrame:
     return pd.DataFrame([row for some in rows for row in some])
 
@@ -397,7 +444,7 @@ def _describe(variant: Variant, fit: ReadingFit, held: list[Held], predictions: 
     freedom = int(left.freedom.sum()) - len(fit.names)
     row: dict[str, Any] = {
         "variant": variant.name,
-        "title": variant.config.title,
+        "title": title_variant(variant.config, variant.whole),
         "data": name_data(variant),
         "robust": variant.config.outliers.expected,
         "n_poses": len(left.square),
@@ -406,10 +453,29 @@ def _describe(variant: Variant, fit: ReadingFit, held: list[Held], predictions: 
         "elpd": sum(one.elpd for one in held) if held else float("nan"),
         "misfit": float(np.sqrt(left.square.sum() / freedom)) if freedom > 0 else float("nan"),
     }
+    if fit.poses is not None:
+        row |= describe_errors(variant, fit.poses)[0]
+    row["distance_from_nominal_mm"] = _measure_distance(variant, fit)
+    row["distance_from_nominal_prior_sd"] = fit.pulls.factor
+    if fit.correction is not None:
+        row |= {
+            "exact_density_shift": fit.correction.log_ratio,
+            "exact_density_se": fit.correction.standard_error,
+            "exact_density_efficiency": float(fit.correction.efficiency),
+            "exact_density_pareto_k": float(fit.correction.pareto_k),
+        }
     if not predictions.empty:
         mine = predictions[(predictions["variant"] == variant.name) & ~predictions["external"]]
         row |= {"held_readings": len(mine), "inside_90": float(mine["inside"].mean()) if len(mine) else float("nan")}
     return row
+
+
+def _measure_distance(variant: Variant, fit: ReadingFit) -> float:
+    """Return how far the lengths of the machine moved from nominal, rms, mm."""
+    layout = variant.model.layout
+    own = [(k, name) for k, name in enumerate(fit.names) if name in layout.names and fit.units[k] == "mm"]
+    moved = [fit.mean[k] - layout.nominal[layout.names.index(name)] for k, name in own]
+    return float(np.sqrt(np.mean(np.square(moved)))) if moved else 0.0
 
 
 def _list_parameters(variant: Variant, fit: ReadingFit) -> pd.DataFrame:

@@ -2,8 +2,9 @@
 
 from bayescal.machines.readings.base import POSE, Bound, Channel, Coordinate, Given, ReadingModel, Readings
 from bayescal.machines.readings.function import FunctionModel, Parameters, ReadingMachine
-from bayescal.machines.readings.legs import Legs
+from bayescal.machines.readings.legs import Legs, legs_of
 from bayescal.machines.readings.placed import Instrument, Placed, PoseInstrument, place
+from bayescal.machines.readings.tracker import Tracker
 
 MACHINES = {
     "line_machine": "bayescal.machines.readings.line_machine:LineMachine",
@@ -33,5 +34,7 @@ __all__ = [
     "ReadingMachine",
     "ReadingModel",
     "Readings",
+    "Tracker",
+    "legs_of",
     "place",
 ]

@@ -299,8 +299,8 @@ class Bound(ABC):
     places: np.ndarray
 
     @abstractmethod
-    def errors(self, theta: Array) -> Array:
-        """Return measured minus read, (C, P, B), of machines (B, D)."""
+    def read(self, theta: Array) -> Array:
+        """Return what the channels read, (C, P, B), of machines (B, D)."""
 
     @abstractmethod
     def follow(self, step: Array) -> Array:

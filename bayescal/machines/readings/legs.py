@@ -293,7 +293,8 @@ class Legs(ReadingModel):
         straight = replace(known, legs=compute_leg_lines(machine))
         if machine.deformation.hides_joints:
             home, start = self.home_pose, machine.mechanism.initial_actuator_positions
-            return close_at_mean(straight, machine, home[None, :3], matrix_from_rotation_vector(home[None, 3:]), start[None])
+            turn = matrix_from_rotation_vector(home[None, 3:])
+            return close_at_mean(straight, machine, home[None, :3], turn, start[None])
         return straight if layout.direction_symbols else None
 
     # --- commands --------------------------------------------------------------------------------------------------
@@ -337,6 +338,12 @@ class Legs(ReadingModel):
             return -divide_closure(here.actuators, residual)
 
 
+def legs_of(model: ReadingModel) -> Legs | None:
+    """Return the legs of a machine, with instruments beside it or without; None of another one."""
+    whole = getattr(model, "whole", model)
+    return whole if isinstance(whole, Legs) else None
+
+
 @dataclass(frozen=True, eq=False)
 class BoundLegs(Bound):
     """Encoders of machines on legs at poses that stay, by a bound closure.
@@ -347,6 +354,7 @@ class BoundLegs(Bound):
 
     places: np.ndarray
     n_own: int
+    actuators: Array  # (P, N)
     closure: BoundClosure
     inverse: Array
     more: Array
@@ -363,12 +371,12 @@ class BoundLegs(Bound):
         unit = np.ascontiguousarray(np.broadcast_to(np.eye(len(POSE))[:, None], (len(POSE), len(pose), len(POSE))))
         more = here.pose - closure.along(unit).transpose(1, 0, 2)
         inverse = divide_closure(here.actuators, np.broadcast_to(np.eye(actuators.shape[1]), here.actuators.shape))
-        return cls(places, len(theta), closure, inverse, more, compute_left_jacobian(pose[:, 3:]))
+        return cls(places, len(theta), actuators, closure, inverse, more, compute_left_jacobian(pose[:, 3:]))
 
-    def errors(self, theta: Array) -> Array:
-        """Return (∂f/∂ρ)⁻¹ f; see `Bound.errors`."""
+    def read(self, theta: Array) -> Array:
+        """Return ρ - (∂f/∂ρ)⁻¹ f at the measured ρ; see `Bound.read`."""
         residual = self.closure.evaluate(np.asfortranarray(theta[:, : self.n_own]))
-        return np.asarray((self.inverse @ residual.transpose(1, 0, 2)).transpose(1, 0, 2))
+        return np.asarray((self.actuators[..., None] - self.inverse @ residual.transpose(1, 0, 2)).transpose(1, 0, 2))
 
     def follow(self, step: Array) -> Array:
         """Return -(∂f/∂ρ)⁻¹ ∂f/∂pose times the steps; see `Bound.follow`."""

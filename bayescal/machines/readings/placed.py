@@ -24,7 +24,7 @@ from pydantic import Field
 from bayescal.config.sections import Section, Vector
 from bayescal.errors import InputError, name_faults
 from bayescal.machines.parameters import ParameterBlock, ParameterLayout
-from bayescal.machines.readings.base import NOTHING, Channel, Coordinate, Given, ReadingModel, Readings, hand_on
+from bayescal.machines.readings.base import NOTHING, Bound, Channel, Coordinate, Given, ReadingModel, Readings, hand_on
 from bayescal.machines.readings.function import STEP, FunctionModel, Parameters, ReadingMachine
 from bayescal.numerics.analytic import norm, rotation_matrix, rotation_vector
 from bayescal.numerics.geometry import Array
@@ -204,7 +204,7 @@ class Placed(ReadingModel):
     def layout(self) -> ParameterLayout:
         """The machine's parameters, then those of each instrument."""
         every = [(one.name, block) for one in self.instruments for block in one.layout.blocks]
-        return self.whole.layout.extend(tuple(replace(b, symbol=f"{name}_{b.symbol}") for name, b in every))
+        return self.whole.layout.extend(tuple(replace(b, symbol=_join(name, b.symbol)) for name, b in every))
 
     @property
     def instrument_symbols(self) -> tuple[str, ...]:
@@ -229,6 +229,20 @@ class Placed(ReadingModel):
         """Return what the machine says; all where an instrument is read, which sees the tool."""
         names = [self.names[k] for k in self.select(channels)]
         return self.whole.seen_parameters(names) if {*names} <= {*self.whole.names} else self.layout.names
+
+    def bind(self, theta: Array, values: Array, pose: Array, given: Given = NOTHING) -> Bound | None:
+        """Return the machine's readings bound to poses, with those of instruments there; see `ReadingModel.bind`.
+
+        None where parameters of the machine move its tool.
+        """
+        own, n = self._split(theta)[0], len(self.whole.channels)
+        bound = self.whole.bind(own, values[:, :n], pose, given)
+        tool = self.whole.tool(own, pose)
+        if bound is None or tool[2].any():
+            return None
+        places = np.concatenate([bound.places, np.arange(n, len(self.channels))])
+        slope = self.linearise(theta, pose, False, given).by_pose[:, n:]
+        return _BoundPlaced(places, self, bound, self._place_tool(tool[0], pose), slope)
 
     # --- what the machine says -----------------------------------------------------------------------------------
 
@@ -338,15 +352,43 @@ class Placed(ReadingModel):
         return position, by_pose, np.concatenate([by_parameters, nothing], axis=-1)
 
 
+@dataclass(frozen=True, eq=False)
+class _BoundPlaced(Bound):
+    """A bound machine and its instruments, which see the tool (P, 6) where the poses are."""
+
+    places: np.ndarray
+    placed: Placed
+    bound: Bound
+    tool: Array
+    slope: Array  # (P, C, q): by the pose, of one machine
+
+    def read(self, theta: Array) -> Array:
+        """Return those of the machine, then those of the instruments; see `Bound.read`."""
+        parts, shape = self.placed._split(theta[:, None]), (len(theta), len(self.tool))
+        seen = [one.read(some, self.tool) for one, some in zip(self.placed.instruments, parts[1:], strict=True)]
+        read = np.concatenate([np.broadcast_to(one, (*shape, one.shape[-1])) for one in seen], axis=-1)
+        return np.concatenate([self.bound.read(theta), read.transpose(2, 1, 0)])
+
+    def follow(self, step: Array) -> Array:
+        """Return both parts' changes; see `Bound.follow`."""
+        change = (self.slope @ step.transpose(1, 0, 2)).transpose(1, 0, 2)
+        return np.concatenate([self.bound.follow(step), change])
+
+
 def _rename(name: str, channel: Channel) -> Channel:
     """Return a channel of an instrument as the machine before it has it."""
     own = channel.name
     return replace(
         channel,
-        name=f"{name}_{own}" if own and not own.startswith("[") else f"{name}{own}",
+        name=_join(name, own) if own and not own.startswith("[") else f"{name}{own}",
         external=True,
-        rotation=f"{name}_{channel.rotation}" if channel.rotation else "",
+        rotation=_join(name, channel.rotation) if channel.rotation else "",
     )
+
+
+def _join(name: str, own: str) -> str:
+    """Return a name after that of its instrument; as it is where that has none."""
+    return f"{name}_{own}" if name else own
 
 
 def place(machine: ReadingModel, instruments: Mapping[str, Instrument]) -> ReadingModel:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 
@@ -10,8 +11,14 @@ import numpy as np
 
 from bayescal.config.classes import choose, name_failures
 from bayescal.density.calibration.functions import FunctionErrors
+from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.density.calibration.measurements import Measurements
-from bayescal.density.calibration.model_error import OwnChannels, build_model_error
+from bayescal.density.calibration.model_error import (
+    FunctionsOfPose,
+    IndependentErrors,
+    OwnChannels,
+    build_model_error,
+)
 from bayescal.density.calibration.terms import Errors, ErrorTerm, TermRows, check_term
 from bayescal.density.components import MOST_ROWS
 from bayescal.density.priors import Prior
@@ -180,3 +187,10 @@ def check_floors(floors: Mapping[TermName, float], tolerances: Sequence[float]) 
                 f"model_error.at_least_um: found {floor:g} µm for {name!r}, expected less than the largest "
                 f"tolerance, {largest:g} µm"
             )
+
+
+def drop_model_error(posterior: CalibrationPosterior) -> CalibrationPosterior:
+    """Return a posterior without the terms of its model error."""
+    errors = posterior.errors
+    others = tuple(one for one in errors.terms if not isinstance(one, IndependentErrors | FunctionsOfPose))
+    return replace(posterior, errors=replace(errors, terms=others))

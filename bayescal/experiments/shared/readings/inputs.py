@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,7 +11,7 @@ import numpy as np
 
 from bayescal.density.calibration.likelihood import CalibrationLikelihood, CalibrationPosterior
 from bayescal.density.calibration.measurements import Measurements
-from bayescal.density.calibration.terms import Errors
+from bayescal.density.calibration.terms import Errors, ErrorTerm
 from bayescal.density.elimination import project_out
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import Prior
@@ -24,6 +24,7 @@ from bayescal.experiments.shared.readings.instruments import keep_files, read_in
 from bayescal.experiments.shared.readings.noise import build_noise, stated_noise
 from bayescal.experiments.shared.readings.priors import choose_priors, widen
 from bayescal.experiments.shared.readings.reading_tables import PoseReadings, read_tables
+from bayescal.experiments.shared.readings.seen_legs import SeenLegs, look
 from bayescal.experiments.shared.readings.workspace import Workspace, build_workspace, find_starts
 from bayescal.experiments.shared.search_memory import check_readings
 from bayescal.experiments.shared.slip_rows import Readings
@@ -129,6 +130,8 @@ class ReadingInputs:
         Which columns of the tables no variant takes in, in a line; empty where it takes in all.
     missing : str
         Which terms of the model error there cannot be, by variant, in a line; empty where there are all.
+    seen : SeenLegs or None
+        What an instrument measured of a platform on legs, where it is no table of readings.
     """
 
     config: StudyConfig
@@ -139,32 +142,43 @@ class ReadingInputs:
     machine_folder: str
     unused: str = ""
     missing: str = ""
+    seen: SeenLegs | None = None
 
 
 def read_inputs(config: StudyConfig, folder: Path) -> ReadingInputs:
     """Return the inputs of a calibration; InputError names the file, the variant, the pose, the column."""
-    models, instruments = dict[str, ReadingModel](), read_instruments(config, folder)
+    seen = None if config.by_tables else look(config, folder)
+    config = config if seen is None else seen.measured.translate(config)
+    models = dict[str, ReadingModel]()
+    instruments = read_instruments(config, folder) if seen is None else seen.measured.instruments
     for one in config.variants:
         file = folder / (one.machine or config.machine)
         with name_faults(f"variant {one.name!r}") if one.model else nullcontext():
-            models[one.name] = place(read_model(config, one, file, folder), instruments)
+            own = read_model(config, one, file, folder, None if seen is None else seen.matrix)
+            own = own if seen is None or seen.measured.tracker is None else own.pick(own.select(own.commanded))
+            models[one.name] = place(own, instruments)
         model = next(iter(models.values()))
         if models[one.name].names != model.names:
             first = config.variants[0].name
             raise InputError(f"{file}: found other channels than variant {first!r} has, expected the same")
+    if seen is not None:
+        seen.check(next(iter(models.values())), config, folder)
     symbols = {symbol for one in models.values() for symbol in one.layout.symbols}
     given = list(dict.fromkeys(name for one in models.values() for name in one.given))
-    readings = read_tables(config.tables, folder, model.channels, given)
+    readings = read_tables(config.tables, folder, model.channels, given) if seen is None else seen.measured.readings
     deviations = stated_noise(config.sensors, readings, model)
     variants = {}
     for one in config.variants:
         with name_faults(f"variant {one.name!r}"):
-            variants[one.name] = _build(config, one, models[one.name], readings, deviations, folder, symbols)
+            known = () if seen is None else seen.list_terms(models[one.name])
+            variants[one.name] = _build(config, one, models[one.name], readings, deviations, folder, symbols, known)
     beside = [read_beside(one, folder, model) for one in config.beside]
     unused = readings.tell_unused({name for one in variants.values() for name in one.model.names})
     missing = join_outlooks({name: one.missing for name, one in variants.items() if one.missing})
     name = getattr(model, "name", config.machine)
-    return ReadingInputs(config, name, variants, beside, *keep_files(config, folder), unused, "; ".join(missing))
+    return ReadingInputs(
+        config, name, variants, beside, *keep_files(config, folder), unused, "; ".join(missing), seen
+    )
 
 
 def _build(
@@ -175,6 +189,7 @@ def _build(
     deviations: Array,
     folder: Path,
     symbols: Collection[str],
+    known: Sequence[ErrorTerm],
 ) -> Variant:
     rows = _choose_poses(section, model, readings)
     chosen = model.select(section.sensors if section.sensors is not None else config.sensors)
@@ -199,6 +214,7 @@ def _build(
     terms = (
         *build_noise(config, section, whole, chosen),
         *build_terms(config, section, whole, chosen, data, workspace, folder),
+        *known,
     )
     unplaced = Variant(
         section,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -18,6 +18,7 @@ from bayescal.experiments.shared.study_schema import StudyConfig, VariantConfig
 from bayescal.machines.read import read_reading_model
 from bayescal.machines.readings import Instrument, Legs, ReadingModel
 from bayescal.machines.readings.legs import TILTS
+from bayescal.numerics.geometry import Array
 
 
 class Instrumented(Protocol):
@@ -63,10 +64,12 @@ class Seen(Protocol):
         """Deformation of its platform."""
 
 
-def read_model(config: Placed, variant: Seen, path: Path, folder: Path) -> ReadingModel:
+def read_model(
+    config: Placed, variant: Seen, path: Path, folder: Path, matrix: Callable[[], Array] | None = None
+) -> ReadingModel:
     """Return the machine of a file; a mechanism by the channels of its legs, as a variant sees them.
 
-    It has inclinometers where the config has any.
+    It has inclinometers where the config has any, and the matrix K of ``matrix`` where that was measured.
 
     Raises
     ------
@@ -81,7 +84,7 @@ def read_model(config: Placed, variant: Seen, path: Path, folder: Path) -> Readi
         raise InputError(f"model: missing, expected the kinematic model that the mechanism {path} is seen by")
     seen = ModelConfig(model=variant.model, deformation=variant.deformation)
     inclined = any(name.partition("[")[0] in TILTS for name in config.sensors)
-    return Legs(read_machine(path, seen, config.deformation, folder), inclined=inclined)
+    return Legs(read_machine(path, seen, config.deformation, folder, matrix), inclined=inclined)
 
 
 def _list_seen(config: StudyConfig, folder: Path) -> list[Path]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,8 +15,11 @@ from bayescal.data.photogrammetry.joint_deflection import (
     measure_joint_deflection,
 )
 from bayescal.data.photogrammetry.poses import PoseExtraction
-from bayescal.density.exact import CommonErrors
-from bayescal.experiments.study.measurement import TargetMeasurement
+from bayescal.data.measured_poses import MeasuredPoses
+from bayescal.density.calibration.terms import KnownErrors
+from bayescal.experiments.shared.readings.measurement import TargetMeasurement
+from bayescal.machines.readings import POSE, Legs
+from bayescal.machines.readings.legs import divide_closure
 from bayescal.numerics.geometry import Array
 
 
@@ -41,22 +44,32 @@ class Pads:
     kappa: KappaEstimate
     extraction: PoseExtraction
 
-    def errors(self, displacement: Array, used: np.ndarray | None) -> CommonErrors:
-        """Return what the uncertainty of the rest of K leaves of Δb_z; the diagonal is free or nominal.
+    def list_terms(self, model: Legs, poses: MeasuredPoses, verification: np.ndarray) -> tuple[KnownErrors, ...]:
+        """Return what the uncertainty of the rest of K does to readings of all poses; the diagonal is free or nominal.
 
-        Parameters
-        ----------
-        displacement : ndarray, shape (P, N)
-            Of the actuators, mm.
-        used : ndarray of bool, optional
-            Which of all poses these are, if K was measured at them: their errors have a part in its own.
+        A joint that is known to be deflected by δ more than it is shows in its actuator as (∂f/∂ρ)⁻¹ ∂f/∂δ δ. K was
+        measured in the same photographs as the poses for calibration: their errors depend on its own.
         """
-        n_legs = displacement.shape[1]
-        rest = np.flatnonzero(~np.eye(n_legs, dtype=bool))
-        design = np.einsum("ij,pk->pijk", np.eye(n_legs), displacement)
-        design = design.reshape(*displacement.shape, -1)[..., rest]
-        with_poses = None if used is None else self._with_poses(used)[:, rest]
-        return CommonErrors(design, self.matrix.covariance[np.ix_(rest, rest)], with_poses)
+        machine, basis = model.machine, model.machine.basis(poses.actuators)
+        n = model.n_legs
+        rest = np.flatnonzero(~np.eye(n, dtype=bool))
+        displacement = poses.actuators - machine.mechanism.initial_actuator_positions
+        design = np.einsum("ij,pk->pijk", np.eye(n), displacement).reshape(len(displacement), n, -1)[..., rest]
+        root = np.linalg.cholesky(self.matrix.covariance[np.ix_(rest, rest)])
+        gain = basis.actuator_gain
+        closure = machine.model.prepare(machine.layout, machine.layout.nominal)
+        less, more = (
+            closure(poses.position, poses.rotation, replace(basis, actuator_gain=one), False).actuators
+            for one in (gain, gain + np.eye(n))
+        )
+        shape = (len(displacement), len(model.channels), len(rest))
+        own, beside = np.zeros(shape), np.zeros(shape)
+        names = list(model.names)
+        legs, seen = ([names.index(one) for one in names if (one in POSE) == of_pose] for of_pose in (False, True))
+        own[:, legs] = divide_closure(less, (more - less) @ design @ root)
+        on_poses = np.linalg.solve(root, self._with_poses(~verification)[:, rest])
+        beside[np.ix_(~verification, seen)] = np.swapaxes(on_poses, -1, -2)
+        return KnownErrors(own + beside), KnownErrors(beside, -1.0)
 
     def _with_poses(self, used: np.ndarray) -> Array:
         """Return the covariance of K, row by row, with the errors of its poses in the base frame, (P, N * N, 6)."""
@@ -64,23 +77,6 @@ class Pads:
         rotation = self.extraction.base.rotation[used]
         moved, turned = np.split(self.matrix.with_pose, 2, axis=-1)
         return np.concatenate([moved @ rotation, turned @ rotation], axis=-1)
-
-    def shared_errors(self, displacement: Array, actuator_weight: Array) -> Array:
-        """Return what each entry of K, in units of its standard deviation, adds to the legs' errors, (P, N, N * N).
-
-        Parameters
-        ----------
-        displacement, actuator_weight : ndarray, shape (P, N)
-            Of the calibration poses; see `bayescal.density.legs`.
-        """
-        n_poses, n = displacement.shape
-        change = np.zeros((n_poses, n, n, n))
-        for leg in range(n):
-            change[:, leg, leg] = displacement
-            change[:, leg, leg, leg] = 0.0  # the diagonal is free or nominal
-        size = np.sqrt(actuator_weight)[..., None]
-        root = _square_root(self.matrix.covariance.reshape(n * n, n * n))
-        return np.asarray(size * (change.reshape(n_poses, n, n * n) @ root))
 
 
 def measure_pads(measured: TargetMeasurement, displacement: Array, noise: float) -> Pads | None:
@@ -115,9 +111,3 @@ def measure_pads(measured: TargetMeasurement, displacement: Array, noise: float)
     chosen, travel = deflection.select(calibration), displacement[calibration]
     matrix, kappa = fit_matrix_deformation(chosen, travel), fit_linear_deformation(chosen, travel)
     return Pads(deflection, matrix, kappa, measured.extraction)
-
-
-def _square_root(covariance: Array) -> Array:
-    """Return a matrix whose product with its transpose is a covariance, which may be singular."""
-    values, vectors = np.linalg.eigh(covariance)
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
