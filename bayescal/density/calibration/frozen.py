@@ -232,20 +232,33 @@ class FrozenRows:
         drawn, noise = rng.standard_normal((len(theta), ends[-1])), rng.standard_normal((len(theta), n_poses, m, 1))
         for part in batches(len(theta), rows.shape[1]):
             own, amplitudes = self._blocks(likelihood, errors, zeta[part]), errors.amplitudes(zeta[part])
-            weights = errors.weights(zeta[part])
-            known = np.array([isinstance(term, KnownErrors) for term in errors.common])
-            if known.any():  # noise that they are correlated with is drawn with them
-                apart = np.linalg.cholesky(self._assemble(own, weights * known)) @ noise[part].reshape(len(own), -1, 1)
-                left, amplitudes = rows[part] - apart[..., 0], amplitudes * ~known
+            weights, each = errors.weights(zeta[part]), np.split(drawn[part], ends[:-1], axis=1)  # views of ``drawn``
+            left, known = rows[part].copy(), dict[int, Array]()
+            if errors.known:  # noise that they depend on is drawn with them
+                is_known = np.array([isinstance(term, KnownErrors) for term in errors.common])
+                factor = np.linalg.cholesky(self._assemble(own, weights * is_known))
+                flat = noise[part].reshape(len(own), -1, 1)[:, self.kept]
+                left -= (factor @ flat)[..., 0]
+                for k in np.flatnonzero(is_known):
+                    turned = np.linalg.solve(factor, np.broadcast_to(self.shown[k], (len(own), *self.shown[k].shape)))
+                    spread = np.eye(turned.shape[-1]) - np.swapaxes(turned, -1, -2) @ turned
+                    if errors.common[k].sign > 0.0:
+                        rest = np.linalg.cholesky(spread) @ each[k][..., None]
+                        known[k] = (np.swapaxes(turned, -1, -2) @ flat + rest)[..., 0]
+                    else:
+                        known[k] = np.zeros((len(own), turned.shape[-1]))
             else:
-                apart = (np.linalg.cholesky(own) @ noise[part]).reshape(len(own), -1)
-                left = rows[part] - apart[:, self.kept]
-            each = np.split(drawn[part], ends[:-1], axis=1)
-            for one, shown, size in zip(each, self.shown, amplitudes.T, strict=True):
-                left -= size[:, None] * (one @ shown.T)
+                left -= (np.linalg.cholesky(own) @ noise[part]).reshape(len(own), -1)[:, self.kept]
+            parts = [*enumerate(zip(each, self.shown, amplitudes.T, strict=True))]
+            for k, (one, shown, size) in parts:
+                if k not in known:
+                    left -= size[:, None] * (one @ shown.T)
             told = np.linalg.solve(self._assemble(own, weights), left[..., None])[..., 0]
-            for one, shown, size in zip(each, self.shown, amplitudes.T, strict=True):
-                one += size[:, None] * (told @ shown)  # a view of ``drawn``
+            for k, (one, shown, size) in parts:
+                if k not in known:
+                    one += size[:, None] * (told @ shown)
+                else:
+                    one[:] = known[k] + (told @ shown if errors.common[k].sign > 0.0 else 0.0)
         return drawn
 
     def _find_rows(self, likelihood: CalibrationLikelihood, theta: Array) -> tuple[Array, Array]:

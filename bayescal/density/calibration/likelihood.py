@@ -146,8 +146,16 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
         return np.concatenate([found.residual for _, found in self._absorb(errors, zeta, white, at)])
 
     def finer(self) -> Self | None:
-        """Return the density in no fast form; None where it is in none, which leaves nothing out."""
-        return None if self.frozen is None and self.lone is None else replace(self, frozen=None, lone=None)
+        """Return the density that is not frozen; None where it is none.
+
+        That of rows by themselves is close enough to be explored; `whole` corrects what was found.
+        """
+        return None if self.frozen is None else replace(self, frozen=None)
+
+    @property
+    def whole(self) -> Self:
+        """The density in no fast form, which leaves nothing out."""
+        return replace(self, frozen=None, lone=None)
 
     def _explain_in_parts(self, theta: Array, errors: Errors, zeta: Array) -> Iterator[tuple[slice, Whitening, Stand]]:
         """Yield machines that are looked at together, with whitening and where they explain readings best."""
@@ -169,12 +177,13 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
 
     def draw_common(self, theta: Array, errors: Errors, zeta: Array, rng: np.random.Generator) -> CommonDraws:
         """Return draws of the errors common to all rows, one for each machine."""
-        if not errors.has_columns or errors.is_common_known:
-            return CommonDraws(errors.without_known(), ())
+        if not errors.has_columns:
+            return CommonDraws(errors, ())
         if self.frozen is not None:
             return CommonDraws(errors, ((zeta, self.frozen.draw(self, theta, errors, zeta, rng)),))
         white, at = self.explain(theta, errors, zeta)
-        parts = [(zeta[some], found.draw(rng)) for some, found in self._absorb(errors, zeta, white, at)]
+        absorbed = self._absorb(errors, zeta, white, at)
+        parts = [(zeta[some], found.draw(at.error[some], rng)) for some, found in absorbed]
         return CommonDraws(errors, tuple(parts))
 
     def _absorb(self, errors: Errors, zeta: Array, white: Whitening, at: Stand) -> Iterator[tuple[slice, Coefficients]]:
@@ -233,6 +242,8 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
         Exact but for differences of logarithms of volumes, and of how H turns.
         """
         del newton
+        if self.lone is not None:
+            return self.lone.differentiate(self, theta, change, errors, zeta)
         with np.errstate(all="ignore"):
             white, at = self.explain(theta[None], errors, zeta[None])
             error, slope, by_parameters = self.rows(theta, change, white, at.pose)

@@ -155,6 +155,56 @@ class LoneRows:
         rest = self.offset + (theta - self.anchor) @ self.drift
         return (density + 0.5 * square).T + rest, square.T
 
+    def inform(self, likelihood: CalibrationLikelihood, theta: Array, change: Array, errors: Errors, zeta: Array) -> Array:
+        """Return what these rows tell of the geometry's coordinates, (m, m), at θ (D,) with dθ/dy (D, m), ζ (k,)."""
+        rows = self._differentiate_rows(likelihood, theta, change)
+        weighed = np.linalg.solve(self._cover(likelihood, errors, zeta), rows)
+        return np.asarray(np.einsum("pki,pkj->ij", rows, weighed, optimize=True))
+
+    def differentiate(
+        self, likelihood: CalibrationLikelihood, theta: Array, change: Array, errors: Errors, zeta: Array
+    ) -> tuple[Array, Array]:
+        """Return gradient and Gauss and Newton's Hessian of the log-likelihood; see `Elimination.differentiate`."""
+        m, n = change.shape[1], change.shape[1] + len(zeta)
+        gradient, hessian = np.zeros(n), np.zeros((n, n))
+        with np.errstate(all="ignore"):
+            rows, slope = self._find_rows(theta[None])[..., 0].T, self._differentiate_rows(likelihood, theta, change)
+            inverse = np.linalg.inv(self._cover(likelihood, errors, zeta))
+            weighed, tails = (inverse @ rows[..., None])[..., 0], errors.tails(zeta[None])
+            square = np.einsum("pk,pk->p", rows, weighed)[None]
+            trust = tails.trust(square, likelihood.n_spare)[0]
+            gradient[:m] = (self.drift.sum(axis=1) @ change) - np.einsum("p,pk,pki->i", trust, weighed, slope)
+            hessian[:m, :m] = -np.einsum("p,pki,pkl,plj->ij", trust, slope, inverse, slope, optimize=True)
+            if n > m:
+                each = [one.variance for one in errors.slopes(zeta, likelihood.data)]
+                shape, own = likelihood.data.sd.shape, np.zeros((n - m, len(rows), len(self.channels)))
+                for k, one in enumerate(each):
+                    if one is not None:
+                        own[k] = np.broadcast_to(one, shape)[:, self.channels]
+                diagonal = np.diagonal(inverse, axis1=1, axis2=2)
+                gradient[m:] = 0.5 * np.einsum("npk,pk->n", own, trust[:, None] * weighed**2 - diagonal)
+                hessian[m:, m:] = -0.5 * np.einsum("npi,pij,opj->no", own, inverse**2, own, optimize=True)
+                by_own = tails.slopes(square, likelihood.n_spare)[0]
+                last = slice(n - by_own.shape[1], n)
+                gradient[last] += by_own.sum(axis=0)
+                hessian[last, last] -= by_own.T @ by_own
+        return gradient, hessian
+
+    def _cover(self, likelihood: CalibrationLikelihood, errors: Errors, zeta: Array) -> Array:
+        """Return the rows' covariance at ζ (k,), (P, m, m)."""
+        if not len(self.channels):
+            return self.known
+        beside = errors.noise(zeta[None], likelihood.data, likelihood.sd)[1][0]
+        return self.known + np.eye(len(self.channels)) * beside[:, self.channels, None] ** 2
+
+    def _differentiate_rows(self, likelihood: CalibrationLikelihood, theta: Array, change: Array) -> Array:
+        """Return derivatives of the rows by the geometry's coordinates at θ (D,), (P, m, m')."""
+        own, pose = self.bound.places, likelihood.start[None]
+        _, by_pose, by_parameters = likelihood.linearise_raw(theta[None], pose, with_parameters=True)
+        moved = by_parameters[0][:, own] @ change
+        step = self.follow @ moved
+        return self.loss @ step - self.turn @ (moved - by_pose[0][:, own] @ step)
+
     def density_by_row(self, likelihood: CalibrationLikelihood, theta: Array, errors: Errors, zeta: Array) -> Array:
         """Return the log-likelihood of each pose's readings, (B, P); -inf where there is no machine."""
         with np.errstate(all="ignore"):

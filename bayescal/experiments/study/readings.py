@@ -56,7 +56,7 @@ from bayescal.experiments.study.tables import (
     tabulate_tau_scale,
     title_variant,
 )
-from bayescal.inference.correction import CostlyDensity
+from bayescal.inference.correction import CostlyDensity, pull_back
 from bayescal.inference.exploration import Exploration, explore
 from bayescal.inference.importance import resample
 from bayescal.inference.stages import stage
@@ -298,17 +298,22 @@ class ReadingSubject(Subject):
 
 def weigh_beside(explored: CalibrationPosterior, exploration: Exploration) -> CostlyDensity:
     """Return the density of a posterior that leaves nothing out, beside the fast form that was explored."""
-    straight, finer = exploration.straight, explored.finer()
-    assert finer is not None
+    straight, whole = exploration.straight, explored.likelihood.whole
 
     def excess(x: Array) -> Array:
         at = explored.at(straight.y_from_x(x))
         with np.errstate(invalid="ignore"):
-            found = finer.likelihood.density(*at) - explored.likelihood.density(*at)
+            found = whole.density(*at) - explored.likelihood.density(*at)
         return np.where(np.isfinite(found), found, -np.inf)
 
-    n = len(exploration.modes[0].y)
-    return CostlyDensity(straight.log_density, excess, np.zeros((n, n)))
+    # what the whole density knows of the geometry more; of the errors it is taken to know the same
+    y = exploration.modes[0].y
+    (theta, change), zeta = explored.around(y), explored.zeta(y)
+    lone = explored.likelihood.lone
+    assert lone is not None
+    more = whole.inform(theta, change, explored.errors, zeta)
+    more = more - lone.inform(explored.likelihood, theta, change, explored.errors, zeta)
+    return CostlyDensity(straight.log_density, excess, pull_back(straight, y, more))
 
 
 def _explain(posterior: CalibrationPosterior, fit: Fit) -> Residuals:
