@@ -157,7 +157,7 @@ class LoneRows:
 
     def inform(self, likelihood: CalibrationLikelihood, theta: Array, change: Array, errors: Errors, zeta: Array) -> Array:
         """Return what these rows tell of the geometry's coordinates, (m, m), at θ (D,) with dθ/dy (D, m), ζ (k,)."""
-        rows = self._differentiate_rows(likelihood, theta, change)
+        rows = self._differentiate_rows(theta, change)
         weighed = np.linalg.solve(self._cover(likelihood, errors, zeta), rows)
         return np.asarray(np.einsum("pki,pkj->ij", rows, weighed, optimize=True))
 
@@ -168,7 +168,7 @@ class LoneRows:
         m, n = change.shape[1], change.shape[1] + len(zeta)
         gradient, hessian = np.zeros(n), np.zeros((n, n))
         with np.errstate(all="ignore"):
-            rows, slope = self._find_rows(theta[None])[..., 0].T, self._differentiate_rows(likelihood, theta, change)
+            rows, slope = self._find_rows(theta[None])[..., 0].T, self._differentiate_rows(theta, change)
             inverse = np.linalg.inv(self._cover(likelihood, errors, zeta))
             weighed, tails = (inverse @ rows[..., None])[..., 0], errors.tails(zeta[None])
             square = np.einsum("pk,pk->p", rows, weighed)[None]
@@ -197,13 +197,12 @@ class LoneRows:
         beside = errors.noise(zeta[None], likelihood.data, likelihood.sd)[1][0]
         return self.known + np.eye(len(self.channels)) * beside[:, self.channels, None] ** 2
 
-    def _differentiate_rows(self, likelihood: CalibrationLikelihood, theta: Array, change: Array) -> Array:
+    def _differentiate_rows(self, theta: Array, change: Array) -> Array:
         """Return derivatives of the rows by the geometry's coordinates at θ (D,), (P, m, m')."""
-        own, pose = self.bound.places, likelihood.start[None]
-        _, by_pose, by_parameters = likelihood.linearise_raw(theta[None], pose, with_parameters=True)
-        moved = by_parameters[0][:, own] @ change
+        by_pose, by_parameters = self.bound.differentiate(theta)
+        moved = by_parameters @ change
         step = self.follow @ moved
-        return self.loss @ step - self.turn @ (moved - by_pose[0][:, own] @ step)
+        return np.asarray(self.loss @ step - self.turn @ (moved - by_pose @ step))
 
     def density_by_row(self, likelihood: CalibrationLikelihood, theta: Array, errors: Errors, zeta: Array) -> Array:
         """Return the log-likelihood of each pose's readings, (B, P); -inf where there is no machine."""

@@ -303,6 +303,10 @@ class Bound(ABC):
         """Return what the channels read, (C, P, B), of machines (B, D)."""
 
     @abstractmethod
+    def differentiate(self, theta: Array) -> tuple[Array, Array]:
+        """Return derivatives of the readings of one machine (D,) by pose, (P, C, q), and by parameters, (P, C, D)."""
+
+    @abstractmethod
     def follow(self, step: Array) -> Array:
         """Return by how much readings of the same machines change, (C, P, B), as poses move by steps (q, P, B)."""
 

@@ -354,6 +354,8 @@ class BoundLegs(Bound):
 
     places: np.ndarray
     n_own: int
+    machine: Machine
+    place: tuple[Array, Array]  # (P, 3), (P, 3, 3): the poses
     actuators: Array  # (P, N)
     closure: BoundClosure
     inverse: Array
@@ -371,12 +373,22 @@ class BoundLegs(Bound):
         unit = np.ascontiguousarray(np.broadcast_to(np.eye(len(POSE))[:, None], (len(POSE), len(pose), len(POSE))))
         more = here.pose - closure.along(unit).transpose(1, 0, 2)
         inverse = divide_closure(here.actuators, np.broadcast_to(np.eye(actuators.shape[1]), here.actuators.shape))
-        return cls(places, len(theta), actuators, closure, inverse, more, compute_left_jacobian(pose[:, 3:]))
+        return cls(places, len(theta), machine, (position, rotation), actuators, closure, inverse, more, compute_left_jacobian(pose[:, 3:]))
 
     def read(self, theta: Array) -> Array:
         """Return ρ - (∂f/∂ρ)⁻¹ f at the measured ρ; see `Bound.read`."""
         residual = self.closure.evaluate(np.asfortranarray(theta[:, : self.n_own]))
         return np.asarray((self.actuators[..., None] - self.inverse @ residual.transpose(1, 0, 2)).transpose(1, 0, 2))
+
+    def differentiate(self, theta: Array) -> tuple[Array, Array]:
+        """Return those of the closure at the measured ρ; see `Bound.differentiate`."""
+        own = theta[: self.n_own]
+        here = self.machine.model.prepare(self.machine.layout, own)(*self.place, self.machine.basis_at(own, self.actuators))
+        by_pose = -divide_closure(here.actuators, here.pose)
+        by_pose[..., 3:] = by_pose[..., 3:] @ self.turns
+        by_parameters = np.zeros((*by_pose.shape[:2], len(theta)))
+        by_parameters[..., : self.n_own] = -divide_closure(here.actuators, here.parameters)
+        return by_pose, by_parameters
 
     def follow(self, step: Array) -> Array:
         """Return -(∂f/∂ρ)⁻¹ ∂f/∂pose times the steps; see `Bound.follow`."""

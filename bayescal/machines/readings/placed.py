@@ -369,6 +369,19 @@ class _BoundPlaced(Bound):
         read = np.concatenate([np.broadcast_to(one, (*shape, one.shape[-1])) for one in seen], axis=-1)
         return np.concatenate([self.bound.read(theta), read.transpose(2, 1, 0)])
 
+    def differentiate(self, theta: Array) -> tuple[Array, Array]:
+        """Return both parts'; see `Bound.differentiate`."""
+        own, *others = self.placed._split(theta)
+        by_pose, by_own = self.bound.differentiate(own)
+        by_parameters = np.zeros((len(self.tool), len(by_own[0]) + self.slope.shape[1], len(theta)))
+        row, column = by_own.shape[1:]
+        by_parameters[:, :row, :column] = by_own
+        for one, some in zip(self.placed.instruments, others, strict=True):
+            seen, n = one.linearise(some, self.tool), len(one.channels)
+            by_parameters[:, row : row + n, column : column + len(some)] = seen.by_parameters
+            row, column = row + n, column + len(some)
+        return np.concatenate([by_pose, self.slope], axis=1), by_parameters
+
     def follow(self, step: Array) -> Array:
         """Return both parts' changes; see `Bound.follow`."""
         change = (self.slope @ step.transpose(1, 0, 2)).transpose(1, 0, 2)
