@@ -28,6 +28,7 @@ from bayescal.density.outliers import Outliers
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.scratch import Scratch
 
+
 def factor_by_columns(
     known: Array, add: Callable[[int], Array], errors: Array, scratch: Scratch
 ) -> tuple[Array, Array]:

@@ -61,6 +61,11 @@ class Sampling(ABC):
         """Where the free parameters stand in θ, the first of those that deviate alike, shape (m,)."""
 
     @property
+    @abstractmethod
+    def moved(self) -> Array:
+        """Which parameters go with which free one, ones and zeros (m, D)."""
+
+    @property
     def size(self) -> int:
         """Number m of coordinates."""
         return len(self.names)

@@ -18,9 +18,9 @@ import numpy as np
 
 from bayescal.density.components import LinearGeometry
 from bayescal.density.directions import CAUSES
-from bayescal.density.sorts import OF_SORT
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import FUNCTIONS
+from bayescal.density.sorts import OF_SORT
 from bayescal.inference.scales import find_scales_mode, sample_scales
 from bayescal.numerics.geometry import Array
 

@@ -233,33 +233,51 @@ class FrozenRows:
         for part in batches(len(theta), rows.shape[1]):
             own, amplitudes = self._blocks(likelihood, errors, zeta[part]), errors.amplitudes(zeta[part])
             weights, each = errors.weights(zeta[part]), np.split(drawn[part], ends[:-1], axis=1)  # views of ``drawn``
-            left, known = rows[part].copy(), dict[int, Array]()
+            is_known = [isinstance(term, KnownErrors) for term in errors.common]
+            left, known = rows[part].copy(), list[Array]()
             if errors.known:  # noise that they depend on is drawn with them
-                is_known = np.array([isinstance(term, KnownErrors) for term in errors.common])
-                factor = np.linalg.cholesky(self._assemble(own, weights * is_known))
+                apart = self._assemble(own, weights * is_known)
                 flat = noise[part].reshape(len(own), -1, 1)[:, self.kept]
-                left -= (factor @ flat)[..., 0]
-                for k in np.flatnonzero(is_known):
-                    turned = np.linalg.solve(factor, np.broadcast_to(self.shown[k], (len(own), *self.shown[k].shape)))
-                    spread = np.eye(turned.shape[-1]) - np.swapaxes(turned, -1, -2) @ turned
-                    if errors.common[k].sign > 0.0:
-                        rest = np.linalg.cholesky(spread) @ each[k][..., None]
-                        known[k] = (np.swapaxes(turned, -1, -2) @ flat + rest)[..., 0]
-                    else:
-                        known[k] = np.zeros((len(own), turned.shape[-1]))
+                drawn_apart, known = self._draw_known(errors, apart, flat, each)
+                left -= drawn_apart
             else:
                 left -= (np.linalg.cholesky(own) @ noise[part]).reshape(len(own), -1)[:, self.kept]
-            parts = [*enumerate(zip(each, self.shown, amplitudes.T, strict=True))]
-            for k, (one, shown, size) in parts:
-                if k not in known:
-                    left -= size[:, None] * (one @ shown.T)
+            for k, shown in enumerate(self.shown):
+                if not is_known[k]:
+                    left -= amplitudes[:, k, None] * (each[k] @ shown.T)
             told = np.linalg.solve(self._assemble(own, weights), left[..., None])[..., 0]
-            for k, (one, shown, size) in parts:
-                if k not in known:
-                    one += size[:, None] * (told @ shown)
+            for k, term in enumerate(errors.common):
+                if not is_known[k]:
+                    each[k] += amplitudes[:, k, None] * (told @ self.shown[k])
+                elif term.sign > 0.0:
+                    each[k][:] = known.pop(0) + told @ self.shown[k]
                 else:
-                    one[:] = known[k] + (told @ shown if errors.common[k].sign > 0.0 else 0.0)
+                    each[k][:] = 0.0
         return drawn
+
+    def _draw_known(
+        self, errors: Errors, covariance: Array, flat: Array, each: list[Array]
+    ) -> tuple[Array, list[Array]]:
+        """Return draws of what rows have beside functions, (B, M), and of known errors' coefficients given these.
+
+        Parameters
+        ----------
+        errors : Errors
+        covariance : ndarray, shape (B, M, M)
+            Of the rows without functions.
+        flat : ndarray, shape (B, M, 1)
+            Standard normal numbers.
+        each : list of ndarray, shapes (B, N)
+            The same for the coefficients of each term.
+        """
+        factor, found = np.linalg.cholesky(covariance), list[Array]()
+        for term, shown, own in zip(errors.common, self.shown, each, strict=True):
+            if isinstance(term, KnownErrors) and term.sign > 0.0:
+                turned = np.linalg.solve(factor, np.broadcast_to(shown, (len(factor), *shown.shape)))
+                back = np.swapaxes(turned, -1, -2)
+                rest = np.linalg.cholesky(np.eye(turned.shape[-1]) - back @ turned)
+                found.append((back @ flat + rest @ own[..., None])[..., 0])
+        return (factor @ flat)[..., 0], found
 
     def _find_rows(self, likelihood: CalibrationLikelihood, theta: Array) -> tuple[Array, Array]:
         """Return rows (B, M), and what log-densities have beside theirs, (B, P); -inf where there is no machine."""

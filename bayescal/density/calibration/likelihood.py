@@ -254,7 +254,8 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
             weighed, found, turn = trust[:, None, None] * rows, None, None
             if errors.has_columns:
                 acted = self.white_columns(errors, zeta[None], white)[0]
-                found = find_coefficients(error[None], (left @ acted)[None], tails, self.n_spare, errors.signs(self.data))
+                signs = errors.signs(self.data)
+                found = find_coefficients(error[None], (left @ acted)[None], tails, self.n_spare, signs)
                 error, trust, weighed = found.residual[0], found.trust[0], found.reduce(rows[None])[0]
                 follow = left_of(invert(slope, 0.0), acted @ found.mean[0])  # what coefficients make of the poses
                 turn = (trust[:, None] * error)[..., None] * follow[:, None]
@@ -449,7 +450,8 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
         tails = errors.tails(zeta)
         trust = tails.trust(at.square, self.n_spare)[0]
         rows = left @ by_parameters
-        if errors.has_columns and not errors.is_common_known:  # JᵀS⁻¹J = Gᵀ(W⁻¹ + AAᵀ)G with G = S⁻¹J; the part with A does not hang on the noise
+        # JᵀS⁻¹J = Gᵀ(W⁻¹ + AAᵀ)G with G = S⁻¹J; the part with A does not hang on the noise
+        if errors.has_columns and not errors.is_common_known:
             columns = (left @ self.white_columns(errors, zeta, white)[0])[None]
             found = find_coefficients(at.error, columns, tails, self.n_spare, errors.signs(self.data))
             reduced, trust = found.reduce(rows[None])[0], found.trust[0]

@@ -93,7 +93,9 @@ class LoneRows:
         """
         data, near = likelihood.data, likelihood.expansion
         n, q = data.sd.shape[1], len(likelihood.model.coordinates)
-        if (errors.has_columns and not errors.is_common_known) or not q or n <= q or not data.present.all() or near is None or near.bends is None:
+        if not q or n <= q or not data.present.all() or near is None or near.bends is None:
+            return None
+        if errors.has_columns and not errors.is_common_known:
             return None
         if any(one.factor(np.zeros((1, len(one.names)))) is not None for one in errors.noisy):
             return None
@@ -155,7 +157,9 @@ class LoneRows:
         rest = self.offset + (theta - self.anchor) @ self.drift
         return (density + 0.5 * square).T + rest, square.T
 
-    def inform(self, likelihood: CalibrationLikelihood, theta: Array, change: Array, errors: Errors, zeta: Array) -> Array:
+    def inform(
+        self, likelihood: CalibrationLikelihood, theta: Array, change: Array, errors: Errors, zeta: Array
+    ) -> Array:
         """Return what these rows tell of the geometry's coordinates, (m, m), at θ (D,) with dθ/dy (D, m), ζ (k,)."""
         rows = self._differentiate_rows(theta, change)
         weighed = np.linalg.solve(self._cover(likelihood, errors, zeta), rows)

@@ -26,9 +26,8 @@ import numpy as np
 
 from bayescal.density.calibration.measurements import Comparison, Measurements
 from bayescal.density.calibration.terms import ErrorTerm, ModelErrorTerm, Slopes
-from bayescal.density.sorts import TAU
 from bayescal.density.priors import HalfCauchyPrior, Prior
-from bayescal.density.sorts import FEWEST_POSES, MOST_DRIFT, MOST_SMOOTH, Place, PoseFunctions
+from bayescal.density.sorts import FEWEST_POSES, MOST_DRIFT, MOST_SMOOTH, TAU, Place, PoseFunctions
 from bayescal.machines.readings import ReadingModel
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import MICROMETRE

@@ -18,7 +18,6 @@ from bayescal.density.sessions import ReadingRows
 from bayescal.errors import NumericalError
 from bayescal.experiments.check.inputs import Subject, draw_posterior
 from bayescal.experiments.shared.chi_square import ChiSquare, format_chance
-from bayescal.experiments.shared.leg_readings import SharedErrors
 from bayescal.experiments.shared.measured import MeasuredReadings
 from bayescal.experiments.shared.slip_search import PATIENCE, Search, search_cause
 from bayescal.experiments.shared.soundness import fit_rows

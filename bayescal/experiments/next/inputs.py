@@ -112,9 +112,7 @@ def read_next(config: NextConfig, folder: Path) -> NextInputs:
         found = {name: replace(one, low=low, high=high) for name, one in found.items()}
     so_far = {name: one if n == there else one.pick(np.arange(n)) for name, one in found.items()}
     first = next(iter(so_far.values()))
-    workspace, candidates = (
-        _place_poses(config, folder, first) if legs is None else _place_legs(config, folder, first)
-    )
+    workspace, candidates = _place_poses(config, folder, first) if legs is None else _place_legs(config, folder, first)
     requirements, units = _read_requirements(config, first)
     if requirements and legs is None:
         _check_located(first, workspace.values)

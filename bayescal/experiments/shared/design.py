@@ -68,7 +68,7 @@ def read_machine(
     folder: Path,
     measured: Callable[[], Array] | None = None,
 ) -> Machine:
-    """Return the mechanism of a file seen through a model and a deformation; K is in a file, in 1e-3, or ``measured``."""
+    """Return a mechanism seen through a model and a deformation; K is ``measured``, or in a file of its own, in 1e-3."""
     mechanism = load_mechanism(path)
 
     def matrix() -> Array:

@@ -13,9 +13,9 @@ from bayescal.density.calibration.likelihood import CalibrationLikelihood, Calib
 from bayescal.density.calibration.measurements import Measurements
 from bayescal.density.calibration.model_error import IndependentErrors
 from bayescal.density.calibration.terms import Errors, ErrorTerm
-from bayescal.density.sorts import TAU
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior, Prior
+from bayescal.density.sorts import TAU
 from bayescal.experiments.shared.slip_rows import Readings
 from bayescal.experiments.shared.slip_search import find_slip
 from bayescal.experiments.shared.slips import CHANNEL, FRAME, FoundSlip

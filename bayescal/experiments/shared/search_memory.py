@@ -32,7 +32,7 @@ def list_sampling(sampler: SamplerConfig, effort: EvidenceConfig, n_parameters: 
 
 
 def list_readings(n_poses: int, n_channels: int, n_parameters: int, n_coordinates: int) -> list[Sequence[float]]:
-    """Return the arrays of a posterior of readings: derivatives, hot loop, draws that are kept; see `estimate_arrays`."""
+    """Return the arrays of a posterior: derivatives, hot loop, draws that are kept; see `estimate_arrays`."""
     width = n_parameters + n_coordinates + n_channels
     return [
         (DERIVATIVES, n_poses, n_channels, width),

@@ -185,9 +185,9 @@ def calibrate_machine(
         model = read_kept(path, results.hashes)
     elif experiment is not None and not config.by_tables:
         inputs = StudyInputs.load(config, folder)
-        legs, pads = legs_of(inputs.variants[chosen.name].whole), None if inputs.seen is None else inputs.seen.pads
-        assert legs is not None
-        model, covariance = Legs(legs.machine), None if pads is None else pads.matrix.by_row
+        whole, pads = legs_of(inputs.variants[chosen.name].whole), None if inputs.seen is None else inputs.seen.pads
+        assert whole is not None
+        model, covariance = Legs(whole.machine), None if pads is None else pads.matrix.by_row
     else:
         for what, name in zip(("MODELS", "DEFORMATIONS"), chosen.seen, strict=True):
             if name not in list_references(what):

@@ -16,8 +16,8 @@ from bayescal.experiments.shared.knowledge_page import NO_TOOL
 from bayescal.experiments.shared.measured import MeasuredReadings
 from bayescal.experiments.shared.origin import name_origin
 from bayescal.experiments.shared.outlook import join_outlooks
-from bayescal.experiments.shared.readings.inputs import ReadingInputs, read_inputs
 from bayescal.experiments.shared.readings.errors import drop_model_error
+from bayescal.experiments.shared.readings.inputs import ReadingInputs, read_inputs
 from bayescal.experiments.shared.readings.memory import estimate_calibration
 from bayescal.experiments.shared.slip_search import find_slip
 from bayescal.experiments.shared.slips import FoundSlip

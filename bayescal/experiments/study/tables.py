@@ -1,4 +1,4 @@
-"""What a study tells beside its variants' tables: errors of poses, scales of the model error, and of legs their joints."""
+"""What a study tells beside its variants' rows: errors of poses, scales of the model error, of legs their joints."""
 
 from __future__ import annotations
 
@@ -42,10 +42,13 @@ USES = ("calibration", "verification")
 def find_seen(model: ReadingModel) -> list[int | None]:
     """Return the channels (6,) by which an instrument sees position and rotation, None where it sees none of them."""
     outside = [(k, one) for k, one in enumerate(model.channels) if one.external]
-    lengths = [k for k, one in outside if one.unit == "mm"][:3]
+    found: list[int | None] = [None] * len(COMPONENTS)
+    for place, k in enumerate([k for k, one in outside if one.unit == "mm"][:3]):
+        found[place] = k
     turned = [k for k, one in outside if one.rotation][:3]
-    turned = turned if len(turned) == 3 else []
-    return [*lengths, *[None] * (3 - len(lengths)), *(turned or [None] * 3)]
+    if len(turned) == 3:
+        found[3:] = turned
+    return found
 
 
 def tabulate_pose_errors(variant: Variant, prediction: Prediction) -> pd.DataFrame:
@@ -75,7 +78,7 @@ def tabulate_pose_errors(variant: Variant, prediction: Prediction) -> pd.DataFra
 def describe_errors(variant: Variant, prediction: Prediction) -> tuple[dict[str, float], dict[str, Any]]:
     """Return errors of poses by use as columns of a variant's row, and as the summary has them."""
     row: dict[str, float] = {}
-    found: dict[str, Any] = {use: None for use in USES}
+    found: dict[str, Any] = dict.fromkeys(USES)
     for use, chosen in zip(USES, (~variant.verification, variant.verification), strict=True):
         if chosen.any():
             found[use] = summarise_errors(prediction.select(chosen))

@@ -373,7 +373,8 @@ class BoundLegs(Bound):
         unit = np.ascontiguousarray(np.broadcast_to(np.eye(len(POSE))[:, None], (len(POSE), len(pose), len(POSE))))
         more = here.pose - closure.along(unit).transpose(1, 0, 2)
         inverse = divide_closure(here.actuators, np.broadcast_to(np.eye(actuators.shape[1]), here.actuators.shape))
-        return cls(places, len(theta), machine, (position, rotation), actuators, closure, inverse, more, compute_left_jacobian(pose[:, 3:]))
+        turns = compute_left_jacobian(pose[:, 3:])
+        return cls(places, len(theta), machine, (position, rotation), actuators, closure, inverse, more, turns)
 
     def read(self, theta: Array) -> Array:
         """Return ρ - (∂f/∂ρ)⁻¹ f at the measured ρ; see `Bound.read`."""
@@ -382,8 +383,8 @@ class BoundLegs(Bound):
 
     def differentiate(self, theta: Array) -> tuple[Array, Array]:
         """Return those of the closure at the measured ρ; see `Bound.differentiate`."""
-        own = theta[: self.n_own]
-        here = self.machine.model.prepare(self.machine.layout, own)(*self.place, self.machine.basis_at(own, self.actuators))
+        own, machine = theta[: self.n_own], self.machine
+        here = machine.model.prepare(machine.layout, own)(*self.place, machine.basis_at(own, self.actuators))
         by_pose = -divide_closure(here.actuators, here.pose)
         by_pose[..., 3:] = by_pose[..., 3:] @ self.turns
         by_parameters = np.zeros((*by_pose.shape[:2], len(theta)))

@@ -176,9 +176,7 @@ def read_inputs(config: StudyConfig, folder: Path) -> ReadingInputs:
     unused = readings.tell_unused({name for one in variants.values() for name in one.model.names})
     missing = join_outlooks({name: one.missing for name, one in variants.items() if one.missing})
     name = getattr(model, "name", config.machine)
-    return ReadingInputs(
-        config, name, variants, beside, *keep_files(config, folder), unused, "; ".join(missing), seen
-    )
+    return ReadingInputs(config, name, variants, beside, *keep_files(config, folder), unused, "; ".join(missing), seen)
 
 
 def _build(

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.data.photogrammetry.joint_deflection import (
     JointDeflection,
     KappaEstimate,
@@ -15,7 +16,6 @@ from bayescal.data.photogrammetry.joint_deflection import (
     measure_joint_deflection,
 )
 from bayescal.data.photogrammetry.poses import PoseExtraction
-from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.density.calibration.terms import KnownErrors
 from bayescal.experiments.shared.readings.measurement import TargetMeasurement
 from bayescal.machines.readings import POSE, Legs

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-
 from bayescal.data.actuators import check_moves, check_range
 from bayescal.density.calibration.terms import ErrorTerm
 from bayescal.errors import InputError, PoseInputError, name_faults
@@ -68,7 +67,8 @@ class SeenLegs:
         """Return K from the targets, mm per mm; InputError where there are none."""
         if self.pads is None:
             raise InputError(
-                f"{self.reference}: found no target on a leg's pad, expected some, since deformation.matrix is 'targets'"
+                f"{self.reference}: found no target on a leg's pad, expected some, since deformation.matrix is "
+                "'targets'"
             )
         return self.pads.matrix.matrix
 
