@@ -44,12 +44,15 @@ class Sampling(ABC):
     priors : tuple of Prior, length m
         Of the free parameters, in order.
     names, units : tuple of str, length m
+    moved : ndarray, shape (m, D)
+        Which parameters go with which free one, ones and zeros.
     n_jumps : int
         Numbers of `jumps` are below it.
     """
 
     layout: ParameterLayout
     start: Array
+    moved: Array
     priors: tuple[Prior, ...]
     names: tuple[str, ...]
     units: tuple[str, ...]
@@ -59,11 +62,6 @@ class Sampling(ABC):
     @abstractmethod
     def free(self) -> np.ndarray:
         """Where the free parameters stand in θ, the first of those that deviate alike, shape (m,)."""
-
-    @property
-    @abstractmethod
-    def moved(self) -> Array:
-        """Which parameters go with which free one, ones and zeros (m, D)."""
 
     @property
     def size(self) -> int:

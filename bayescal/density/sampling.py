@@ -287,7 +287,7 @@ class LegSampling(Sampling):
     # --- legs ----------------------------------------------------------------------------------------------------
 
     @property
-    def moved(self) -> Array:
+    def moved(self) -> Array:  # type: ignore[override]
         """Which parameters are free, shape (m, D)."""
         return np.eye(self.layout.size)[self.free]
 

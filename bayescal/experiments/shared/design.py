@@ -68,7 +68,7 @@ def read_machine(
     folder: Path,
     measured: Callable[[], Array] | None = None,
 ) -> Machine:
-    """Return a mechanism seen through a model and a deformation; K is ``measured``, or in a file of its own, in 1e-3."""
+    """Return a mechanism seen by a model and a deformation; K is ``measured``, or in a file of its own, in 1e-3."""
     mechanism = load_mechanism(path)
 
     def matrix() -> Array:
