@@ -162,7 +162,9 @@ def replicate_readings(
             places = np.broadcast_to(pose, (len(theta), *pose.shape))
             if errors.has_columns:
                 common = errors.draw_prior(posterior.zeta(own), data, rng).at(data, likelihood.error_gain)
-        read = likelihood.model.near(data.values).read(theta[:, None], places, given)
+        read = (
+            likelihood.model.read(theta[:, None], places, given) if pose is not None else likelihood.read(theta, places)
+        )
         noise = wider * rng.standard_normal((len(theta), *data.values.shape))
         error = white.colour(np.where(data.present, noise, 0.0)) + common
         made[part] = np.where(data.present, likelihood.comparison.add(read, error), np.nan)
