@@ -12,7 +12,6 @@ import numpy as np
 from bayescal.machines.parameters import ParameterBlock
 from bayescal.numerics.geometry import Array, compute_left_inverse_jacobian, matrix_from_rotation_vector, skew_matrix
 
-FRAMES = ("base", "tool")
 AXES = ("x", "y", "z")
 
 
@@ -37,10 +36,6 @@ def frame_blocks(n_stations: int) -> tuple[ParameterBlock, ...]:
     )
 
 
-FRAME_BLOCKS = frame_blocks(1)
-N_FRAME_PARAMETERS = len(FRAME_BLOCKS)
-
-
 def move_frames(values: Array, position: Array, rotation: Array) -> tuple[Array, Array]:
     """Return poses as the instrument sees them, (..., P, 3) and (..., P, 3, 3), for frame parameters (..., 12)."""
     base, tool = values[..., None, :6], values[..., None, 6:]
@@ -48,15 +43,6 @@ def move_frames(values: Array, position: Array, rotation: Array) -> tuple[Array,
     seen = np.einsum("...ij,...j->...i", rotation, tool[..., :3]) + position
     turned = turn @ rotation @ matrix_from_rotation_vector(tool[..., 3:])
     return base[..., :3] + np.einsum("...ij,...j->...i", turn, seen), turned
-
-
-def frame_slopes(position: Array, rotation: Array) -> Array:
-    """Return the derivative of the measured pose by the frame parameters at zero, shape (..., 6, 12)."""
-    eye = np.broadcast_to(np.eye(3), rotation.shape)
-    zero = np.zeros_like(rotation)
-    base = np.block([[eye, -skew_matrix(position)], [zero, eye]])
-    tool = np.block([[rotation, zero], [zero, rotation]])
-    return np.concatenate([base, tool], axis=-1)
 
 
 def measured_pose_slopes(values: Array, position: Array, rotation: Array) -> tuple[Array, Array]:
