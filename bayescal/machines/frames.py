@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from bayescal.machines.parameters import ParameterBlock
-from bayescal.numerics.geometry import Array, compute_left_inverse_jacobian, matrix_from_rotation_vector, skew_matrix
+from bayescal.numerics.geometry import Array, matrix_from_rotation_vector
 
 AXES = ("x", "y", "z")
 
@@ -43,33 +43,3 @@ def move_frames(values: Array, position: Array, rotation: Array) -> tuple[Array,
     seen = np.einsum("...ij,...j->...i", rotation, tool[..., :3]) + position
     turned = turn @ rotation @ matrix_from_rotation_vector(tool[..., 3:])
     return base[..., :3] + np.einsum("...ij,...j->...i", turn, seen), turned
-
-
-def measured_pose_slopes(values: Array, position: Array, rotation: Array) -> tuple[Array, Array]:
-    """Return the derivatives of the measured pose by the platform's pose and by the frame parameters, anywhere.
-
-    Parameters
-    ----------
-    values : ndarray, shape (..., 12)
-        Frame parameters, mm and rad.
-    position, rotation : ndarray, shapes (..., P, 3) and (..., P, 3, 3)
-        Poses of the platform, mm.
-
-    Returns
-    -------
-    by_pose, by_frames : ndarray, shapes (..., P, 6, 6) and (..., P, 6, 12)
-        Poses on both sides as displacement and rotation vector of a rotation applied from the left.
-    """
-    base, tool = values[..., None, :6], values[..., None, 6:]
-    turn = matrix_from_rotation_vector(base[..., 3:])
-    base_turn, tool_turn = (np.linalg.inv(compute_left_inverse_jacobian(frame[..., 3:])) for frame in (base, tool))
-    arm = np.einsum("...ij,...j->...i", rotation, tool[..., :3])
-    turn = np.broadcast_to(turn, rotation.shape)
-    zero = np.zeros_like(rotation)
-    by_pose = np.block([[turn, -turn @ skew_matrix(arm)], [zero, turn]])
-    seen = np.einsum("...ij,...j->...i", turn, position + arm)
-    base_turn = np.broadcast_to(base_turn, rotation.shape)
-    eye, turned = np.broadcast_to(np.eye(3), rotation.shape), turn @ rotation
-    by_base = np.block([[eye, -skew_matrix(seen) @ base_turn], [zero, base_turn]])
-    by_tool = np.block([[turned, zero], [zero, turned @ tool_turn]])
-    return by_pose, np.concatenate([by_base, by_tool], axis=-1)
