@@ -21,7 +21,7 @@ def test_the_draws_have_the_mass_of_a_mode_far_away():
     """Of 200,000 weighted draws 0.10 to 0.13 % are there; a single peak that is not refined leaves 0.001 %."""
     experiment, config = load(FOLDER / "study.toml")
     inputs = read_inputs(experiment, config, FOLDER)
-    posterior = inputs.posterior(inputs.variant("beam/none"), True)
+    posterior = inputs.variants["beam/none"].posterior().anchored()
     with np.errstate(all="ignore"):
         found = explore(posterior, np.random.SeedSequence(1))
         sample = sample_posterior(found, np.random.SeedSequence(2), 4, 256, 20, 80)

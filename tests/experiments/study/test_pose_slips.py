@@ -8,8 +8,6 @@ from scipy.spatial.transform import Rotation
 from shares import run_rest
 
 from bayescal.experiments.shared.slip_causes import list_rereads
-from bayescal.experiments.study.doubts import find_study_slip
-from bayescal.experiments.study.tables import format_poses
 
 
 @pytest.fixture(scope="module")
@@ -18,7 +16,7 @@ def fed(tmp_path_factory):
     folder = tmp_path_factory.mktemp("pose_slips")
     config = studies.write_tiny_study(folder)
     studies.edit(config, 'deformation = "matrix"', 'deformation = "linear"')
-    (folder / "data" / "poses.csv").write_text(format_poses(studies.load_study(config)))
+    (folder / "data" / "poses.csv").write_text(studies.feed_poses(config))
     config.write_text(config.read_text().replace(studies.BY_TARGETS, studies.BY_POSES))
     return config
 
@@ -26,7 +24,7 @@ def fed(tmp_path_factory):
 def look(config, table="poses.csv", change=None):
     """Return the slip that is found of a study, some rows of a table changed."""
     with studies.changed_table(config.parent / "data" / table, change or (lambda rows: rows)):
-        return find_study_slip(studies.load_study(config))
+        return studies.load_study(config).slip
 
 
 def negate(*names):
