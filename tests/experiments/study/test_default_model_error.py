@@ -123,15 +123,15 @@ def test_misfit_counts_functions_as_noise(silent):
     alone = ReadingSubject(bare).measure_misfit(bare, bare.approach())
     assert found.value / found.dof < 1.5
     assert alone.value / alone.dof > 10.0
-    assert found.dof == pytest.approx(6 * (~inputs.verification).sum() - 6.0, abs=0.5)
+    assert 0.0 < found.dof < alone.dof < 6 * (~inputs.verification).sum()
 
 
 @pytest.mark.parametrize(
     ("sections", "fault"),
     [
         (
-            {"of_variant": "outlier_share = 0.02", "model_error": 'terms = ["independent", "own"]'},
-            r"outlier_share: found it beside the terms own .* terms = \[\"indep",
+            {"of_variant": "outlier_share = 0.02", "model_error": 'terms = ["independent", "drift"]'},
+            "model_error: found term 'drift', but single rows may be outliers, expected other terms",
         ),
         (
             {"model_error": 'terms = ["independent"]\nat_least_um = 10.0'},
@@ -167,10 +167,10 @@ def test_terms_that_too_few_poses_cannot_show_are_left_out_and_said(silent):
     path.write_text(silent.read_text().replace("data/actuators.csv", "data/few.csv"))
     inputs = studies.load_study(path)
     assert errors_of(inputs).names == ("tau",)
-    said = "the model error has no terms linear, own, smooth, drift, as fewer than 3 poses calibrate the machine"
+    said = "the model error has no terms linear, own, smooth, drift, as there are fewer than 3 rows"
     assert said in inputs.missing
     assert any(said in line for line in inputs.outlook())
     assert not studies.load_study(silent).missing
     named = edited(path, model_error='terms = ["own"]')
-    with pytest.raises(InputError, match=r"found term 'own', but fewer than 3 poses calibrate the machine, expected"):
+    with pytest.raises(InputError, match=r"found term 'own', but there are fewer than 3 rows, expected"):
         studies.load_study(named)

@@ -237,7 +237,8 @@ def _build(
         )
     found, missing = build_terms_of_model(error, model, data, start, used, workspace, priors, unplaced.errors)
     placed = replace(unplaced, start=start, errors=replace(unplaced.errors, terms=(*terms, *found)), missing=missing)
-    check_reach(placed.list_readings(np.ones(data.n_poses, dtype=bool)))
+    every = placed.list_readings(np.ones(data.n_poses, dtype=bool))
+    check_reach(every, None if used.all() else placed.list_readings())
     return placed
 
 
