@@ -9,11 +9,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from eliminated_legs import eliminate_legs
 
 from bayescal.data.measured_poses import MeasuredPoses
-from bayescal.density.errors import ModelError
-from bayescal.density.legs import LegPosterior, build_leg_posterior
-from bayescal.density.pose_likelihood import PoseLikelihood
+from bayescal.density.calibration.likelihood import CalibrationPosterior
+from bayescal.density.calibration.terms import Errors
+from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior
 from bayescal.machines.deformations import DEFORMATIONS, Deformation, NominalDeformation
 from bayescal.machines.kinematics import Machine, solve_forward_kinematics
@@ -234,21 +235,27 @@ def place_poses(machine: Machine, theta: np.ndarray, actuators: np.ndarray, erro
 def simulate_poses(
     machine: Machine, theta: np.ndarray, actuators: np.ndarray, tau: np.ndarray, rng: np.random.Generator
 ) -> MeasuredPoses:
-    """Return poses drawn from the density that `PoseLikelihood` claims for them."""
-    exact = place_poses(machine, theta, actuators, np.zeros((len(actuators), 6)))
-    covariance = PoseLikelihood(machine, exact, ACTUATOR_NOISE).pose_covariance(tau)
-    normal = rng.standard_normal((len(actuators), 6, 1))
-    error = (np.linalg.cholesky(covariance) @ normal)[..., 0]
+    """Return measured poses, to first order in the errors of actuators, of the legs themselves, and of the poses."""
+    exact, basis = solve_forward_kinematics(machine, theta, actuators), machine.basis(actuators)
+    alone = replace(basis, actuator_gain=basis.actuator_gain * np.eye(actuators.shape[1]))  # bends no other leg
+    closures = [
+        machine.model.linearise(machine.layout, theta, exact.position, exact.rotation, one) for one in (basis, alone)
+    ]
+    moved = [size * rng.standard_normal(actuators.shape) for size in (ACTUATOR_NOISE, tau)]
+    legs = sum(np.einsum("pij,pj->pi", one.actuators, by) for one, by in zip(closures, moved, strict=True))
+    root = np.linalg.cholesky(measurement_covariance(len(actuators)))
+    error = np.einsum("pij,pj->pi", np.linalg.pinv(closures[0].pose), legs)
+    error += np.einsum("pij,pj->pi", root, rng.standard_normal((len(actuators), 6)))
     return place_poses(machine, theta, actuators, error)
 
 
 def build_posterior(
     deformation: str,
     poses: MeasuredPoses,
-    model_error: ModelError,
+    errors: Errors | None = None,
     symbols: tuple[str, ...] | None = None,
     machine: Machine | None = None,
-) -> LegPosterior:
+) -> CalibrationPosterior:
     """Return a posterior with normal priors of 2 mm (lengths), 0.01 (kappa) and 0.05 (directions) about nominal."""
     machine = machine or build_machine(deformation)
     layout = machine.layout
@@ -260,7 +267,7 @@ def build_posterior(
         if symbol in chosen
         for name, k in zip(block.names, layout.index[symbol], strict=True)
     }
-    return build_leg_posterior(PoseLikelihood(machine, poses, ACTUATOR_NOISE), priors, model_error)
+    return Posterior(eliminate_legs(machine, poses, ACTUATOR_NOISE, layout.nominal), priors, errors or Errors())
 
 
 def central_difference(function, x: np.ndarray, step: np.ndarray) -> np.ndarray:
