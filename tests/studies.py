@@ -15,7 +15,7 @@ import numpy as np
 from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.frame.results import Results, read_results
 from bayescal.experiments.frame.run import compute_experiment
-from bayescal.experiments.study.inputs import StudyInputs, load_inputs
+from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.machines.kinematics import STEP_TOLERANCE
 
 EXPERIMENTS = Path(__file__).parents[1] / "experiments"
@@ -228,7 +228,7 @@ def find_line(path: Path, start: str) -> int:
 
 def load_study(path: Path) -> StudyInputs:
     """Return the inputs of a study from its config."""
-    return load_inputs(load_experiment(path), path.parent)
+    return StudyInputs.load(load_experiment(path), path.parent)
 
 
 def copy_small(config: Path, folder: Path) -> Path:
