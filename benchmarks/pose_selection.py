@@ -19,12 +19,12 @@ from telescope_problem import write_results
 
 import numpy as np
 
-from bayescal.identifiability.design import Knowledge, Plan
+from bayescal.density.priors import NormalPrior
 from bayescal.machines.read import load_mechanism
 from bayescal.machines.deformations import DEFORMATIONS, NominalDeformation
 from bayescal.machines.kinematics import build_machine
 from bayescal.machines.models.six_ups import SixUps
-from bayescal.pose_selection import Criterion, SelectionProblem, WorkspaceBox, even_candidates, select
+from bayescal.pose_selection import Criterion, Design, SelectionProblem, WorkspaceBox, even_candidates, select
 from bayescal.pose_selection.criteria import O1, O2, O3, O4, O5, AOptimality, DOptimality, IOptimality
 from bayescal.pose_selection.methods import TabuDetmax
 from bayescal.machines.sensors import PoseSensor
@@ -41,16 +41,16 @@ def build_domain() -> WorkspaceBox:
     """Return Yu's machine with all parameters free and its workspace."""
     rigid = DEFORMATIONS["none"].from_nominal(NominalDeformation(0.0, lambda: np.zeros((6, 6))))
     machine = build_machine(SixUps, load_mechanism(MECHANISM), rigid)
-    return WorkspaceBox(Knowledge(machine, dict.fromkeys(machine.layout.names, TOLERANCE)), HALF)
+    nominal = zip(machine.layout.names, machine.layout.nominal.tolist(), strict=True)
+    priors = {name: NormalPrior(value, TOLERANCE) for name, value in nominal}
+    return WorkspaceBox(Design(machine, priors, sensors=(PoseSensor(*NOISE),)), HALF)
 
 
 def list_criteria(domain: WorkspaceBox) -> list[Criterion]:
     """Return all criteria; I over 150 poses of the workspace, its limits in proportion to the noise."""
-    plan = Plan(np.empty((0, 6)), (PoseSensor(*NOISE),), 0.0)
-    workspace = even_candidates(domain, 150, levels=None).sensitivity
-    limits = np.repeat(NOISE, 3)
-    predicted = IOptimality(plan, workspace=workspace, sd=domain.knowledge.sd, limits=limits)
-    return [O1(), O2(), O3(), O4(), O5(), DOptimality(plan), AOptimality(plan), predicted]
+    workspace = even_candidates(domain, 150, levels=None).seen.located.tool
+    predicted = IOptimality(workspace, np.repeat(NOISE, 3))
+    return [O1(), O2(), O3(), O4(), O5(), DOptimality(), AOptimality(), predicted]
 
 
 def time_naive(problem: SelectionProblem, n_sets: int, rng: np.random.Generator) -> tuple[float, float]:
@@ -74,7 +74,7 @@ def run(n_candidates: int, iterations: int, n_sets: int, everything: bool) -> di
     domain = build_domain()
     began = time.perf_counter()
     candidates = even_candidates(domain, n_candidates)
-    candidates.sensitivity.slope.sum()
+    candidates.seen.slope.sum()
     candidate_time = time.perf_counter() - began
     problem = SelectionProblem(candidates, O1(), N_POSES)
     rng = np.random.default_rng(SEED)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import telescope_machines as machines
@@ -18,14 +17,12 @@ from bayescal.experiments.audit.design import load_audit, read_plans
 from bayescal.experiments.audit.planned import Planned, PlannedPoses
 from bayescal.experiments.shared import design
 from bayescal.experiments.shared.schema import ModelConfig
-from bayescal.identifiability.design import Knowledge, Plan
 from bayescal.identifiability.requirements import Forecast
-from bayescal.identifiability.sensitivity import compute_sensitivity
-from bayescal.machines.frames import FRAME_BLOCKS
 from bayescal.machines.kinematics import Machine
 from bayescal.machines.readings import Legs, PoseInstrument, place
-from bayescal.machines.sensors import PoseSensor
+from bayescal.machines.sensors import PoseSensor, Sensor
 from bayescal.numerics.geometry import matrix_from_rotation_vector
+from bayescal.pose_selection import Design, SeenPoses, WorkspaceBox
 
 DESIGNS = Path(__file__).parent.parent / "experiments" / "audit"
 TELESCOPE_VARIANTS = tuple(
@@ -41,22 +38,46 @@ FRAME_SD = {"mm": 2.0, "rad": 2e-3}
 TRACKER = PoseSensor(0.01, np.radians(2.0 / 3600.0))
 
 
-def build_priors(machine: Machine, symbols: tuple[str, ...] | None = None, frames: tuple[str, ...] = ()) -> dict:
-    """Return tolerances of some symbols, of all by default, and of frames' symbols."""
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """Actuator positions (P, N), mm, and what measures the poses there."""
+
+    actuators: np.ndarray
+    sensors: tuple[Sensor, ...]
+    actuator_noise: float
+    model_error: float = 0.0
+
+    @property
+    def n_poses(self) -> int:
+        """Number of poses."""
+        return len(self.actuators)
+
+
+def build_priors(machine: Machine, symbols: tuple[str, ...] | None = None) -> dict:
+    """Return priors of some symbols, of all by default."""
     priors = {}
     for block in machine.layout.blocks:
         if symbols is None or block.symbol in symbols:
             usual = SD.get(block.symbol, LENGTH_SD)
             for name, value in zip(block.names, block.nominal, strict=True):
-                priors[name] = usual if block.unit in ("mm", "1") else STIFFNESS_SHARE * abs(value)
-    return priors | {block.symbol: FRAME_SD[block.unit] for block in FRAME_BLOCKS if block.symbol in frames}
+                sd = usual if block.unit in ("mm", "1") else STIFFNESS_SHARE * abs(value)
+                priors[name] = NormalPrior(value, sd)
+    return priors
 
 
-def build_knowledge(
-    machine: Machine, symbols: tuple[str, ...] | None = None, frames: tuple[str, ...] = ()
-) -> Knowledge:
-    """Return a machine with tolerances."""
-    return Knowledge(machine, build_priors(machine, symbols, frames))
+def build_knowledge(machine: Machine, symbols: tuple[str, ...] | None = None) -> Design:
+    """Return a machine with tolerances, which nothing measures."""
+    return Design(machine, build_priors(machine, symbols))
+
+
+def list_symbols(knowledge: Design) -> list[str]:
+    """Return the symbols of the free parameters."""
+    return [name.partition("[")[0] for name in knowledge.names]
+
+
+def list_units(knowledge: Design) -> tuple[str, ...]:
+    """Return the units of the free parameters."""
+    return tuple(knowledge.machine.layout.units[k] for k in knowledge.free)
 
 
 def build_plan(machine: Machine, n_poses: int = 40, half: float = 1.3, seed: int = 0, **changes) -> Plan:
@@ -72,7 +93,7 @@ def build_wide_plan(machine: Machine, seed: int = 0, **changes) -> Plan:
     return build_plan(machine, half=0.1 * float(machine.mechanism.leg_lengths.min()), seed=seed, **changes)
 
 
-def build_telescope_problem(deformation: str = "none", model: str = "six_pus", **changes) -> tuple[Knowledge, Plan]:
+def build_telescope_problem(deformation: str = "none", model: str = "six_pus", **changes) -> tuple[Design, Plan]:
     """Return the telescope with everything free, at the configurations of table 3."""
     machine = machines.build_machine(deformation, model=model)
     actuators = machine.mechanism.initial_actuator_positions + machines.ACTUATOR_RANGE * machines.TABLE_3
@@ -80,21 +101,29 @@ def build_telescope_problem(deformation: str = "none", model: str = "six_pus", *
     return build_knowledge(machine), Plan(actuators, **(fields | changes))
 
 
-def scale_tolerances(knowledge: Knowledge, share: float) -> Knowledge:
+def scale_tolerances(knowledge: Design, share: float) -> Design:
     """Return a machine known better, or worse."""
-    return replace(knowledge, priors={name: share * sd for name, sd in knowledge.priors.items()})
+    priors = {name: NormalPrior(one.mean, share * one.sd) for name, one in knowledge.priors.items()}
+    return replace(knowledge, priors=priors)
 
 
-def foretell(knowledge: Knowledge, actuators: np.ndarray, plan: Plan) -> Forecast:
+def see_plan(knowledge: Design, plan: Plan) -> SeenPoses:
+    """Return a plan's poses to first order."""
+    measured = (plan.sensors, plan.actuator_noise, plan.model_error)
+    design = Design(knowledge.machine, knowledge.priors, knowledge.fixed, *measured)
+    return design.see(WorkspaceBox(design, np.ones(6)).at_actuators(plan.actuators))
+
+
+def foretell(knowledge: Design, actuators: np.ndarray, plan: Plan) -> Forecast:
     """Return how poses err at actuator positions (W, N)."""
-    sensitivity = compute_sensitivity(knowledge, actuators)
-    return Forecast(sensitivity.slope * knowledge.sd, sensitivity.pose_noise(plan))
+    located = see_plan(knowledge, replace(plan, actuators=actuators)).located
+    return Forecast(located.tool, located.located @ np.swapaxes(located.located, -1, -2))
 
 
-def compute_rows(knowledge: Knowledge, plan: Plan) -> np.ndarray:
+def compute_rows(knowledge: Design, plan: Plan) -> np.ndarray:
     """Return the identification Jacobian in units of noise and tolerances, shape (rows, n)."""
-    rows = compute_sensitivity(knowledge, plan.actuators).rows(plan)
-    return rows.reshape(-1, rows.shape[-1]) * knowledge.sd
+    rows = see_plan(knowledge, plan).rows
+    return rows.reshape(-1, rows.shape[-1])
 
 
 # --- the same by channels ---------------------------------------------------------------------------------------------
@@ -104,7 +133,7 @@ FRAMES = ("frame", "frame_r", "target", "target_r")
 NOWHERE = {"frame_mm": [0.0] * 3, "frame_deg": [0.0] * 3, "target_mm": [0.0] * 3}
 
 
-def read_plan(knowledge: Knowledge, plan: Plan, frames: tuple[str, ...] = ()) -> CalibrationPosterior:
+def read_plan(knowledge: Design, plan: Plan, frames: tuple[str, ...] = ()) -> CalibrationPosterior:
     """Return the posterior of a plan's poses, read without error: actuators, and what sensors see of the pose.
 
     Poses that the machine cannot take are left out.
@@ -114,14 +143,14 @@ def read_plan(knowledge: Knowledge, plan: Plan, frames: tuple[str, ...] = ()) ->
     n = machine.mechanism.n_legs
     model = place(Legs(machine).pick(np.arange(n)), {"i": PoseInstrument(PoseInstrument.Config(**NOWHERE))})
     layout = model.layout
-    priors = {name: NormalPrior(layout.nominal[layout.names.index(name)], sd) for name, sd in knowledge.priors.items()}
+    priors = dict(knowledge.priors)
     for block in layout.blocks:
         if block.symbol.removeprefix("i_") in frames:
             priors |= {name: NormalPrior(0.0, FRAME_SD[block.unit]) for name in block.names}
     pose, found = model.locate(layout.nominal, plan.actuators)
     pose = pose[found]
     assert len(pose) >= 0.5 * plan.n_poses
-    seen = plan.information(Poses(pose[:, :3], matrix_from_rotation_vector(pose[:, 3:])))
+    seen = sum(one.information(pose[:, :3], matrix_from_rotation_vector(pose[:, 3:])) for one in plan.sensors)
     there = np.concatenate([np.ones(n, dtype=bool), np.diagonal(seen[0]) > 0.0])
     covariance = np.linalg.inv(seen[:, there[n:]][:, :, there[n:]])
     sd = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
@@ -129,16 +158,9 @@ def read_plan(knowledge: Knowledge, plan: Plan, frames: tuple[str, ...] = ()) ->
     correlation[:, n:, n:] = covariance / (sd[:, :, None] * sd[:, None])
     own = np.full((len(pose), n), np.hypot(plan.actuator_noise, plan.model_error))
     model = model.pick(there)
-    names, noise = tuple(map(str, range(len(pose)))), np.concatenate([own, plan.noise_factor * sd], axis=1)
+    names, noise = tuple(map(str, range(len(pose)))), np.concatenate([own, sd], axis=1)
     data = Measurements(names, model.read(layout.nominal, pose), noise, {}, correlation)
     return Posterior(CalibrationLikelihood(model, data, 1.0, pose), priors, Errors())
-
-
-class Poses(NamedTuple):
-    """Poses as sensors take them."""
-
-    position: np.ndarray
-    rotation: np.ndarray
 
 
 def read_machine(name: str) -> Machine:
@@ -155,18 +177,6 @@ def read_shipped(name: str, **changes) -> Planned:
     path = DESIGNS / f"{name}.toml"
     (plan,) = read_plans(load_audit(path).model_copy(update=changes), path.parent).values()
     return plan
-
-
-def describe_shipped(name: str) -> tuple[Knowledge, Plan]:
-    """Return a shipped hexapod as those take it who know legs alone, with frames of instrument and tool."""
-    plan, priors = read_shipped(name), {}
-    for one, sd in zip(plan.names, plan.sd, strict=True):
-        symbol, _, number = one.removeprefix("laser_tracker_").partition("[")
-        frame, turned = {"frame": "base", "target": "tool"}.get(symbol.removesuffix("_r")), symbol.endswith("_r")
-        axis = "xyz"[int(number[:-1]) - 1] if frame else ""
-        priors[f"{frame}_{'r' * turned}{axis}" if frame else one] = float(sd)
-    actuators = plan.variant.data.values[:, plan.variant.internal]
-    return Knowledge(read_machine(name), priors), Plan(actuators, (TRACKER,), 1e-3)
 
 
 def take_poses(plan: Planned) -> PlannedPoses:

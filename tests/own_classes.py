@@ -82,7 +82,7 @@ class Weighted(DOptimality):
 
     @classmethod
     def from_config(cls, config, purpose):
-        found = cls(purpose.plan)
+        found = cls()
         object.__setattr__(found, "weight", config.weight)
         return found
 

@@ -7,38 +7,44 @@ import numpy as np
 import studies
 import telescope_machines as machines
 
-from bayescal.identifiability.design import Knowledge, Plan
+from bayescal.density.priors import NormalPrior
 from bayescal.machines.read import load_mechanism
 from bayescal.machines.sensors import PoseSensor
-from bayescal.pose_selection import ActuatorBox, SelectionProblem, WorkspaceBox, random_candidates
+from bayescal.pose_selection import ActuatorBox, Design, SelectionProblem, WorkspaceBox, random_candidates
 from bayescal.pose_selection.criteria import O1, O2, O3, O4, O5, AOptimality, DOptimality, IOptimality
 
 YU_HALF = np.concatenate([np.full(3, 100.0), np.radians(np.full(3, 10.0))])
 YU_TOLERANCE = 0.5
-PLAN = Plan(np.empty((0, 6)), (PoseSensor(1e-3, np.radians(1e-4)),), 1e-4)
+MEASURED = {"sensors": (PoseSensor(1e-3, np.radians(1e-4)),), "actuator_noise": 1e-4}
 LIMITS = np.array([1e-3, 1e-3, 1e-3, 1e-5, 1e-5, np.inf])
 IDENTIFIABLE = ("a_x", "a_y", "b_x", "b_y", "u_x", "u_y", "l")  # RR-8096 eq. 37
 CRITERIA = ("O1", "O2", "O3", "O4", "O5", "D", "A", "I")
 INDICES = CRITERIA[:5]
 
 
-def yu_knowledge(symbols: tuple[str, ...] | None = None) -> Knowledge:
+def yu_design(symbols: tuple[str, ...] | None = None) -> Design:
     """Return Yu's large geometry with all 42 parameters free, or those of some symbols."""
     machine = machines.build_machine(
         "none", load_mechanism(studies.EXPERIMENTS / "audit/yu2023_mechanism.toml"), "six_ups"
     )
-    names = [name for name in machine.layout.names if symbols is None or name.partition("[")[0] in symbols]
-    return Knowledge(machine, dict.fromkeys(names, YU_TOLERANCE))
+    nominal = zip(machine.layout.names, machine.layout.nominal, strict=True)
+    priors = {
+        name: NormalPrior(value, YU_TOLERANCE)
+        for name, value in nominal
+        if symbols is None or name.partition("[")[0] in symbols
+    }
+    return Design(machine, priors, **MEASURED)
 
 
 def yu_domain(symbols: tuple[str, ...] | None = None) -> WorkspaceBox:
     """Return ±100 mm and ±10 deg about home."""
-    return WorkspaceBox(yu_knowledge(symbols), YU_HALF)
+    return WorkspaceBox(yu_design(symbols), YU_HALF)
 
 
 def telescope_domain(half: np.ndarray | None = None) -> ActuatorBox:
     """Return the telescope's actuator range, the identifiable parameters of RR-8096 free."""
-    return ActuatorBox(audit_problems.build_knowledge(machines.build_machine("none"), IDENTIFIABLE), half)
+    machine = machines.build_machine("none")
+    return ActuatorBox(Design(machine, audit_problems.build_priors(machine, IDENTIFIABLE), **MEASURED), half)
 
 
 def build_criterion(name: str, domain=None):
@@ -46,9 +52,8 @@ def build_criterion(name: str, domain=None):
     if name in INDICES:
         return {"O1": O1, "O2": O2, "O3": O3, "O4": O4, "O5": O5}[name]()
     if name in "DA":
-        return {"D": DOptimality, "A": AOptimality}[name](PLAN)
-    workspace = random_candidates(domain, 20, np.random.default_rng(99)).sensitivity
-    return IOptimality(PLAN, workspace=workspace, sd=domain.knowledge.sd, limits=LIMITS)
+        return {"D": DOptimality, "A": AOptimality}[name]()
+    return IOptimality(random_candidates(domain, 20, np.random.default_rng(99)).seen.located.tool, LIMITS)
 
 
 def build_problem(

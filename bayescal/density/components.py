@@ -120,10 +120,6 @@ class Components:
             found[part] = weigh(self.covariances(variances[part]), rows[part])
         return found
 
-    def weigh_each(self, variances: Array, rows: Array) -> tuple[Array, Array]:
-        """Return log p(e_n | all other rows) but for 2 π of each pose and its squared deviation, shapes (B, P)."""
-        return weigh_left_out(*self.leave_out(variances, rows))
-
     def leave_out(self, variances: Array, rows: Array) -> tuple[Array, Array]:
         """Return by how much each pose's rows deviate from what all others predict, (B, P, n), and their precision."""
         return leave_out(self.covariances(variances), rows, len(self.known))

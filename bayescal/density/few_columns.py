@@ -27,7 +27,7 @@ import numpy as np
 from numpy.polynomial.chebyshev import chebvander
 from scipy.linalg import cho_solve, cholesky, solve_triangular
 
-from bayescal.density.components import Factorised, carry, weigh_left_out
+from bayescal.density.components import Factorised, carry
 from bayescal.numerics.geometry import Array
 
 WIDTH: Final = 4.0  # of x, over which one polynomial interpolates
@@ -396,23 +396,10 @@ class LowRankComponents:
         square = np.einsum("pib,pib->b", turned, weighed) - told
         return np.asarray(-self._half_log_det_of_noise(v) - half_log_det - 0.5 * square)
 
-    def weigh_given(self, root: Array, row: Array) -> float:
-        """Return the log-density of rows (M,) but for 2 π, for coefficients of covariance U Uᵀ, U (R, R), D being K."""
-        white = self.factorise_beside(self.known, np.zeros(len(self.left)))
-        turned = white.turn @ row.reshape(*self.known.shape[:2], 1)
-        factor = cholesky(np.eye(len(root)) + root.T @ white.gram @ root, lower=True, check_finite=False)
-        told = solve_triangular(factor, root.T @ white.project(turned)[:, 0], lower=True, check_finite=False)
-        half_log_det = white.half_log_det_of_noise + float(np.log(np.diag(factor)).sum())
-        return -half_log_det - 0.5 * float((turned**2).sum() - told @ told)
-
     def leave_out(self, variances: Array, rows: Array) -> tuple[Array, Array]:
         """Return by how much each pose's rows deviate from what all others predict, (B, P, n), and their precision."""
         found = [leave_out_by(self.factorise(one), row) for one, row in zip(variances, rows, strict=True)]
         return np.stack([one for one, _ in found]), np.stack([one for _, one in found])
-
-    def weigh_each(self, variances: Array, rows: Array) -> tuple[Array, Array]:
-        """Return log p(e_n | all other rows) but for 2 π of each pose and its squared deviation, shapes (B, P)."""
-        return weigh_left_out(*self.leave_out(variances, rows))
 
     # --- derivatives -------------------------------------------------------------------------------------------------
 

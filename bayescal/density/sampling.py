@@ -175,20 +175,6 @@ def build_sampling(
     return LegSampling(layout, found.start, ordered, names, units, found, len(found.legs))
 
 
-def check_bounds(coordinates: Coordinates) -> None:
-    """Raise InputError where the ends of a uniform prior are no machine's parameters."""
-    layout, bounded = coordinates.layout, coordinates.bounded
-    lowest, highest = layout.limits
-    for k, low, high in zip(
-        coordinates.free[bounded], coordinates.lower[bounded], coordinates.upper[bounded], strict=True
-    ):
-        if low < lowest[k] or high > highest[k]:
-            raise InputError(
-                f"parameter {layout.names[k]}: found a prior from {low:g} to {high:g}, "
-                f"expected it between {lowest[k]:g} and {highest[k]:g}"
-            )
-
-
 @dataclass(frozen=True, eq=False)
 class LegSampling(Sampling):
     """Coordinates of the free parameters of a machine on legs; see `bayescal.machines.coordinates`."""

@@ -208,12 +208,6 @@ class PoseFunctions:
         """Return the columns φ of each sort, where there are few, (N or 1, P, A_t) each."""
         return [one(place) / np.sqrt(norm) for one, norm in zip(self._truncated, self.norms, strict=True)]
 
-    def join_bases(self, place: Place) -> tuple[Array, np.ndarray]:
-        """Return the columns φ of all sorts for each of N legs, (N, P, A), and which sort each is of, (A,)."""
-        bases, n = self.list_bases(place), place.travel.shape[1]
-        sorts = np.repeat(np.arange(len(bases)), [one.shape[-1] for one in bases])
-        return np.concatenate([np.broadcast_to(one, (n, *one.shape[1:])) for one in bases], axis=-1), sorts
-
     def between(self, first: Place, second: Place) -> list[Array]:
         """Return k_t / c_t of each sort between poses, (N or 1, P, Q) each."""
         if self.of_few is None:

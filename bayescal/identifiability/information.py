@@ -15,6 +15,8 @@ from scipy.linalg import solve_triangular
 
 from bayescal.numerics.geometry import Array
 
+UNSEEN = 1e-13  # of a scaled matrix: what rounding leaves of a coordinate that nothing tells of
+
 
 @dataclass(frozen=True, eq=False)
 class Information:
@@ -139,3 +141,17 @@ def complement_of(space: Array) -> Array:
     """Return an orthonormal basis of what is orthogonal to a space, both with orthonormal columns, (n, n - k)."""
     n, k = space.shape
     return np.asarray(np.linalg.svd(space, full_matrices=True)[0][:, k:]) if k else np.eye(n)
+
+
+def root_of(matrix: Array) -> Array:
+    """Return the roots R of positive semi-definite matrices that are symmetric but for units, RᵀR = M, (..., k, k).
+
+    Unlike a factor from an eigendecomposition it hangs continuously together with M, so that Jacobians can be compared.
+    """
+    symmetric = 0.5 * (matrix + np.swapaxes(matrix, -1, -2))
+    scale = np.sqrt(np.maximum(np.diagonal(symmetric, axis1=-2, axis2=-1), 0.0))
+    scale = np.where(scale > 0.0, scale, 1.0)[..., None]  # mm and rad side by side: first without units
+    values, vectors = np.linalg.eigh(symmetric / scale / np.swapaxes(scale, -1, -2))
+    values = np.where(values > UNSEEN, values, 0.0)
+    half = (vectors * np.sqrt(values)[..., None, :]) @ np.swapaxes(vectors, -1, -2)
+    return half * np.swapaxes(scale, -1, -2)

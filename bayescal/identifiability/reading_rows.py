@@ -65,10 +65,10 @@ class Alignment:
 class Slopes:
     """Derivatives at poses (W, q) of one machine, ``places`` (W,) of those that were asked for.
 
-    ``noise`` (K, K): its covariance, zero of channels without any; ``by_pose`` (W, K, q) and ``by_parameters``
-    (W, K, D) of the readings, ``tool_by_pose`` (W, t, q) and ``tool_by_parameters`` (W, t, D) of the tool; ``moves``
-    (m, D): what the posterior's coordinates move; ``half`` (q,): half widths of the workspace; ``alignment`` of base
-    and tool, which mends errors of the tool, or None.
+    ``noise`` (K, K), or (W, K, K) pose by pose: its covariance, zero of channels without any; ``by_pose`` (W, K, q) and
+    ``by_parameters`` (W, K, D) of the readings, ``tool_by_pose`` (W, t, q) and ``tool_by_parameters`` (W, t, D) of the
+    tool; ``moves`` (m, D): what the posterior's coordinates move; ``half`` (q,): half widths of the workspace;
+    ``alignment`` of base and tool, which mends errors of the tool, or None.
     """
 
     pose: Array
@@ -137,14 +137,28 @@ def differentiate_poses(
         Whether errors of the tool are those that remain after base and tool were aligned over these poses.
     """
     theta, model = posterior.theta(y[None])[0], posterior.likelihood.model
+    moves, noise = posterior.around(y)[1].T, typical_covariance(posterior, y)
+    return differentiate(model, theta, moves, noise, half, pose, given, aligned)
+
+
+def differentiate(
+    model: ReadingModel,
+    theta: Array,
+    moves: Array,
+    noise: Array,
+    half: Array,
+    pose: Array,
+    given: Given,
+    aligned: bool = False,
+) -> Slopes:
+    """Return the same of a machine (D,) whose coordinates move it by (m, D), with a covariance of its channels."""
     here = linearise_near(model, theta, pose, given)
     good = np.isfinite(here.by_pose).all(axis=(1, 2)) & np.isfinite(here.by_parameters).all(axis=(1, 2))
     pose = pose[good]
     place, by_pose, direct = turn_tool(model, theta, pose)
     alignment = find_alignment(model, place, pose) if aligned else None
     here = Readings(here.values[good], here.by_pose[good], here.by_parameters[good])
-    moves, places = posterior.around(y)[1].T, np.flatnonzero(good)
-    noise = typical_covariance(posterior, y)
+    places = np.flatnonzero(good)
     return Slopes(pose, noise, here.by_pose, here.by_parameters, by_pose, direct, moves, half, places, alignment)
 
 
@@ -194,8 +208,10 @@ def turn_tool(model: ReadingModel, theta: Array, pose: Array) -> tuple[Array, Ar
 
 
 def whiten(noise: Array, some: np.ndarray) -> Array:
-    """Return what makes readings white, (K, K), of a covariance (K, K), from the channels of a mask (K,) with noise."""
-    there = np.ix_(*[np.flatnonzero(some & (np.diagonal(noise) > 0.0))] * 2)
+    """Return what makes readings white, of covariances (..., K, K), from the channels of a mask (K,) with noise."""
+    variance = np.diagonal(noise, axis1=-2, axis2=-1).reshape(-1, len(some))
+    place = np.flatnonzero(some & (variance > 0.0).all(axis=0))
+    there = (..., place[:, None], place)
     white = np.zeros_like(noise)
     white[there] = np.linalg.inv(np.linalg.cholesky(noise[there]))
     return white

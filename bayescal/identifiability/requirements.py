@@ -11,9 +11,8 @@ import numpy as np
 
 from bayescal.density.calibration.measurements import Comparison
 from bayescal.errors import NumericalError
-from bayescal.identifiability.information import Information
+from bayescal.identifiability.information import Information, root_of
 from bayescal.identifiability.reading_rows import Alignment, linearise_near, turn_tool
-from bayescal.identifiability.sensitivity import root_of
 from bayescal.machines.readings import Given, ReadingModel, Readings
 from bayescal.numerics.geometry import Array
 

@@ -10,9 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from bayescal.machines.parameters import ParameterBlock
-from bayescal.numerics.geometry import Array, compute_left_inverse_jacobian, matrix_from_rotation_vector, skew_matrix
+from bayescal.numerics.geometry import Array, matrix_from_rotation_vector
 
-FRAMES = ("base", "tool")
 AXES = ("x", "y", "z")
 
 
@@ -37,10 +36,6 @@ def frame_blocks(n_stations: int) -> tuple[ParameterBlock, ...]:
     )
 
 
-FRAME_BLOCKS = frame_blocks(1)
-N_FRAME_PARAMETERS = len(FRAME_BLOCKS)
-
-
 def move_frames(values: Array, position: Array, rotation: Array) -> tuple[Array, Array]:
     """Return poses as the instrument sees them, (..., P, 3) and (..., P, 3, 3), for frame parameters (..., 12)."""
     base, tool = values[..., None, :6], values[..., None, 6:]
@@ -48,42 +43,3 @@ def move_frames(values: Array, position: Array, rotation: Array) -> tuple[Array,
     seen = np.einsum("...ij,...j->...i", rotation, tool[..., :3]) + position
     turned = turn @ rotation @ matrix_from_rotation_vector(tool[..., 3:])
     return base[..., :3] + np.einsum("...ij,...j->...i", turn, seen), turned
-
-
-def frame_slopes(position: Array, rotation: Array) -> Array:
-    """Return the derivative of the measured pose by the frame parameters at zero, shape (..., 6, 12)."""
-    eye = np.broadcast_to(np.eye(3), rotation.shape)
-    zero = np.zeros_like(rotation)
-    base = np.block([[eye, -skew_matrix(position)], [zero, eye]])
-    tool = np.block([[rotation, zero], [zero, rotation]])
-    return np.concatenate([base, tool], axis=-1)
-
-
-def measured_pose_slopes(values: Array, position: Array, rotation: Array) -> tuple[Array, Array]:
-    """Return the derivatives of the measured pose by the platform's pose and by the frame parameters, anywhere.
-
-    Parameters
-    ----------
-    values : ndarray, shape (..., 12)
-        Frame parameters, mm and rad.
-    position, rotation : ndarray, shapes (..., P, 3) and (..., P, 3, 3)
-        Poses of the platform, mm.
-
-    Returns
-    -------
-    by_pose, by_frames : ndarray, shapes (..., P, 6, 6) and (..., P, 6, 12)
-        Poses on both sides as displacement and rotation vector of a rotation applied from the left.
-    """
-    base, tool = values[..., None, :6], values[..., None, 6:]
-    turn = matrix_from_rotation_vector(base[..., 3:])
-    base_turn, tool_turn = (np.linalg.inv(compute_left_inverse_jacobian(frame[..., 3:])) for frame in (base, tool))
-    arm = np.einsum("...ij,...j->...i", rotation, tool[..., :3])
-    turn = np.broadcast_to(turn, rotation.shape)
-    zero = np.zeros_like(rotation)
-    by_pose = np.block([[turn, -turn @ skew_matrix(arm)], [zero, turn]])
-    seen = np.einsum("...ij,...j->...i", turn, position + arm)
-    base_turn = np.broadcast_to(base_turn, rotation.shape)
-    eye, turned = np.broadcast_to(np.eye(3), rotation.shape), turn @ rotation
-    by_base = np.block([[eye, -skew_matrix(seen) @ base_turn], [zero, base_turn]])
-    by_tool = np.block([[turned, zero], [zero, turned @ tool_turn]])
-    return by_pose, np.concatenate([by_base, by_tool], axis=-1)

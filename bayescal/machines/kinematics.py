@@ -89,6 +89,7 @@ def _sign(value: Array, least: float) -> Array:
 
 
 STEP_TOLERANCE = 1e-10
+NEAR = 5.0  # mm, within which a reading of an actuator is where to look for it
 SINGULAR_CONDITION = 1e8
 LEVEL = 1e-3  # of a leg's direction along z, below which it is level
 ACROSS = 1e-3  # of a leg's direction along its actuator, below which the actuator does not move it
@@ -298,7 +299,13 @@ class InverseKinematics:
 
 
 def solve_inverse_kinematics(
-    machine: Machine, theta: Array, position: Array, rotation: Array, max_iterations: int = 30, check: bool = True
+    machine: Machine,
+    theta: Array,
+    position: Array,
+    rotation: Array,
+    max_iterations: int = 30,
+    check: bool = True,
+    near: Array | None = None,
 ) -> InverseKinematics:
     """Find the actuator positions that hold given poses, the deformation that they cause included.
 
@@ -317,6 +324,8 @@ def solve_inverse_kinematics(
         of the foot on which the actuator stands at home.
     check : bool
         Raise where no actuator positions are found; otherwise the result's ``converged`` says so.
+    near : ndarray, shape (..., N), optional
+        Where Newton's method starts in place of perfect legs, such as where the actuators were read; NaN where unknown.
 
     Raises
     ------
@@ -329,6 +338,8 @@ def solve_inverse_kinematics(
     gap, converged = actuators, np.isfinite(actuators).all(axis=-1)
     if not settled:
         initial = machine.mechanism.initial_actuator_positions
+        if near is not None:  # on the side of the foot on which perfect legs stand
+            actuators = np.where(np.abs(near - actuators) < NEAR, near, actuators)
         actuators = np.broadcast_to(np.where(np.isfinite(actuators), actuators, initial), shape)
         closure = machine.model.prepare(layout, theta)
         for _ in range(max_iterations):

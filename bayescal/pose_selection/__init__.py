@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bayescal.pose_selection.criteria import CRITERIA, Criterion
+from bayescal.pose_selection.design import Design, SeenPoses
 from bayescal.pose_selection.domain import (
     ActuatorBox,
     Candidates,
@@ -24,7 +25,9 @@ __all__ = [
     "ActuatorBox",
     "Candidates",
     "Criterion",
+    "Design",
     "PoseDomain",
+    "SeenPoses",
     "Selection",
     "SelectionMethod",
     "SelectionProblem",

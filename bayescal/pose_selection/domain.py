@@ -13,15 +13,14 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
 
 import numpy as np
 
 from bayescal.errors import InputError
-from bayescal.identifiability.design import SLACK, Knowledge, describe_move
-from bayescal.identifiability.sensitivity import Sensitivity, linearise_at
+from bayescal.identifiability.pose_volume import SLACK, describe_move
 from bayescal.machines.kinematics import (
     ForwardKinematics,
     check_home_pose,
@@ -29,38 +28,12 @@ from bayescal.machines.kinematics import (
     solve_inverse_kinematics,
 )
 from bayescal.numerics.geometry import Array, matrix_from_rotation_vector, rotation_vector_from_matrix
+from bayescal.pose_selection.design import Design, PlacedPoses, SeenPoses
 
 DIGITS = 9  # of shares of the box: poses that agree so far are the same
 ATTEMPTS = 100
 LEVELS = 11
-AT_ONCE = 10_000  # candidates whose derivatives are held at once
-
-
-@dataclass(frozen=True, eq=False)
-class PlacedPoses:
-    """Poses with the actuator positions that hold them.
-
-    Attributes
-    ----------
-    moves : ndarray, shape (P, 6)
-        Displacement in mm and rotation vector in rad from home, base frame.
-    position, rotation : ndarray, shapes (P, 3) and (P, 3, 3)
-        Platform frame in the base frame, mm.
-    actuators : ndarray, shape (P, N)
-        mm.
-    found : ndarray of bool, shape (P,)
-        Whether the machine can stand there at all.
-    """
-
-    moves: Array
-    position: Array
-    rotation: Array
-    actuators: Array
-    found: np.ndarray
-
-    def select(self, chosen: slice) -> PlacedPoses:
-        """Return some of the poses."""
-        return PlacedPoses(*(getattr(self, field.name)[chosen] for field in fields(self)))
+AT_ONCE = 5_000  # candidates whose derivatives are held at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,11 +42,11 @@ class PoseDomain(ABC):
 
     Attributes
     ----------
-    knowledge : Knowledge
-        The machine as expected, and its free parameters.
+    design : Design
+        The machine as expected, its free parameters, and what measures it.
     """
 
-    knowledge: Knowledge
+    design: Design
 
     @property
     @abstractmethod
@@ -88,17 +61,17 @@ class PoseDomain(ABC):
     def margins(self, placed: PlacedPoses) -> Array:
         """Return what is left of each constraint, shape (P, m), in shares of its limit; negative where it is broken."""
 
-    @cached_property
+    @property
     def theta(self) -> Array:
-        """The machine's parameters, shape (D,)."""
-        return self.knowledge.machine_centre
+        """The machine's parameters as expected, shape (D,)."""
+        return self.design.theta
 
     @cached_property
     def home(self) -> ForwardKinematics:
         """The expected machine's pose at the initial actuator positions."""
-        check_home_pose(self.knowledge.machine)
-        start = self.knowledge.machine.mechanism.initial_actuator_positions
-        return solve_forward_kinematics(self.knowledge.machine, self.theta, start)
+        check_home_pose(self.design.machine)
+        start = self.design.machine.mechanism.initial_actuator_positions
+        return solve_forward_kinematics(self.design.machine, self.theta, start)
 
     def allows(self, placed: PlacedPoses) -> np.ndarray:
         """Return which poses exist and keep the constraints, shape (P,)."""
@@ -110,29 +83,15 @@ class PoseDomain(ABC):
         """Return poses at displacements (P, 6) from home, mm and rad."""
         position = self.home.position + moves[:, :3]
         rotation = matrix_from_rotation_vector(moves[:, 3:]) @ self.home.rotation
-        inverse = solve_inverse_kinematics(self.knowledge.machine, self.theta, position, rotation, check=False)
+        inverse = solve_inverse_kinematics(self.design.machine, self.theta, position, rotation, check=False)
         return PlacedPoses(moves, position, rotation, inverse.actuators, inverse.converged)
 
     def at_actuators(self, actuators: Array) -> PlacedPoses:
         """Return poses at actuator positions (P, N), mm."""
-        pose = solve_forward_kinematics(self.knowledge.machine, self.theta, actuators, check=False)
+        pose = solve_forward_kinematics(self.design.machine, self.theta, actuators, check=False)
         turned = pose.rotation @ self.home.rotation.T
         moves = np.concatenate([pose.position - self.home.position, rotation_vector_from_matrix(turned)], axis=-1)
         return PlacedPoses(moves, pose.position, pose.rotation, actuators, pose.converged)
-
-    def linearise(self, placed: PlacedPoses, name: str = "candidate", first: int = 1) -> Sensitivity:
-        """Return the derivatives at poses, whose numbers begin with ``first``.
-
-        InputError names the first at which J_1, the pose Jacobian, is singular.
-        """
-        poses = ForwardKinematics(placed.position, placed.rotation, placed.found, 0)
-        return linearise_at(
-            self.knowledge,
-            self.theta,
-            poses,
-            placed.actuators,
-            lambda index: f"{name} {index + first} ({describe_move(placed.moves[index])})",
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,7 +127,7 @@ class WorkspaceBox(PoseDomain):
 
     def margins(self, placed: PlacedPoses) -> Array:
         """Return what is left of the actuators' range on both sides, shape (P, 2 N)."""
-        mechanism = self.knowledge.machine.mechanism
+        mechanism = self.design.machine.mechanism
         moved = (placed.actuators - mechanism.initial_actuator_positions) / mechanism.actuator_range
         return np.concatenate([1.0 - moved, 1.0 + moved], axis=1)
 
@@ -197,11 +156,11 @@ class ActuatorBox(PoseDomain):
     @property
     def n_coordinates(self) -> int:
         """Number of actuators."""
-        return self.knowledge.machine.mechanism.n_legs
+        return self.design.machine.mechanism.n_legs
 
     def place(self, shares: Array) -> PlacedPoses:
         """Return the poses at points (P, N) of the unit box."""
-        mechanism = self.knowledge.machine.mechanism
+        mechanism = self.design.machine.mechanism
         return self.at_actuators(mechanism.initial_actuator_positions + mechanism.actuator_range * shares)
 
     def margins(self, placed: PlacedPoses) -> Array:
@@ -245,18 +204,18 @@ class Candidates:
         """Return the number of candidates C."""
         return len(self.shares)
 
-    def linearise_in_parts(self) -> Iterator[Sensitivity]:
-        """Yield the derivatives of some candidates after the others: those of all at once take memory."""
+    def see_in_parts(self) -> Iterator[SeenPoses]:
+        """Yield some candidates after the others, to first order: derivatives of all at once take memory."""
         if len(self) <= AT_ONCE:
-            yield self.sensitivity
+            yield self.seen
             return
         for k in range(0, len(self), AT_ONCE):
-            yield self.domain.linearise(self.placed.select(slice(k, k + AT_ONCE)), first=k + 1)
+            yield self.domain.design.see(self.placed.select(slice(k, k + AT_ONCE)), "candidate", k + 1)
 
     @cached_property
-    def sensitivity(self) -> Sensitivity:
-        """Derivatives at all candidates; its ``slope`` is J_b, shape (C, 6, L), mm and rad by the parameters' units."""
-        return self.domain.linearise(self.placed)
+    def seen(self) -> SeenPoses:
+        """All candidates to first order; its ``slope`` is J_b, shape (C, 6, L), mm and rad by the parameters' units."""
+        return self.domain.design.see(self.placed, "candidate")
 
     @cached_property
     def distinct(self) -> np.ndarray:
@@ -307,7 +266,7 @@ def candidates_at(domain: PoseDomain, shares: Array) -> Candidates:
 
 def candidates_at_actuators(domain: PoseDomain, actuators: Array) -> Candidates:
     """Return candidates at actuator positions (C, N), mm, anywhere in an `ActuatorBox`; errors as `candidates_at`."""
-    mechanism = domain.knowledge.machine.mechanism
+    mechanism = domain.design.machine.mechanism
     _check_finite(actuators)
     return candidates_at(domain, (actuators - mechanism.initial_actuator_positions) / mechanism.actuator_range)
 

@@ -16,7 +16,8 @@ from bayescal.config.sections import Section
 from bayescal.errors import InputError, NumericalError
 from bayescal.numerics.geometry import Array
 from bayescal.pose_selection.criteria import Scorer
-from bayescal.pose_selection.domain import PlacedPoses, PoseDomain
+from bayescal.pose_selection.design import PlacedPoses
+from bayescal.pose_selection.domain import PoseDomain
 from bayescal.pose_selection.problem import SelectionProblem
 
 ATTEMPTS = 100
@@ -401,7 +402,7 @@ class PoseObjective:
         return placed
 
     def _rows(self, shares: Array) -> Array:
-        return self.problem.criterion.rows(self.domain.knowledge, self.domain.linearise(self._place(shares), "pose"))
+        return self.problem.criterion.rows(self.domain.design.see(self._place(shares)))
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,8 @@ from typing import Literal
 
 import numpy as np
 
-from bayescal.identifiability.sensitivity import Sensitivity
 from bayescal.numerics.geometry import Array
+from bayescal.pose_selection.design import SeenPoses
 
 type JacobianForm = Literal["pose", "angles", "closure"]
 
@@ -47,13 +47,13 @@ def compute_index(name: str, values: Array, n_poses: int) -> Array:
     return np.asarray(found)
 
 
-def identification_rows(sensitivity: Sensitivity, form: JacobianForm = "pose") -> Array:
+def identification_rows(seen: SeenPoses, form: JacobianForm = "pose") -> Array:
     """Return the rows that each pose contributes to the identification Jacobian.
 
     Parameters
     ----------
-    sensitivity : Sensitivity
-        Derivatives at P poses by L parameters.
+    seen : SeenPoses
+        P poses to first order in L parameters.
     form : str
         ``pose``: J_b = J_1⁻¹ J_2 (Yu, Wu and Wang 2023 eq. 23), displacement in mm and rotation vector in rad;
         ``angles``: the same with the angles of R = R_z R_y R_x in rad; ``closure``: J_2 alone (RR-8096 eq. 37 but for
@@ -64,11 +64,11 @@ def identification_rows(sensitivity: Sensitivity, form: JacobianForm = "pose") -
     ndarray, shape (P, 6, L), or (P, N, L) of the closure
     """
     if form == "closure":
-        return sensitivity.by_parameters
+        return seen.closure
     if form == "pose":
-        return sensitivity.slope
-    rates = angle_rates(sensitivity.poses.rotation)
-    return np.concatenate([sensitivity.slope[:, :3], rates @ sensitivity.slope[:, 3:]], axis=1)
+        return seen.slope
+    rates = angle_rates(seen.placed.rotation)
+    return np.concatenate([seen.slope[:, :3], rates @ seen.slope[:, 3:]], axis=1)
 
 
 def angle_rates(rotation: Array) -> Array:

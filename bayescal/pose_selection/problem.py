@@ -10,7 +10,8 @@ import numpy as np
 from bayescal.errors import InputError
 from bayescal.numerics.geometry import Array
 from bayescal.pose_selection.criteria import Criterion, Scorer
-from bayescal.pose_selection.domain import Candidates, PlacedPoses
+from bayescal.pose_selection.design import PlacedPoses
+from bayescal.pose_selection.domain import Candidates
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,8 +71,7 @@ class SelectionProblem:
     @cached_property
     def blocks(self) -> Array:
         """Rows of each candidate, shape (C, k, L)."""
-        knowledge = self.candidates.domain.knowledge
-        parts = [self.criterion.rows(knowledge, part) for part in self.candidates.linearise_in_parts()]
+        parts = [self.criterion.rows(part) for part in self.candidates.see_in_parts()]
         return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
     @cached_property
@@ -80,8 +80,8 @@ class SelectionProblem:
         prior = self.criterion.prior_rows(self.n_parameters)
         if self.measured is None:
             return prior
-        domain = self.candidates.domain
-        rows = self.criterion.rows(domain.knowledge, domain.linearise(self._place_measured(), "measured pose"))
+        seen = self.candidates.domain.design.see(self._place_measured(), "measured pose")
+        rows = self.criterion.rows(seen)
         return np.concatenate([prior, rows.reshape(-1, self.n_parameters)])
 
     def _place_measured(self) -> PlacedPoses:

@@ -12,7 +12,7 @@ from bayescal.density.instruments import InstrumentLikelihood
 from bayescal.density.legs import build_leg_posterior
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.priors import NormalPrior
-from bayescal.machines.frames import move_frames
+from bayescal.machines.frames import measured_pose_slopes, move_frames
 from bayescal.machines.kinematics import solve_forward_kinematics
 from bayescal.numerics.geometry import (
     compute_pose_error,
@@ -267,3 +267,24 @@ def test_rotation_errors_wrap_nowhere():
     readings = PoseReadings(poses.names, poses.actuators, values, poses.covariance)
     found = readings.residuals(poses.position[None], (turn @ poses.rotation)[None])
     np.testing.assert_allclose(found, 0.0, atol=1e-7)
+
+
+def test_slopes_of_frames_anywhere_against_differences():
+    rng = np.random.default_rng(0)
+    frames = rng.normal(size=12) * np.tile([5.0] * 3 + [0.4] * 3, 2)
+    position, rotation = rng.normal(0, 200, (3, 3)), matrix_from_rotation_vector(rng.normal(0, 0.5, (3, 3)))
+    by_pose, by_frames = measured_pose_slopes(frames, position, rotation)
+
+    def seen(x):  # machines (K, 18): frames, then a change of the pose
+        turned = matrix_from_rotation_vector(x[:, None, 15:]) @ rotation
+        moved = move_frames(x[:, :12], position + x[:, None, 12:15], turned)
+        here = move_frames(frames, position, rotation)
+        return compute_pose_error(*moved, *here)
+
+    start = np.concatenate([frames, np.zeros(6)])
+    step = np.tile([1e-2] * 3 + [1e-3] * 3, 3)
+    slope = machines.stencil_derivative(seen, start, step)
+    expected = np.concatenate([by_frames, by_pose], axis=-1)
+    assert np.abs(slope - expected).max() < 1e-8 * np.abs(expected).max()
+    none, _ = measured_pose_slopes(np.zeros(12), position, rotation)
+    assert np.array_equal(none, np.broadcast_to(np.eye(6), none.shape))

@@ -31,7 +31,7 @@ def _analyse(knowledge, plan):
     information = information_of_rows(rows, np.ones(rows.shape[-1]))
     wide = problems.read_plan(knowledge, problems.build_wide_plan(knowledge.machine))
     null = find_structural_rank(wide, np.random.default_rng(0)).null_space
-    selection = select_parameters(information, knowledge.symbols)
+    selection = select_parameters(information, problems.list_symbols(knowledge))
     return information, null, selection, find_directions(information, null, selection.fixed)
 
 
@@ -53,7 +53,7 @@ def _by_pivot(knowledge, directions):
 def test_what_to_free_is_what_the_report_freed(model, deformation, last):
     knowledge, plan = problems.build_telescope_problem(deformation, model)
     _, _, selection, _ = _analyse(knowledge, plan)
-    assert {knowledge.symbols[k] for k in selection.free} == POINTS | {last}
+    assert {problems.list_symbols(knowledge)[k] for k in selection.free} == POINTS | {last}
     assert len(selection.free) == 36
 
 
@@ -63,8 +63,10 @@ def test_what_to_free_does_not_depend_on_the_order_of_the_legs(seed):
     information, _, selection, _ = _analyse(knowledge, plan)
     legs = np.random.default_rng(seed).permutation(6)
     order = np.concatenate([6 * block + legs for block in range(len(knowledge.names) // 6)])
-    shuffled = select_parameters(Information(information.root[:, order]), knowledge.symbols)
-    assert {knowledge.symbols[k] for k in shuffled.free} == {knowledge.symbols[k] for k in selection.free}
+    shuffled = select_parameters(Information(information.root[:, order]), problems.list_symbols(knowledge))
+    assert {problems.list_symbols(knowledge)[k] for k in shuffled.free} == {
+        problems.list_symbols(knowledge)[k] for k in selection.free
+    }
 
 
 def test_selected_parameters_are_identifiable_together_and_no_symbol_more():
@@ -77,8 +79,8 @@ def test_selected_parameters_are_identifiable_together_and_no_symbol_more():
 
     free = list(selection.free)
     assert least(free) >= INFORMED
-    for symbol in {knowledge.symbols[k] for k in selection.fixed}:
-        assert least(free + [k for k, s in enumerate(knowledge.symbols) if s == symbol]) < INFORMED
+    for symbol in {problems.list_symbols(knowledge)[k] for k in selection.fixed}:
+        assert least(free + [k for k, s in enumerate(problems.list_symbols(knowledge)) if s == symbol]) < INFORMED
     assert least(free + list(selection.extra)) >= INFORMED
 
 
@@ -160,10 +162,9 @@ def test_initial_position_of_the_jacobian_model():
     knowledge, plan = problems.build_telescope_problem("none", "jacobian")
     _, null, _, directions = _analyse(knowledge, plan)
     assert null.shape[1] == 24
-    structural = [
-        {knowledge.symbols[k] for k in np.flatnonzero(d.vector)} for d in directions if d.kind == "structural"
-    ]
-    assert sum("rho0" in symbols for symbols in structural) >= 6
+    symbols = problems.list_symbols(knowledge)
+    structural = [{symbols[k] for k in np.flatnonzero(d.vector)} for d in directions if d.kind == "structural"]
+    assert sum("rho0" in one for one in structural) >= 6
 
 
 def test_frames_move_with_the_joints():
@@ -210,7 +211,7 @@ def test_sentences_say_what_the_readings_do():
     knowledge, plan = problems.build_telescope_problem("linear")
     _, _, _, directions = _analyse(knowledge, plan)
     rows, posterior = _see(knowledge, plan)
-    told = (knowledge.names, knowledge.units, knowledge.sd, Units(), "leg")
+    told = (knowledge.names, problems.list_units(knowledge), knowledge.sd, Units(), "leg")
     ridges = list(describe_ridges(directions, rows, *told))
     assert len(ridges) == sum(d.kind != "informed" for d in directions)
     likelihood, small = posterior.likelihood, 1e-3

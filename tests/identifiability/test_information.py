@@ -10,17 +10,24 @@ import pytest
 import telescope_machines as machines
 
 from bayescal.density.pose_likelihood import PoseLikelihood
+from bayescal.density.priors import NormalPrior
 from bayescal.errors import InputError
 from bayescal.experiments.audit.audit import judge_parameters
-from bayescal.identifiability.design import Plan
 from bayescal.identifiability.directions import find_directions
-from bayescal.identifiability.information import Information, information_of_rows, nats_from_contraction
+from bayescal.identifiability.information import (
+    Information,
+    information_of_rows,
+    marginalise,
+    nats_from_contraction,
+    root_of,
+)
 from bayescal.identifiability.reading_rows import see
 from bayescal.identifiability.selection import select_parameters
-from bayescal.identifiability.sensitivity import compute_measured_poses, compute_sensitivity, root_of
 from bayescal.identifiability.structure import find_structure
+from bayescal.machines.kinematics import solve_forward_kinematics
 from bayescal.machines.sensors import PointSensor, PoseSensor
 from bayescal.numerics.geometry import compute_pose_error, matrix_from_rotation_vector, skew_matrix
+from bayescal.pose_selection import Design, WorkspaceBox
 
 
 def test_contraction_of_one_measured_parameter():
@@ -48,17 +55,15 @@ def test_information_is_that_of_the_likelihood(model, n_legs):
         pytest.skip("six legs only")
     machine = machines.build_machine("linear", machines.build_random_mechanism(n_legs, 4), model)
     knowledge = problems.build_knowledge(machine)
-    plan = problems.build_plan(machine, 12, model_error=2e-3)
-    rows = compute_sensitivity(knowledge, plan.actuators).rows(plan)
-    theta = machine.layout.nominal
-    poses = machines.place_poses(machine, theta, plan.actuators, np.zeros((12, 6)))
-    information = plan.sensors[0].information(poses.position, poses.rotation)
-    poses = replace(poses, covariance=np.linalg.inv(information))
-    likelihood = PoseLikelihood(machine, poses, plan.actuator_noise)
-    slope = likelihood.error_jacobian(theta)[1][..., knowledge.free]
-    precision = np.linalg.inv(likelihood.error_covariance(np.full(n_legs, plan.model_error)))
+    seen = problems.see_plan(knowledge, problems.build_plan(machine, 12, model_error=2e-3))
+    closing = knowledge.readings.read(knowledge.theta, seen.placed.pose)
+    poses = machines.place_poses(machine, knowledge.theta, closing, np.zeros((12, 6)))
+    poses = replace(poses, covariance=np.linalg.inv(seen.design.inform(seen.placed)))
+    likelihood = PoseLikelihood(machine, poses, seen.design.actuator_noise)
+    slope = likelihood.error_jacobian(knowledge.theta)[1][..., knowledge.free]
+    precision = np.linalg.inv(likelihood.error_covariance(np.full(n_legs, seen.design.model_error)))
     expected = np.einsum("pik,pij,pjm->km", slope, precision, slope) * np.outer(knowledge.sd, knowledge.sd)
-    found = information_of_rows(rows, knowledge.sd).matrix
+    found = information_of_rows(seen.rows, np.ones(len(knowledge.sd))).matrix
     assert np.abs(found - expected).max() < 1e-7 * np.abs(expected).max()
 
 
@@ -71,34 +76,42 @@ SEEN = {
 
 
 @pytest.mark.parametrize("n_legs", [6, 8])
-@pytest.mark.parametrize("seen", SEEN)
-def test_channels_say_what_the_closed_form_of_legs_says(seen, n_legs):
-    """Actuators and what sensors tell of a pose as channels, poses eliminated, at the same poses."""
+@pytest.mark.parametrize("sensor", SEEN)
+def test_rows_of_a_selection_are_those_of_an_audit(sensor, n_legs):
+    """Sensors by what they tell of the pose, and as channels beside the actuators, poses eliminated."""
     machine = machines.build_machine("none", machines.build_random_mechanism(n_legs, 4))
-    knowledge, plan = problems.build_knowledge(machine), problems.build_plan(machine, 20, sensors=(SEEN[seen],))
+    knowledge, plan = problems.build_knowledge(machine), problems.build_plan(machine, 20, sensors=(SEEN[sensor],))
     posterior = problems.read_plan(knowledge, plan)
     assert posterior.likelihood.model.names[:n_legs] == tuple(f"rho[{leg}]" for leg in range(1, n_legs + 1))
-    closing = replace(plan, actuators=posterior.likelihood.data.values[:, :n_legs])
-    closed = information_of_rows(compute_sensitivity(knowledge, closing.actuators).rows(closing), knowledge.sd)
-    rows = see(posterior, np.zeros(posterior.n_geometry))
-    read = information_of_rows(rows, np.ones(posterior.n_geometry))
-    np.testing.assert_allclose(read.covariance, closed.covariance, atol=1e-6)
-    assert read.nats == pytest.approx(closed.nats, rel=1e-6)
+    start = posterior.likelihood.start
+    rows = [see(posterior, np.zeros(posterior.n_geometry))]
+    placed = WorkspaceBox(knowledge, np.ones(6)).at_moves(np.zeros_like(start))
+    placed = replace(placed, position=start[:, :3], rotation=matrix_from_rotation_vector(start[:, 3:]))
+    design = replace(knowledge, sensors=plan.sensors, actuator_noise=plan.actuator_noise)
+    rows.append(design.see(placed).rows)
+    chosen, audited = (np.einsum("pki,pkj->ij", one, one) for one in rows)
+    np.testing.assert_allclose(chosen, audited, atol=1e-11 * np.abs(audited).max())
 
 
-def test_slopes_of_frames_and_machine_against_differences():
-    machine = machines.build_machine("linear", model="six_ups")
-    knowledge = problems.build_knowledge(machine, None, ("base_x", "base_ry", "tool_z", "tool_rx", "tool_ry"))
-    plan = problems.build_plan(machine, 5)
-    slope = compute_sensitivity(knowledge, plan.actuators).slope
-    for k, place in enumerate(knowledge.free):
-        step = 1e-3 * knowledge.sd[k]
-        theta = np.tile(knowledge.centre, (2, 1))
-        theta[0, place] += step
-        theta[1, place] -= step
-        position, rotation = compute_measured_poses(knowledge, theta, plan.actuators)
-        change = compute_pose_error(position[0], rotation[0], position[1], rotation[1]) / (2 * step)
-        assert np.abs(change - slope[..., k]).max() < 1e-6 * max(1.0, np.abs(slope[..., k]).max())
+@pytest.mark.parametrize("name", ["l[1]", "a_x[4]", "b_z[6]"])
+def test_columns_are_derivatives_of_the_pose(name):
+    machine = machines.build_machine("none")
+    actuators = machines.table_3_actuators()[:3]
+    k = machine.layout.names.index(name)
+    design = Design(machine, {name: NormalPrior(machine.layout.nominal[k], 1.0)})
+    found = design.see(WorkspaceBox(design, np.ones(6)).at_actuators(actuators)).slope
+    theta = np.tile(machine.layout.nominal, (2, 1))
+    theta[:, k] += [-1e-4, 1e-4]
+    low, high = (solve_forward_kinematics(machine, one, actuators) for one in theta)
+    slope = compute_pose_error(high.position, high.rotation, low.position, low.rotation) / 2e-4
+    np.testing.assert_allclose(found[..., 0], slope, rtol=1e-5, atol=1e-9)
+
+
+def test_marginalising_is_the_inverse_of_the_whole_covariance():
+    rng = np.random.default_rng(0)
+    rows, others = rng.standard_normal((30, 4)), rng.standard_normal((30, 7))
+    expected = rows.T @ np.linalg.solve(np.eye(30) + others @ others.T, rows)
+    np.testing.assert_allclose(marginalise(rows, others).matrix, expected, rtol=1e-10)
 
 
 # --- units -------------------------------------------------------------------------------------------------------
@@ -108,10 +121,10 @@ def test_slopes_of_frames_and_machine_against_differences():
 def test_units_do_not_matter(deformation):
     """The same machine in metres, kilometres per hour would do too: contractions, nats, kinds, verdicts, selection."""
     knowledge, plan = problems.build_telescope_problem(deformation)
-    rows = compute_sensitivity(knowledge, plan.actuators).rows(plan)
+    rows = problems.compute_rows(knowledge, plan) / knowledge.sd
     n = rows.shape[-1]
     rng = np.random.default_rng(0)
-    unit = np.array([1e-3 if u == "mm" else 180 / np.pi for u in knowledge.units])
+    unit = np.array([1e-3 if u == "mm" else 180 / np.pi for u in problems.list_units(knowledge)])
     twin_noise = 1e-15 * rng.uniform(-1, 1, rows.shape)
     found = []
     for factor in (np.ones(n), unit):
@@ -119,7 +132,7 @@ def test_units_do_not_matter(deformation):
         information = information_of_rows(converted, sd)
         scaled = (converted * sd).reshape(-1, n)
         structure = find_structure(scaled, [scaled * (1 + twin_noise.reshape(-1, n))])
-        selection = select_parameters(information, knowledge.symbols)
+        selection = select_parameters(information, problems.list_symbols(knowledge))
         directions = find_directions(information, structure.null_space, selection.fixed)
         found.append(
             (information, structure.rank, selection, directions, judge_parameters(information, structure.null_space))
@@ -178,7 +191,7 @@ def test_redundant_legs_need_actuator_noise():
     knowledge = problems.build_knowledge(machine)
     plan = problems.build_plan(machine, 6, actuator_noise=0.0)
     with pytest.raises(InputError, match="redundant"):
-        compute_sensitivity(knowledge, plan.actuators).rows(plan)
+        problems.compute_rows(knowledge, plan)
 
 
 def test_actuators_without_noise_are_the_limit_of_little_noise():
@@ -192,7 +205,7 @@ def test_sensor_noise_scales_information():
     machine = machines.build_machine()
     knowledge = problems.build_knowledge(machine, ("l", "a_x"))
     plan = problems.build_plan(machine, 8, actuator_noise=0.0)
-    coarse = Plan(plan.actuators, (PoseSensor(0.02, np.radians(4 / 3600)),), 0.0)
+    coarse = problems.Plan(plan.actuators, (PoseSensor(0.02, np.radians(4 / 3600)),), 0.0)
     assert problems.compute_rows(knowledge, coarse) == pytest.approx(0.5 * problems.compute_rows(knowledge, plan))
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import audit_problems as problems
 import numpy as np
 import pytest
@@ -27,7 +29,7 @@ def test_profile_of_a_linear_machine_is_the_parabola_of_the_audit():
     for name in ("l[1]", "a_x[3]", "kappa[2]"):
         profile = compute_profile(posterior, name, NOTHING, n_side=3)
         place = knowledge.names.index(name)
-        move = (profile.values - knowledge.centre[knowledge.free][place]) / knowledge.sd[place]
+        move = (profile.values - knowledge.theta[knowledge.free][place]) / knowledge.sd[place]
         expected = move**2 * (1.0 / information.covariance[place, place] - 1.0)
         assert move == pytest.approx(np.linspace(-3, 3, 7), abs=1e-9)
         assert profile.deviance == pytest.approx(expected, rel=0.02, abs=1e-9)
@@ -80,8 +82,9 @@ def test_values_without_a_machine_have_no_deviance():
     """A direction longer than one: the profile ends where the machine does."""
     knowledge, plan = problems.build_telescope_problem("none")
     knowledge = problems.build_knowledge(knowledge.machine, ("u_x",))
-    priors = {name: 0.5 if name == "u_x[1]" else sd for name, sd in knowledge.priors.items()}
-    posterior = problems.read_plan(type(knowledge)(knowledge.machine, priors), plan)
+    priors = dict(knowledge.priors)
+    priors["u_x[1]"] = replace(priors["u_x[1]"], scale=0.5)
+    posterior = problems.read_plan(replace(knowledge, priors=priors), plan)
     profile = compute_profile(posterior, "u_x[1]", NOTHING, n_side=3)
     assert np.isfinite(profile.deviance).tolist() == [False, False, True, True, True, False, False]
 

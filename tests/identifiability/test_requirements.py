@@ -18,10 +18,9 @@ from bayescal.experiments.audit.results import summarise, tabulate, tabulate_var
 from bayescal.experiments.audit.schema import WhatIfConfig
 from bayescal.experiments.frame.parallel import Run
 from bayescal.identifiability import requirements
-from bayescal.identifiability.design import PoseVolume, find_workspace_actuators
 from bayescal.identifiability.information import Information, information_of_rows
+from bayescal.identifiability.pose_volume import PoseVolume, find_workspace_actuators
 from bayescal.identifiability.requirements import Forecast, Requirement, Standing, ToolRemaining, move_draws
-from bayescal.identifiability.sensitivity import compute_sensitivity
 from bayescal.machines.kinematics import check_home_pose, solve_forward_kinematics
 from bayescal.machines.readings import Legs
 from bayescal.numerics.geometry import compute_pose_error, matrix_from_rotation_vector
@@ -47,7 +46,7 @@ def test_probability_of_one_pose_and_one_number_is_that_of_a_normal():
     """At a single pose |e_z| is half-normal."""
     knowledge, plan = problems.build_telescope_problem()
     plan = replace(plan, actuators=plan.actuators[:20])
-    information = information_of_rows(compute_sensitivity(knowledge, plan.actuators).rows(plan), knowledge.sd)
+    information = information_of_rows(problems.compute_rows(knowledge, plan), np.ones(len(knowledge.sd)))
     forecast = problems.foretell(knowledge, plan.actuators[:1], plan)
     for limit in (0.0003, 0.0006, 0.0012):
         (outlook,), _ = forecast.judge([Requirement("z", limit)], information, np.random.default_rng(1), ())

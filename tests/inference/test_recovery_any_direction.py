@@ -14,13 +14,13 @@ from bayescal.density.errors import ModelError
 from bayescal.density.legs import build_leg_posterior
 from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.priors import NormalPrior
-from bayescal.identifiability.design import Knowledge, Plan
 from bayescal.identifiability.information import information_of_rows
 from bayescal.inference.exploration import explore
 from bayescal.inference.importance import evaluate_in_batches
 from bayescal.machines.kinematics import Machine, check_home_pose, solve_inverse_kinematics
 from bayescal.machines.sensors import PoseSensor
 from bayescal.numerics.geometry import matrix_from_rotation_vector
+from bayescal.pose_selection import Design
 
 N_POSES = 30
 N_DRAWS = 4000
@@ -102,10 +102,11 @@ def test_posterior_covers_the_truth(fit):
 
 
 def test_forecast_of_the_audit_is_the_posterior(fit):
-    knowledge = Knowledge(fit.machine, fit.sd)
-    plan = Plan(fit.actuators, sensors=(SENSOR,), actuator_noise=machines.ACTUATOR_NOISE)
-    rows = problems.compute_rows(knowledge, plan) / knowledge.sd
-    forecast = np.sqrt(np.diag(information_of_rows(rows, knowledge.sd).covariance))
-    sd = fit.draws.std(axis=0) / knowledge.sd
+    nominal = dict(zip(fit.machine.layout.names, fit.machine.layout.nominal, strict=True))
+    design = Design(fit.machine, {name: NormalPrior(nominal[name], sd) for name, sd in fit.sd.items()})
+    plan = problems.Plan(fit.actuators, sensors=(SENSOR,), actuator_noise=machines.ACTUATOR_NOISE)
+    rows = problems.compute_rows(design, plan)
+    forecast = np.sqrt(np.diag(information_of_rows(rows, np.ones(len(design.sd))).covariance))
+    sd = fit.draws.std(axis=0) / design.sd
     np.testing.assert_allclose(sd, forecast, rtol=0.15)
     assert forecast.min() < 0.9  # something was learnt

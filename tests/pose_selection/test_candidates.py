@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import audit_problems
 import numpy as np
 import pose_problems
@@ -58,7 +60,7 @@ def test_factorial_candidates_hold_all_corners():
 
 def test_axes_without_width_stay():
     half = pose_problems.YU_HALF * [1, 1, 0, 1, 1, 0]
-    candidates = random_candidates(WorkspaceBox(pose_problems.yu_knowledge(), half), 50, np.random.default_rng(0))
+    candidates = random_candidates(WorkspaceBox(pose_problems.yu_design(), half), 50, np.random.default_rng(0))
     assert candidates.shares.shape == (50, 4)
     assert not candidates.placed.moves[:, [2, 5]].any()
 
@@ -154,7 +156,7 @@ def test_parameters_that_no_candidate_tells():
     line = line_of(problem.scorer)
     assert line.startswith("candidates: found that all of them together determine 5")
     assert line.endswith("expected all; fix some parameters or take a Bayesian criterion")
-    SelectionProblem(problem.candidates, DOptimality(pose_problems.PLAN), 12).scorer()
+    SelectionProblem(problem.candidates, DOptimality(), 12).scorer()
 
 
 def test_measured_pose_out_of_reach():
@@ -167,26 +169,24 @@ def test_measured_pose_out_of_reach():
 
 @pytest.mark.parametrize("half", [np.zeros(6), np.full(6, np.nan), np.full(6, -1.0), np.ones(5)])
 def test_bad_workspace(half):
-    assert line_of(lambda: WorkspaceBox(pose_problems.yu_knowledge(), half)).startswith("workspace: found half widths")
+    assert line_of(lambda: WorkspaceBox(pose_problems.yu_design(), half)).startswith("workspace: found half widths")
     assert line_of(lambda: pose_problems.telescope_domain(half)).startswith("workspace: found half widths")
 
 
 def test_actuators_of_redundant_legs_do_not_move_freely():
     machine = machines.build_machine("none", machines.build_random_mechanism(7, 0))
     assert "found 7 legs, expected 6" in line_of(lambda: ActuatorBox(audit_problems.build_knowledge(machine)))
-    domain = WorkspaceBox(audit_problems.build_knowledge(machine, ("a_x", "l")), np.array([1, 1, 1, 0.01, 0.01, 0.01]))
-    problem = SelectionProblem(
-        random_candidates(domain, 30, np.random.default_rng(0)), DOptimality(pose_problems.PLAN), 4
-    )
+    design = replace(audit_problems.build_knowledge(machine, ("a_x", "l")), **pose_problems.MEASURED)
+    domain = WorkspaceBox(design, np.array([1, 1, 1, 0.01, 0.01, 0.01]))
+    problem = SelectionProblem(random_candidates(domain, 30, np.random.default_rng(0)), DOptimality(), 4)
     assert problem.blocks.shape == (30, 7, 14)
 
 
 def test_bad_criteria():
     problem = pose_problems.build_problem("O1")
-    workspace, sd = problem.candidates.sensitivity, problem.candidates.domain.knowledge.sd
-    line = line_of(lambda: IOptimality(pose_problems.PLAN, workspace=workspace, sd=sd, limits=np.zeros(6)))
+    line = line_of(lambda: IOptimality(problem.candidates.seen.located.tool, np.zeros(6)))
     assert line == "criterion I: found limits 0, 0, 0, 0, 0, 0, expected six above zero, one of them finite"
-    line = line_of(lambda: AOptimality(pose_problems.PLAN, chosen=(42,)).weight_root(42))
+    line = line_of(lambda: AOptimality(chosen=(42,)).weight_root(42))
     assert line == "criterion A: found parameters (42,), expected numbers from 0 to 41"
 
 

@@ -8,7 +8,6 @@ import pytest
 import telescope_machines as machines
 from scipy.spatial.transform import Rotation
 
-from bayescal.identifiability.sensitivity import compute_sensitivity
 from bayescal.pose_selection import (
     SelectionProblem,
     compute_observability,
@@ -44,13 +43,15 @@ def test_every_criterion_is_named_with_its_source():
         assert any(character.isdigit() for character in criterion.source)
 
 
-def test_jacobian_is_the_audits():
+def test_jacobian_is_the_closures():
+    """J_1⁻¹ J_2 (Yu, Wu and Wang 2023 eq. 23), of the closure and not of what actuators read."""
     domain = pose_problems.yu_domain()
     candidates = random_candidates(domain, 30, np.random.default_rng(1))
-    audited = compute_sensitivity(domain.knowledge, candidates.placed.actuators)
-    np.testing.assert_allclose(audited.poses.position, candidates.placed.position, atol=1e-8)
-    scale = np.abs(audited.slope).max(axis=(0, 2), keepdims=True)
-    np.testing.assert_allclose(candidates.sensitivity.slope / scale, audited.slope / scale, atol=1e-10)
+    placed, design = candidates.placed, domain.design
+    here = design.machine.linearise(domain.theta, placed.position, placed.rotation, placed.actuators)
+    expected = -np.linalg.solve(here.pose, here.parameters)
+    scale = np.abs(expected).max(axis=(0, 2), keepdims=True)
+    np.testing.assert_allclose(candidates.seen.slope / scale, expected / scale, atol=1e-10)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -69,23 +70,24 @@ def test_too_few_rows_are_worth_nothing():
 
 
 def test_bayesian_criteria_against_the_posterior_covariance():
-    knowledge = pose_problems.yu_knowledge()
+    design = pose_problems.yu_design()
     for name in "DAI":
         problem = pose_problems.build_problem(name)
-        slope = problem.candidates.sensitivity.slope[NINE].reshape(-1, 42)
+        seen = problem.candidates.seen
+        slope = seen.slope[NINE].reshape(-1, 42)
         noise = np.tile(np.concatenate([np.full(3, 1e-3), np.full(3, np.radians(1e-4))]), 9)
-        own = problem.candidates.sensitivity.pose_noise(pose_problems.PLAN)[NINE]
+        own = (seen.located.located @ np.swapaxes(seen.located.located, -1, -2))[NINE]
         covariance = np.diag(noise**2)
         for k in NINE:
             covariance[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] += own[k]
-        prior = np.diag(knowledge.sd**-2)
+        prior = np.diag(design.sd**-2)
         posterior = np.linalg.inv(prior + slope.T @ np.linalg.solve(covariance, slope))
         if name == "D":
             expected = -0.5 * (np.linalg.slogdet(posterior)[1] + np.linalg.slogdet(prior)[1])
         elif name == "A":
-            expected = -np.mean(np.diagonal(posterior) / knowledge.sd**2)
+            expected = -np.mean(np.diagonal(posterior) / design.sd**2)
         else:
-            workspace = problem.criterion.workspace.slope
+            workspace = problem.criterion.workspace / design.sd
             variance = np.einsum("wki,ij,wkj->wk", workspace, posterior, workspace)
             expected = -np.mean(np.sum(variance / pose_problems.LIMITS**2, axis=1))
         assert problem.value_of(problem.blocks[NINE]) == pytest.approx(expected, rel=1e-7)
@@ -150,7 +152,7 @@ def test_gradient_by_the_poses(name, domain):
     objective = PoseObjective(problem)
     shares = np.random.default_rng(3).uniform(-0.9, 0.9, (9, 6))
     value, gradient = objective.value_and_gradient(shares)
-    assert value == problem.value_of(box.linearise(box.place(shares)).slope) or name in "DAI"
+    assert value == problem.value_of(box.design.see(box.place(shares)).slope) or name in "DAI"
 
     ways = np.linalg.qr(np.random.default_rng(4).normal(size=(54, 12)))[0].T.reshape(12, 9, 6)  # each moves all poses
 
@@ -164,11 +166,12 @@ def test_gradient_by_the_poses(name, domain):
 def test_implicit_rows_are_the_closures():
     domain = pose_problems.telescope_domain()
     problem = SelectionProblem(random_candidates(domain, 30, np.random.default_rng(0)), O1(form="closure"), 10)
-    legs = np.array([int(name[-2]) for name in domain.knowledge.names])
+    legs = np.array([int(name[-2]) for name in domain.design.names])
     for leg in range(6):  # each leg's row knows its own parameters only
         assert not problem.blocks[:, leg, legs != leg + 1].any()
-    implicit = problem.candidates.sensitivity
-    np.testing.assert_allclose(implicit.by_pose @ implicit.slope, -problem.blocks, atol=1e-9)
+    seen, placed = problem.candidates.seen, problem.candidates.placed
+    by_pose = domain.design.machine.linearise(domain.theta, placed.position, placed.rotation, placed.actuators).pose
+    np.testing.assert_allclose(by_pose @ seen.slope, -problem.blocks, atol=1e-9)
 
 
 def test_angles_in_place_of_the_rotation_vector():
@@ -183,23 +186,21 @@ def test_angles_in_place_of_the_rotation_vector():
         ]
         difference = (turned[0] - turned[1] + np.pi) % (2.0 * np.pi) - np.pi
         np.testing.assert_allclose(found[..., axis], difference / (2.0 * step), rtol=1e-6, atol=1e-6)
-    sensitivity = pose_problems.build_problem("O1").candidates.sensitivity
-    rows = identification_rows(sensitivity, "angles")
-    np.testing.assert_array_equal(rows[:, :3], sensitivity.slope[:, :3])
-    np.testing.assert_allclose(
-        rows[:, 3:], angle_rates(sensitivity.poses.rotation) @ sensitivity.slope[:, 3:], rtol=1e-12
-    )
+    seen = pose_problems.build_problem("O1").candidates.seen
+    rows = identification_rows(seen, "angles")
+    np.testing.assert_array_equal(rows[:, :3], seen.slope[:, :3])
+    np.testing.assert_allclose(rows[:, 3:], angle_rates(seen.placed.rotation) @ seen.slope[:, 3:], rtol=1e-12)
 
 
 def test_o3_by_rotation_vectors_is_bound_below_the_published_one():
     """Turning all platform points about the platform's axis turns every pose alike: no choice of poses tells more."""
-    knowledge = pose_problems.yu_knowledge()
-    points = knowledge.machine.mechanism.platform_points
+    design = pose_problems.yu_design()
+    points = design.machine.mechanism.platform_points
     bound = 1.0 / np.sqrt(np.sum(points[:, :2] ** 2))
-    blocks = even_candidates(pose_problems.yu_domain(), 200).sensitivity.slope
+    blocks = even_candidates(pose_problems.yu_domain(), 200).seen.slope
     turn = np.zeros(42)
     for k, (x, y, _) in enumerate(points):
-        turn[knowledge.names.index(f"b_x[{k + 1}]")], turn[knowledge.names.index(f"b_y[{k + 1}]")] = -y, x
+        turn[design.names.index(f"b_x[{k + 1}]")], turn[design.names.index(f"b_y[{k + 1}]")] = -y, x
     np.testing.assert_allclose(np.linalg.norm(blocks @ turn, axis=1), 1.0, rtol=1e-9)
     assert float(compute_observability(blocks)["O3"]) <= np.sqrt(200) * bound
     for n, published in {20: 1.395e-3, 30: 1.709e-3, 40: 1.973e-3}.items():

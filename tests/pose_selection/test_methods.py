@@ -129,10 +129,8 @@ def test_measured_poses_stay(name):
     beside = select(problem, "exchange", np.random.default_rng(0))
     without = select(alone, "exchange", np.random.default_rng(0))
     assert beside.value > problem.value_of(alone.blocks[without.index])
-    rows = problem.criterion.rows(
-        problem.candidates.domain.knowledge,
-        problem.candidates.domain.linearise(problem.candidates.domain.at_actuators(measured)),
-    )
+    domain = problem.candidates.domain
+    rows = problem.criterion.rows(domain.design.see(domain.at_actuators(measured)))
     together = np.concatenate([rows, problem.blocks[beside.index]]).reshape(-1, 42)
     stacked = np.concatenate([problem.criterion.prior_rows(42), together])
     assert beside.value == pytest.approx(float(problem.criterion.value(stacked, 17)), rel=1e-10)
@@ -167,8 +165,7 @@ def test_continuous_reaches_the_corners():
 @pytest.mark.parametrize("method", [Exchange(), Continuous()])
 def test_constraints_are_kept(kind, method):
     if kind == "range":  # the corners of this workspace are out of the actuators' range
-        knowledge = pose_problems.telescope_domain().knowledge
-        domain = WorkspaceBox(knowledge, np.array([2.0, 2.0, 1.0, 0.01, 0.01, 0.01]))
+        domain = WorkspaceBox(pose_problems.telescope_domain().design, np.array([2.0, 2.0, 1.0, 0.01, 0.01, 0.01]))
     else:
         domain = pose_problems.telescope_domain(np.array([1.0, 1.0, 1.0, 5e-3, 5e-3, 5e-3]))
     free = np.random.default_rng(0).uniform(-1, 1, (500, 6))
@@ -178,7 +175,7 @@ def test_constraints_are_kept(kind, method):
     assert np.abs(selection.shares).max() <= 1.0
     margins = domain.margins(selection.placed)
     assert margins.min() > -1e-9
-    mechanism = domain.knowledge.machine.mechanism
+    mechanism = domain.design.machine.mechanism
     moved = np.abs(selection.actuators - mechanism.initial_actuator_positions).max()
     assert moved <= mechanism.actuator_range * (1 + 1e-9)
     if method.name == "continuous":
@@ -210,7 +207,7 @@ def test_table_3_as_a_design():
     domain = pose_problems.telescope_domain()
     table = candidates_at_actuators(domain, machines.table_3_actuators())
     assert table.n_distinct == 38  # two configurations are listed twice
-    value = float(compute_observability(table.sensitivity.slope)["O1"])
+    value = float(compute_observability(table.seen.slope)["O1"])
     uniform = SelectionProblem(random_candidates(domain, 500, np.random.default_rng(0)), O1(), 40)
     sets = select(uniform, RandomSets(100), np.random.default_rng(0))
     ends = SelectionProblem(even_candidates(domain, 500, levels=3), O1(), 40)

@@ -19,7 +19,7 @@ def choice():
     domain = pose_problems.yu_domain(("l", "b_z"))
     criterion = pose_problems.build_criterion("I", domain)
     candidates = random_candidates(domain, 45, np.random.default_rng(3))
-    rows = criterion.rows(domain.knowledge, candidates.sensitivity)
+    rows = criterion.rows(candidates.seen)
     known = rows[40:].reshape(-1, rows.shape[-1])
     covariance = np.linalg.inv(np.eye(rows.shape[-1]) + known.T @ known)
     root = criterion.weight_root(rows.shape[-1])

@@ -60,6 +60,18 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
         """Return f σ (B, P, K) and the root of the variances beside (B, 1 or P, K)."""
         return errors.noise(zeta, self.data, self.sd)
 
+    def stand(self, theta: Array, white: Whitening, start: Array | None = None) -> Stand:
+        """Return machines (C, D) where they explain the readings best; see `PoseElimination.stand`."""
+        if self.lone is not None and start is None:
+            return self.lone.stand(self, theta, white)
+        return super().stand(theta, white, start)
+
+    def read(self, theta: Array, pose: Array) -> Array:
+        """Return the readings (C, P, K) of machines (C, D) at poses (C, P, q), or (P, q), near the measured ones."""
+        if self.lone is not None:
+            return self.lone.read(self, theta, pose)
+        return self._near.read(theta[:, None], pose, self._given)
+
     def explain(self, theta: Array, errors: Errors, zeta: Array) -> tuple[Whitening, Stand]:
         """Return the whitening, and where machines explain the readings best."""
         white = self.whiten(*self.noise(errors, zeta))

@@ -23,8 +23,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bayescal.density.calibration.measurements import Comparison
+from bayescal.density.calibration.poses import Stand
 from bayescal.density.calibration.terms import Errors
-from bayescal.density.elimination import invert
+from bayescal.density.elimination import Whitening, find_step, invert
 from bayescal.density.low_rank import factor_by_columns
 from bayescal.machines.readings import Bound
 from bayescal.numerics.geometry import Array
@@ -53,8 +54,14 @@ class LoneRows:
         From errors of the C readings that are bound to rows.
     follow : ndarray, shape (P, q, C)
         H⁺ of the same errors.
+    others : ndarray of int
+        Channels of the other readings, which no machine changes.
+    left, unlike : ndarray, shape (P, K - C)
+        Errors of these at the poses that stay, and what they read there.
+    by_pose : ndarray, shape (P, K - C, q)
+        How they follow a pose.
     rest : ndarray, shape (P, m)
-        What the errors of other readings, which no machine changes, make of the rows.
+        What their errors make of the rows.
     step : ndarray, shape (P, q)
         And of the poses' steps.
     loss : ndarray, shape (P, m, q)
@@ -75,6 +82,10 @@ class LoneRows:
     anchor: Array
     turn: Array
     follow: Array
+    others: np.ndarray
+    left: Array
+    unlike: Array
+    by_pose: Array
     rest: Array
     step: Array
     loss: Array
@@ -123,6 +134,7 @@ class LoneRows:
         for term in errors.known:  # what rows have in common counts for each of them alone
             acted = turn @ term.act(data)
             known = known + term.sign * acted @ np.swapaxes(acted, -1, -2)
+        here = likelihood.model.linearise(theta, likelihood.start, False, data.given)
         drift = np.zeros((len(theta), data.n_poses))
         drift[near.free] = likelihood.differentiate_volumes(theta, white, slope)
         return cls(
@@ -132,6 +144,10 @@ class LoneRows:
             theta,
             turn[..., own],
             follow[..., own],
+            other,
+            error[..., 0],
+            here.values[:, other],
+            here.by_pose[:, other],
             (turn[..., other] @ error)[..., 0],
             (follow[..., other] @ error)[..., 0],
             turn[..., other] @ by_pose,
@@ -207,6 +223,27 @@ class LoneRows:
         moved = by_parameters @ change
         step = self.follow @ moved
         return np.asarray(self.loss @ step - self.turn @ (moved - by_pose @ step))
+
+    # --- where machines stand ------------------------------------------------------------------------------------
+
+    def stand(self, likelihood: CalibrationLikelihood, theta: Array, white: Whitening) -> Stand:
+        """Return machines (B, D) where they explain the readings best, by a step from the poses that stay."""
+        assert likelihood.expansion is not None
+        error = np.empty((len(theta), *likelihood.data.sd.shape))
+        error[..., self.bound.places] = self._compare(self.bound.read(theta)).transpose(2, 1, 0)
+        error[..., self.others] = self.left
+        slope = white.rows(likelihood.expansion.predict(theta)[1])
+        step, left = find_step(slope, white.vector(error))
+        return Stand(likelihood.start + step, left, slope)
+
+    def read(self, likelihood: CalibrationLikelihood, theta: Array, pose: Array) -> Array:
+        """Return the readings (B, P, K) of machines (B, D) at poses (B, P, q) close to those that stay."""
+        step = np.broadcast_to(pose, (len(theta), *likelihood.start.shape)) - likelihood.start
+        moved = self.bound.read(theta) + self.bound.follow(np.ascontiguousarray(step.transpose(2, 1, 0)))
+        read = np.empty((len(theta), *likelihood.data.sd.shape))
+        read[..., self.bound.places] = moved.transpose(2, 1, 0)
+        read[..., self.others] = self.unlike + (self.by_pose @ step[..., None])[..., 0]
+        return read
 
     def density_by_row(self, likelihood: CalibrationLikelihood, theta: Array, errors: Errors, zeta: Array) -> Array:
         """Return the log-likelihood of each pose's readings, (B, P); -inf where there is no machine."""

@@ -182,6 +182,11 @@ class PoseElimination:
         return np.where(known, gain, np.eye(gain.shape[-1]))
 
     @cached_property
+    def _near(self) -> ReadingModel:
+        """The machine that looks for its readings near these."""
+        return self.model.near(self.data.values)
+
+    @cached_property
     def _given(self) -> Given:
         return {name: value[None] for name, value in self.data.given.items()}
 
@@ -244,7 +249,7 @@ class PoseElimination:
 
     def linearise_raw(self, theta: Array, pose: Array, with_parameters: bool = False) -> tuple[Array, Array, Array]:
         """Return the same as they are, not white; zero for readings that were not taken."""
-        here = self.model.linearise(theta[:, None], pose, with_parameters, self._given)
+        here = self._near.linearise(theta[:, None], pose, with_parameters, self._given)
         error = self.comparison.subtract(self.data.values, here.values)
         slopes = [here.by_pose, here.by_parameters][: 1 + with_parameters]
         by_pose, *more = (self._pull_back(error, here.values, one) for one in slopes)
@@ -303,7 +308,7 @@ class PoseElimination:
 
     def _errors(self, theta: Array, pose: Array, white: Whitening) -> Array:
         """Return white errors (C, P, K) of machines (C, D) at poses (C, P, q)."""
-        read = self.model.read(theta[:, None], pose, self._given)
+        read = self._near.read(theta[:, None], pose, self._given)
         error = self.comparison.subtract(self.data.values, read)
         return white.vector(np.where(self.data.present, error, 0.0))
 

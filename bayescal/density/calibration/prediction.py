@@ -125,7 +125,7 @@ def predict_poses(
     for part in rest.batches(len(y)):
         white = rest.whiten(own[part], tau[part])
         at = rest.stand(theta[part], white)
-        here = held.model.linearise(theta[part][:, None], at.pose, False, given)
+        here = held.model.near(held.data.values).linearise(theta[part][:, None], at.pose, False, given)
         left = held.comparison.subtract(held.data.values, here.values)
         slope = held.comparison.pull_back(left, here.values, here.by_pose)[..., places, :]
         moved = _draw_poses(at.slope, rng)
@@ -162,7 +162,9 @@ def replicate_readings(
             places = np.broadcast_to(pose, (len(theta), *pose.shape))
             if errors.has_columns:
                 common = errors.draw_prior(posterior.zeta(own), data, rng).at(data, likelihood.error_gain)
-        read = likelihood.model.read(theta[:, None], places, given)
+        read = (
+            likelihood.model.read(theta[:, None], places, given) if pose is not None else likelihood.read(theta, places)
+        )
         noise = wider * rng.standard_normal((len(theta), *data.values.shape))
         error = white.colour(np.where(data.present, noise, 0.0)) + common
         made[part] = np.where(data.present, likelihood.comparison.add(read, error), np.nan)
@@ -200,7 +202,7 @@ def _predict(
     for part in rest.batches(len(y)):
         white = rest.whiten(own[part], tau[part])
         at = rest.stand(theta[part], white)
-        here = held.model.linearise(theta[part][:, None], at.pose, False, given)
+        here = held.model.near(held.data.values).linearise(theta[part][:, None], at.pose, False, given)
         error = held.comparison.subtract(held.data.values, here.values)
         slope = held.comparison.pull_back(error, here.values, here.by_pose)[..., channel, :]
         error_left, shift = at.error, np.zeros(error.shape[:-1])

@@ -444,10 +444,6 @@ class Errors:
         """Whether what rows have in common is known but for its coefficients, and there is any."""
         return self.has_columns and len(self.known) == self.n_common
 
-    def without_known(self) -> Errors:
-        """Return the same without these."""
-        return Errors(tuple(term for term in self.terms if not isinstance(term, KnownErrors)), self.outliers)
-
     @cached_property
     def noisy(self) -> list[ErrorTerm]:
         """The terms that change the noise of single rows."""

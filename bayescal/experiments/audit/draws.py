@@ -34,11 +34,10 @@ from bayescal.experiments.audit.measured import SEED, MeasuredMachine
 from bayescal.experiments.audit.planned import Planned
 from bayescal.identifiability.directions import Direction
 from bayescal.identifiability.draws import Draws
-from bayescal.identifiability.information import Information
+from bayescal.identifiability.information import Information, root_of
 from bayescal.identifiability.profile import Profile
 from bayescal.identifiability.reading_rows import typical_given
 from bayescal.identifiability.requirements import ToolRemaining
-from bayescal.identifiability.sensitivity import root_of
 from bayescal.limits import INFORMED
 from bayescal.numerics.geometry import Array
 

@@ -31,7 +31,6 @@ from bayescal.experiments.shared.readings.workspace import (
 )
 from bayescal.experiments.shared.study_schema import VariantConfig as FittedConfig
 from bayescal.files.csv_tables import read_matrix
-from bayescal.identifiability.design import draw_displacements
 from bayescal.machines.readings import Given, ReadingModel
 from bayescal.numerics.geometry import Array
 
@@ -206,8 +205,9 @@ def plan_commands(model: ReadingModel, theta: Array, section: PosesConfig, given
     assert section.count is not None
     half = 0.5 * (limits[:, 1] - limits[:, 0]) if section.range_mm is None else section.range_mm
     rng = np.random.default_rng([seed, 1])
-    moves = half * draw_displacements(section.plan, section.count, len(limits), 1.0, rng)
-    return locate(model, theta, limits.mean(axis=1), moves, given)
+    shape = section.count, len(limits)
+    shares = rng.integers(-1, 2, shape) if section.plan == "extremes" else rng.uniform(-1.0, 1.0, shape)
+    return locate(model, theta, limits.mean(axis=1), np.asarray(half * shares), given)
 
 
 def find_middle(model: ReadingModel, theta: Array) -> Array:

@@ -33,12 +33,11 @@ from bayescal.experiments.shared.readings.knowledge import (
 from bayescal.identifiability.calibration import Calibrations
 from bayescal.identifiability.directions import Direction
 from bayescal.identifiability.found_sizes import expect_sizes
-from bayescal.identifiability.information import Information, information_of_rows
+from bayescal.identifiability.information import Information, information_of_rows, root_of
 from bayescal.identifiability.levers import Lever, find_levers
 from bayescal.identifiability.reading_rows import View, see, typical_covariance, typical_given
 from bayescal.identifiability.requirements import ErrorsInUse, Forecast, Requirement
 from bayescal.identifiability.ridges import Ridge, describe_ridges
-from bayescal.identifiability.sensitivity import root_of
 from bayescal.identifiability.structure import Structure, find_structural_rank
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import MICROMETRE, Units

@@ -16,13 +16,13 @@ from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.memory import check_arrays
 from bayescal.experiments.next.schema import CandidatesConfig, NextConfig
-from bayescal.experiments.shared.design import REQUIRED, find_actuators, read_workspace
+from bayescal.experiments.shared.design import REQUIRED, read_workspace
 from bayescal.experiments.shared.measured import MeasuredReadings, measure_variants
 from bayescal.experiments.shared.schema import WorkspaceConfig
 from bayescal.experiments.shared.search_memory import list_readings
 from bayescal.experiments.shared.slip_search import find_slip
 from bayescal.experiments.shared.slips import FoundSlip
-from bayescal.identifiability.design import Knowledge, PoseVolume
+from bayescal.identifiability.pose_volume import PoseVolume, find_workspace_actuators
 from bayescal.identifiability.reading_rows import (
     differentiate_poses,
     typical_given,
@@ -34,6 +34,7 @@ from bayescal.numerics.units import Units
 from bayescal.pose_selection import (
     ActuatorBox,
     Candidates,
+    Design,
     WorkspaceBox,
     candidates_at,
     candidates_at_actuators,
@@ -157,29 +158,27 @@ def _place_legs(config: NextConfig, folder: Path, measured: MeasuredReadings) ->
         raise InputError(
             f"workspace: found {', '.join(section)} of a machine on legs, expected position_mm and rotation_deg"
         )
-    own = legs.machine.layout.names
-    priors = {name: one for name, one in posterior.priors.items() if name in own}
-    means = {name: one.mean for name, one in priors.items()}
-    knowledge = Knowledge(legs.machine, {name: one.sd for name, one in priors.items()}, {**posterior.fixed, **means})
-    volume = read_workspace(section)
-    candidates = read_candidates(config, folder, knowledge, volume).placed.actuators
-    workspace = find_actuators(knowledge, volume, config.seed, candidates)
+    priors = {name: one for name, one in posterior.priors.items() if name in legs.machine.layout.names}
+    design, volume = Design(legs.machine, priors, posterior.fixed), read_workspace(section)
+    workspace = candidates = read_candidates(config, folder, design, volume).placed.actuators
+    if volume is not None:
+        workspace = find_workspace_actuators(design.machine, design.theta, volume, volume.n_poses, config.seed)
     return Poses(workspace, {}, commanded=True), Poses(candidates, {}, commanded=True)
 
 
-def _check_candidates(n: int, knowledge: Knowledge) -> None:
+def _check_candidates(n: int, design: Design) -> None:
     """Raise InputError where there is no memory to place so many candidates."""
-    n_legs, size = knowledge.machine.mechanism.n_legs, knowledge.machine.layout.size
+    n_legs, size = design.machine.mechanism.n_legs, design.machine.layout.size
     held = [(SEEN, n, n_legs, size + n_legs), (PLACED, n, DEGREES_OF_FREEDOM, size)]
     check_arrays({"candidates": n}, held, "fewer candidates")
 
 
-def read_candidates(config: NextConfig, folder: Path, knowledge: Knowledge, volume: PoseVolume | None) -> Candidates:
+def read_candidates(config: NextConfig, folder: Path, design: Design, volume: PoseVolume | None) -> Candidates:
     """Return the poses that may be measured."""
-    section, mechanism = config.candidates, knowledge.machine.mechanism
+    section, mechanism = config.candidates, design.machine.mechanism
     rng = np.random.default_rng([config.seed, CANDIDATES])
     if section.configurations is None:
-        _check_candidates(section.count, knowledge)
+        _check_candidates(section.count, design)
     redundant, half = mechanism.n_legs != DEGREES_OF_FREEDOM, section.half
     if redundant and half is None:
         half = None if volume is None else volume.half
@@ -189,11 +188,11 @@ def read_candidates(config: NextConfig, folder: Path, knowledge: Knowledge, volu
                 "rotation_deg there, or [workspace] and neither configurations nor range_mm"
             )
     if half is not None:
-        return factorial_candidates(WorkspaceBox(knowledge, half), section.count, rng)
-    domain = ActuatorBox(knowledge)
+        return factorial_candidates(WorkspaceBox(design, half), section.count, rng)
+    domain = ActuatorBox(design)
     if section.configurations is not None:
         moves = read_moves(folder / section.configurations, section.unit_mm, mechanism.n_legs)
-        _check_candidates(len(moves), knowledge)
+        _check_candidates(len(moves), design)
         return candidates_at_actuators(domain, mechanism.initial_actuator_positions + moves)
     reach = mechanism.actuator_range if section.range_mm is None else section.range_mm
     if reach > mechanism.actuator_range:

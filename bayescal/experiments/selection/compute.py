@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -16,15 +16,13 @@ from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.selection.inputs import SelectionInputs
 from bayescal.experiments.selection.schema import RandomChoiceConfig, label_of
-from bayescal.experiments.shared.design import Design
 from bayescal.files.csv_tables import format_table
-from bayescal.identifiability.calibration import simulate_calibrations
-from bayescal.identifiability.design import AXES
 from bayescal.identifiability.information import information_of_rows
-from bayescal.identifiability.sensitivity import Sensitivity, compute_sensitivity
+from bayescal.identifiability.pose_volume import AXES
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import ARCSECOND, MICROMETRE
 from bayescal.pose_selection import Criterion, Selection, SelectionMethod, SelectionProblem, select
+from bayescal.pose_selection.calibrations import compute_workspace_errors, simulate_calibrations
 
 SETS, MACHINES = 2, 3  # streams of random numbers
 UNKNOWN = 1e-8  # weight of the tolerances where the identification does not know them
@@ -39,8 +37,8 @@ def compute_selections(inputs: SelectionInputs, run: Run) -> Results:
     chosen = run_tasks(inputs, run)
     summary = {
         "name": inputs.config.name,
-        "machine": inputs.design.knowledge.machine.mechanism.name,
-        "n_parameters": len(inputs.design.knowledge.sd),
+        "machine": inputs.design.machine.mechanism.name,
+        "n_parameters": len(inputs.design.sd),
         "n_measured": None if inputs.measured is None else len(inputs.measured),
     }
     return Results(summary, tabulate(inputs, chosen), format_plans(inputs, chosen))
@@ -150,9 +148,7 @@ def run_one(inputs: SelectionInputs, task: Task) -> JudgedPoses:
     accuracy = None
     if (wanted := inputs.config.calibrations) is not None:
         rng = np.random.default_rng([inputs.config.seed, MACHINES, task.repeat])
-        accuracy = judge_poses(
-            inputs.design, inputs.workspace, inputs.limits, whole, wanted.machines, rng, wanted.known
-        )
+        accuracy = judge_poses(inputs, whole, wanted.machines, rng, wanted.known)
     return JudgedPoses(task, selection, actuators, moves, inputs.indices(whole), accuracy, seconds)
 
 
@@ -175,7 +171,7 @@ class Accuracy:
     parameters : ndarray, shape (B,)
         Root mean square error of the parameters in units of the tolerances.
     n_failed : int
-        Calibrations that did not converge; they count in nothing else.
+        Machines that the one as expected cannot fit, or that have no pose somewhere; they count in nothing else.
     """
 
     predicted: Array
@@ -186,24 +182,13 @@ class Accuracy:
 
 
 def judge_poses(
-    inputs: Design,
-    workspace: Sensitivity,
-    limits: Array,
-    actuators: Array,
-    n_machines: int,
-    rng: np.random.Generator,
-    known: bool = True,
+    inputs: SelectionInputs, actuators: Array, n_machines: int, rng: np.random.Generator, known: bool = True
 ) -> Accuracy:
     """Return what calibrations with poses at actuator positions (n, N) achieve.
 
     Parameters
     ----------
-    inputs : Design
-        Machine, tolerances, sensors and noise.
-    workspace : Sensitivity
-        Derivatives at the poses where accuracy counts, those of ``inputs.workspace_actuators``.
-    limits : ndarray, shape (6,)
-        What errors of a pose are measured by, mm and rad.
+    inputs : SelectionInputs
     actuators : ndarray, shape (n, N)
     n_machines : int
         How many machines are drawn within the tolerances; the same ones for the same generator.
@@ -211,24 +196,22 @@ def judge_poses(
     known : bool
         Whether the identification knows the tolerances, or is least squares weighted by the noise.
     """
-    knowledge, plan = inputs.knowledge, replace(inputs.plan, actuators=actuators)
-    weight = 1.0 if known else UNKNOWN
+    seen, weight = inputs.see(actuators), 1.0 if known else UNKNOWN
     # errors of an identification are K Rᵀ ε - w K z with K = (w + Λ)⁻¹, of covariance K (Λ + w²) K; (1 + Λ)⁻¹ for w = 1
-    rows = compute_sensitivity(knowledge, actuators).rows(plan)
-    values, vectors = information_of_rows(rows, knowledge.sd).spectrum()
+    values, vectors = information_of_rows(seen.rows, np.ones(len(inputs.design.sd))).spectrum()
     covariance = (vectors * ((values + weight**2) / (values + weight) ** 2)) @ vectors.T
-    slope = workspace.slope * knowledge.sd
+    slope = inputs.workspace.located.tool
     variance = np.einsum("wij,jk,wik->wi", slope, covariance, slope, optimize=True).mean(axis=0)
-    found = simulate_calibrations(knowledge, plan, n_machines, rng, prior_weight=weight)
-    errors = found.pose_errors(inputs.workspace_actuators)
+    found = simulate_calibrations(seen, n_machines, rng, weight)
+    errors = compute_workspace_errors(inputs.design, found, inputs.workspace_actuators)
     good = np.isfinite(errors).all(axis=(1, 2))
     if not good.any():
         raise InputError(f"calibrations: found none of {n_machines} that converged, expected more poses or tolerances")
     square = errors[good] ** 2
     length = np.sqrt(square[..., :3].sum(axis=-1))
-    parts = (square[..., :3], square[..., 3:], square / limits**2)
+    parts = (square[..., :3], square[..., 3:], square / inputs.limits**2)
     return Accuracy(
-        np.sqrt([variance[:3].sum(), variance[3:].sum(), (variance / limits**2).sum()]),
+        np.sqrt([variance[:3].sum(), variance[3:].sum(), (variance / inputs.limits**2).sum()]),
         np.stack([np.sqrt(part.sum(axis=-1).mean(axis=1)) for part in parts], axis=1),
         length.mean(axis=1),
         np.sqrt(np.mean(found.errors[good] ** 2, axis=1)),
@@ -294,7 +277,7 @@ def tabulate_classes(inputs: SelectionInputs) -> pd.DataFrame:
 
 def tabulate_poses(inputs: SelectionInputs, outcomes: list[JudgedPoses]) -> pd.DataFrame:
     """Return one row per chosen pose: displacements from home, and of the actuators from their initial positions."""
-    start = inputs.design.knowledge.machine.mechanism.initial_actuator_positions
+    start = inputs.design.machine.mechanism.initial_actuator_positions
     columns = [f"{axis.replace(' ', '_')}_{'mm' if k < 3 else 'deg'}" for k, axis in enumerate(AXES)]
     legs = [f"drho_{k}_mm" for k in range(1, len(start) + 1)]
     parts = []
@@ -393,7 +376,7 @@ def format_plans(inputs: SelectionInputs, outcomes: list[JudgedPoses]) -> dict[s
         before = best.get(key)
         if before is None or before.selection is None or chosen.value > before.selection.value:
             best[key] = outcome
-    start = inputs.design.knowledge.machine.mechanism.initial_actuator_positions
+    start = inputs.design.machine.mechanism.initial_actuator_positions
     columns = [f"drho_{k}_mm" for k in range(1, len(start) + 1)]
     texts = {}
     for (label, criterion, n), outcome in best.items():

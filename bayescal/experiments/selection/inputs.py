@@ -11,6 +11,7 @@ import numpy as np
 
 from bayescal.config.classes import choose, name_failures
 from bayescal.data.actuators import read_moves
+from bayescal.density.priors import NormalPrior
 from bayescal.errors import InputError
 from bayescal.experiments.selection.schema import (
     ActuatorDomainConfig,
@@ -21,27 +22,21 @@ from bayescal.experiments.selection.schema import (
     TableConfig,
     WorkspaceDomainConfig,
 )
-from bayescal.experiments.shared.design import (
-    Design,
-    build_sensor,
-    find_actuators,
-    plan_sensors,
-    read_machine,
-    read_requirements,
-    read_tolerances,
-    read_workspace,
-)
-from bayescal.identifiability.design import Knowledge, Plan
-from bayescal.identifiability.requirements import find_limits
-from bayescal.identifiability.sensitivity import Sensitivity, compute_sensitivity
+from bayescal.experiments.shared.design import REQUIRED, build_sensor, known_symbols, read_machine, read_workspace
+from bayescal.experiments.shared.readings.priors import choose_priors
+from bayescal.experiments.shared.readings.schema import FreeConfig
+from bayescal.identifiability.pose_volume import find_workspace_actuators
+from bayescal.identifiability.requirements import Requirement, find_limits
 from bayescal.numerics.geometry import Array
-from bayescal.numerics.units import Units
+from bayescal.numerics.units import MICROMETRE, Units
 from bayescal.pose_selection import (
     METHODS,
     ActuatorBox,
     Candidates,
     Criterion,
+    Design,
     PoseDomain,
+    SeenPoses,
     SelectionMethod,
     WorkspaceBox,
     compute_observability,
@@ -68,9 +63,12 @@ class SelectionInputs:
     folder : Path
         Where the config's file names start.
     design : Design
-        Machine, tolerances, sensors, workspace and requirements; the poses are still to be chosen.
+        Machine, tolerances, sensors and noise.
     domain : PoseDomain
         Where poses may be.
+    workspace_actuators : ndarray, shape (W, N)
+        Actuator positions of the workspace's poses, mm; those of home where there is none.
+    requirements : list of Requirement
     measured : ndarray, shape (M, N), or None
         Actuator positions of poses that have been measured already, mm.
     designs : dict of name to ndarray, shape (n, N)
@@ -81,6 +79,8 @@ class SelectionInputs:
     folder: Path
     design: Design
     domain: PoseDomain
+    workspace_actuators: Array
+    requirements: list[Requirement]
     measured: Array | None
     designs: dict[str, Array]
 
@@ -121,34 +121,27 @@ class SelectionInputs:
             return chosen.found.from_config(chosen.options)
 
     @property
-    def knowledge(self) -> Knowledge:
-        """The machine and its tolerances."""
-        return self.design.knowledge
-
-    @property
-    def plan(self) -> Plan:
-        """Sensors and noise."""
-        return self.design.plan
-
-    @property
     def form(self) -> JacobianForm:
         """Which derivatives the indices are of."""
         return self.config.jacobian
 
     @cached_property
-    def workspace(self) -> Sensitivity:
-        """Derivatives at the poses that stand for the workspace."""
-        return compute_sensitivity(self.design.knowledge, self.design.workspace_actuators)
+    def workspace(self) -> SeenPoses:
+        """The poses that stand for the workspace, to first order."""
+        return self.see(self.workspace_actuators)
 
     @cached_property
     def limits(self) -> Array:
         """What errors of a pose are measured by, shape (6,), mm and rad."""
-        return find_limits(self.design.requirements, self.workspace.slope * self.design.knowledge.sd)
+        return find_limits(self.requirements, self.workspace.located.tool)
+
+    def see(self, actuators: Array) -> SeenPoses:
+        """Return the poses at actuator positions (n, N), mm, to first order."""
+        return self.design.see(self.domain.at_actuators(actuators))
 
     def indices(self, actuators: Array) -> dict[str, float]:
         """Return the five observability indices of poses at actuator positions (n, N)."""
-        sensitivity = compute_sensitivity(self.design.knowledge, actuators)
-        rows = identification_rows(sensitivity, self.config.jacobian)
+        rows = identification_rows(self.see(actuators), self.config.jacobian)
         return {name: float(value) for name, value in compute_observability(rows).items()}
 
 
@@ -161,7 +154,9 @@ def read_selection(config: SelectionConfig, folder: Path) -> SelectionInputs:
         For anything at fault in the config or its files.
     """
     design = read_design(config, folder)
-    domain = _domain(config, design.knowledge)
+    domain, at = _domain(config, design), design.machine.mechanism.initial_actuator_positions[None]
+    if (workspace := read_workspace(config.workspace)) is not None:
+        at = find_workspace_actuators(design.machine, design.theta, workspace, workspace.n_poses, config.seed)
     measured = None if config.measured is None else _read_table(config.measured, folder, design)
     designs = {one.name: _read_table(one, folder, design) for one in config.designs}
     for name, actuators in designs.items():
@@ -171,36 +166,52 @@ def read_selection(config: SelectionConfig, folder: Path) -> SelectionInputs:
                 f"designs: {name}: pose {int(np.argmin(placed.found)) + 1}: found none at these displacements, "
                 "expected poses the machine can take"
             )
-    return SelectionInputs(config, folder, design, domain, measured, designs)
+    return SelectionInputs(config, folder, design, domain, at, read_requirements(config), measured, designs)
 
 
 def read_design(config: SelectionConfig, folder: Path) -> Design:
-    """Return the machine, what measures it and what is required, with a plan that has no poses yet."""
-    units = Units(config.units.length, config.units.angle)
+    """Return the machine as expected, and what measures it."""
     machine = read_machine(folder / config.machine, config.variant, config.deformation, folder)
-    tolerances = read_tolerances(machine, config.parameters, config.variant.free, units, Path(config.name))
-    knowledge, workspace = Knowledge(machine, *tolerances), read_workspace(config.workspace)
-    sensors = {name: build_sensor(name, sensor, folder) for name, sensor in config.sensors.items()}
-    start = machine.mechanism.initial_actuator_positions[None]
-    plan = plan_sensors(start[:0], sensors, config.variant.sensors, config.noise, "variant.sensors")
-    at = find_actuators(knowledge, workspace, config.seed, start)
-    return Design(knowledge, plan, workspace, at, read_requirements(config.requirements, units))
+    free, symbols = FreeConfig(free=config.variant.free), known_symbols(machine.mechanism)
+    priors, fixed, _ = choose_priors(config, free, machine.layout, symbols)
+    sensors = {name: build_sensor(name, section, folder) for name, section in config.sensors.items()}
+    for name in config.variant.sensors:
+        if name not in sensors:
+            raise InputError(f"variant.sensors: found sensor {name!r}, expected one of {', '.join(sorted(sensors))}")
+    return Design(
+        machine,
+        {name: NormalPrior(one.mean, one.sd) for name, one in priors.items()},
+        fixed,
+        tuple(sensors[name] for name in config.variant.sensors),
+        MICROMETRE * config.noise.actuator_um,
+        MICROMETRE * config.noise.model_error_um,
+    )
 
 
-def _domain(config: SelectionConfig, knowledge: Knowledge) -> PoseDomain:
+def read_requirements(config: SelectionConfig) -> list[Requirement]:
+    """Return the largest errors of a pose that are allowed, mm and rad."""
+    units = Units(config.units.length, config.units.angle)
+    return [
+        Requirement(name, limit * units.factor("rad" if name.startswith("rotation") else "mm"))
+        for name in REQUIRED
+        if (limit := getattr(config.requirements, name)) is not None
+    ]
+
+
+def _domain(config: SelectionConfig, design: Design) -> PoseDomain:
     section = config.domain
     half = None
     if section.position_mm is not None and section.rotation_deg is not None:
         half = np.concatenate([section.position_mm, np.radians(section.rotation_deg)])
     if isinstance(section, WorkspaceDomainConfig):
         assert half is not None
-        return WorkspaceBox(knowledge, half)
+        return WorkspaceBox(design, half)
     assert isinstance(section, ActuatorDomainConfig)
-    return ActuatorBox(knowledge, half)
+    return ActuatorBox(design, half)
 
 
 def _read_table(table: TableConfig, folder: Path, design: Design) -> Array:
-    mechanism = design.knowledge.machine.mechanism
+    mechanism = design.machine.mechanism
     moves = read_moves(folder / table.configurations, table.unit_mm, mechanism.n_legs)
     result: Array = mechanism.initial_actuator_positions + moves
     return result

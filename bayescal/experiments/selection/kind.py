@@ -36,8 +36,8 @@ class Selection(Experiment[SelectionConfig, SelectionInputs]):
 
     def estimate_memory(self, inputs: SelectionInputs) -> Need:
         """Return what the rows of all candidates take."""
-        n, n_parameters = inputs.config.candidates.count, len(inputs.knowledge.names)
-        n_rows = max(DEGREES_OF_FREEDOM, inputs.knowledge.machine.mechanism.n_legs)
+        n, n_parameters = inputs.config.candidates.count, len(inputs.design.names)
+        n_rows = max(DEGREES_OF_FREEDOM, inputs.design.machine.mechanism.n_legs)
         held = [
             (COPIES, n, n_rows, n_parameters),
             (DERIVATIVES, min(n, AT_ONCE), n_rows, n_parameters + n_rows),

@@ -242,7 +242,7 @@ def judge_prediction(tables: Tables) -> list[Statement]:
     if failed.any():
         total = int(failed.sum() + errors["n_machines"].sum())
         parts = join_words([f"{count} of {name}" for name, count in failed.items() if count])
-        words += f"; {failed.sum()} of {total} calibrations did not converge and count in nothing: {parts}"
+        words += f"; {failed.sum()} of {total} machines could not be identified and count in nothing: {parts}"
     good = not few.any() and not failed.any()
     return [Statement(f"{words}.", "good" if good else "warning", "Prediction")]
 

@@ -88,10 +88,3 @@ def tabulate_comparison(variants: pd.DataFrame, left_out: Mapping[str, LeftOut],
                 }
             )
     return variants.merge(pd.DataFrame(rows), on="variant")
-
-
-def find_tied(comparison: pd.DataFrame) -> list[str]:
-    """Return the variants whose elpd is within two standard errors of the best one's, that one first."""
-    tied = comparison["elpd_diff"].abs() <= TIED * comparison["dse"]
-    tied.iloc[0] = True
-    return [str(name) for name in comparison.index[tied]]

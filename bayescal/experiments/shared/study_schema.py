@@ -366,12 +366,6 @@ class StudyConfig(ExperimentConfig):
         assert not isinstance(self.data, list)
         return self.data
 
-    def list_free(self, variant: VariantConfig) -> list[str]:
-        """Return what a variant frees, of its machine or not: all that has a prior where it says nothing."""
-        if variant.free is not None:
-            return variant.free
-        return [symbol for symbol, one in self.parameters.items() if not isinstance(one, FixedConfig)]
-
     @property
     def leg_error(self) -> ModelErrorConfig:
         """The model error in terms; without any where it is stated by channel."""

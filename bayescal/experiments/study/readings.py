@@ -67,7 +67,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 ONLY_SAVED = ("log_likelihood", "replicated", "prior", "prior_replicated")
-POSE_DRAWS = 300  # of the posterior, that predict poses
+POSE_DRAWS = 200  # of the posterior, that predict poses
 ERROR_DRAWS = 200  # of the posterior, from which errors common to all rows are drawn for tables
 PROPOSED = 8  # draws of the proposal for each that is used
 IMPROBABLE = 0.01  # probability by the noise, of all poses together, below which a pose's residuals contradict it

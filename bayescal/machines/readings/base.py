@@ -395,6 +395,14 @@ class ReadingModel(ABC):
         read, limits = values[..., self.select(self.commanded)], self.command_range
         return np.asarray((read < limits[:, 0] - SLACK) | (read > limits[:, 1] + SLACK))
 
+    def near(self, values: Array) -> ReadingModel:
+        """Return the same machine that looks for its readings near measured ones (P, K) of P poses; by default itself.
+
+        Poses asked of it have an axis of P, or of one, behind all others but that of the coordinates.
+        """
+        del values
+        return self
+
     def bind(self, theta: Array, values: Array, pose: Array, given: Given = NOTHING) -> Bound | None:
         """Return readings near measured ones (P, K) bound to poses (P, q); None, as by default, where `read` is all.
 

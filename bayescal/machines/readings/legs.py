@@ -76,6 +76,7 @@ class Legs(ReadingModel):
     name: str = ""  # that of the mechanism where it is left out
     # whether it could have inclinometers, whose zeros are parameters then: K = 3 N + 6 sensors in place of N + 6
     inclined: bool = False
+    known: Array | None = None  # (P, N): where encoders were read at poses asked of it; see `ReadingModel.near`
 
     def __post_init__(self) -> None:
         """Take over the mechanism's name."""
@@ -174,7 +175,8 @@ class Legs(ReadingModel):
         """Return position, rotation and the actuators that hold it, NaN where there are none."""
         position, rotation = pose[..., :3], matrix_from_rotation_vector(np.nan_to_num(pose[..., 3:]))
         with np.errstate(all="ignore"):
-            found = solve_inverse_kinematics(self.machine, self._own(theta), position, rotation, check=False)
+            own = self._own(theta)
+            found = solve_inverse_kinematics(self.machine, own, position, rotation, check=False, near=self.known)
         return position, rotation, np.where(found.converged[..., None], found.actuators, np.nan)
 
     def _measure_tilt(self, kind: str, theta: Array, legs: LegVectors) -> tuple[Array, Array]:
@@ -270,6 +272,15 @@ class Legs(ReadingModel):
         if self.tool_point is not None:
             by_pose[..., 3:] = -skew_matrix(place - pose[..., :3]) @ compute_left_jacobian(pose[..., 3:])
         return place, by_pose, np.zeros((*place.shape, self.layout.size))
+
+    def near(self, values: Array) -> Legs:
+        """Return the same legs with inverse kinematics that start where encoders were read."""
+        names = [one.name for one in self.channels]
+        known = np.full((len(values), self.n_legs), np.nan)
+        for leg in range(self.n_legs):
+            if (name := f"rho[{leg + 1}]") in names:
+                known[:, leg] = values[:, names.index(name)]
+        return replace(self, known=known)
 
     def bind(self, theta: Array, values: Array, pose: Array, given: Given = NOTHING) -> Bound | None:
         """Return the encoders' readings by the closure at these poses; see `ReadingModel.bind`.

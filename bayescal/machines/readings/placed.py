@@ -230,6 +230,10 @@ class Placed(ReadingModel):
         names = [self.names[k] for k in self.select(channels)]
         return self.whole.seen_parameters(names) if {*names} <= {*self.whole.names} else self.layout.names
 
+    def near(self, values: Array) -> Placed:
+        """Return the same with its machine near its readings; see `ReadingModel.near`."""
+        return replace(self, whole=self.whole.near(values[:, : len(self.whole.channels)]))
+
     def bind(self, theta: Array, values: Array, pose: Array, given: Given = NOTHING) -> Bound | None:
         """Return the machine's readings bound to poses, with those of instruments there; see `ReadingModel.bind`.
 

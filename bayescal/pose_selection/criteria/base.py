@@ -16,9 +16,8 @@ import numpy as np
 
 from bayescal.config.sections import Section
 from bayescal.errors import InputError
-from bayescal.identifiability.design import Knowledge, Plan
-from bayescal.identifiability.sensitivity import Sensitivity
 from bayescal.numerics.geometry import Array
+from bayescal.pose_selection.design import Design, SeenPoses
 from bayescal.pose_selection.observability import JacobianForm, identification_rows
 
 RANK_TOLERANCE = 1e-11
@@ -28,20 +27,16 @@ class Purpose(Protocol):
     """What poses are selected for: what a criterion may be made from."""
 
     @property
-    def knowledge(self) -> Knowledge:
-        """The machine and its tolerances."""
-
-    @property
-    def plan(self) -> Plan:
-        """Sensors and noise; it has no poses yet."""
+    def design(self) -> Design:
+        """The machine, its tolerances, sensors and noise."""
 
     @property
     def form(self) -> JacobianForm:
         """Which derivatives observability indices are of; see `identification_rows`."""
 
     @property
-    def workspace(self) -> Sensitivity:
-        """Derivatives at the poses that stand for the workspace."""
+    def workspace(self) -> SeenPoses:
+        """The poses that stand for the workspace, to first order."""
 
     @property
     def limits(self) -> Array:
@@ -68,7 +63,7 @@ class Criterion(ABC):
         return cls()
 
     @abstractmethod
-    def rows(self, knowledge: Knowledge, sensitivity: Sensitivity) -> Array:
+    def rows(self, seen: SeenPoses) -> Array:
         """Return what each pose contributes, shape (P, k, L), in the criterion's units."""
 
     def prior_rows(self, n_parameters: int) -> Array:
@@ -119,10 +114,9 @@ class ObservabilityCriterion(Criterion):
         del config
         return cls(form=purpose.form)
 
-    def rows(self, knowledge: Knowledge, sensitivity: Sensitivity) -> Array:
+    def rows(self, seen: SeenPoses) -> Array:
         """Return J_b, shape (P, 6, L), mm and rad by the parameters' units, or J_2, shape (P, N, L)."""
-        del knowledge
-        return identification_rows(sensitivity, self.form)
+        return identification_rows(seen, self.form)
 
 
 class Scorer(ABC):

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import ClassVar
 
 import numpy as np
 
-from bayescal.identifiability.design import Knowledge, Plan
-from bayescal.identifiability.sensitivity import Sensitivity
 from bayescal.numerics.geometry import Array
-from bayescal.pose_selection.criteria.base import Criterion, ObservabilityCriterion, Purpose, Scorer
+from bayescal.pose_selection.criteria.base import Criterion, ObservabilityCriterion, Scorer
 from bayescal.pose_selection.criteria.updates import UpdateScorer
+from bayescal.pose_selection.design import SeenPoses
 from bayescal.pose_selection.observability import singular_values
 
 
@@ -92,29 +91,15 @@ class O1(ObservabilityCriterion, LogDet):
 
 @dataclass(frozen=True, eq=False)
 class DOptimality(LogDet):
-    """½ log det(1 + Λ): what the poses tell of the parameters, in nats, prior and noise counted.
-
-    Attributes
-    ----------
-    plan : Plan
-        Sensors and noise; its actuator positions are not used.
-    """
-
-    plan: Plan
+    """½ log det(1 + Λ): what the poses tell of the parameters, in nats, prior and noise counted."""
 
     name: ClassVar[str] = "D"
     title: ClassVar[str] = "Information gained, nats"
     source: ClassVar[str] = "Lindley 1956; Chaloner and Verdinelli 1995: Bayesian D-optimality"
 
-    @classmethod
-    def from_config(cls, config: Any, purpose: Purpose) -> Self:
-        """Return the criterion of the purpose's sensors and noise."""
-        del config
-        return cls(purpose.plan)
-
-    def rows(self, knowledge: Knowledge, sensitivity: Sensitivity) -> Array:
-        """Return J_b in units of noise and tolerances, shape (P, k, L)."""
-        return np.asarray(sensitivity.rows(self.plan) * knowledge.sd)
+    def rows(self, seen: SeenPoses) -> Array:
+        """Return the identification Jacobian in units of noise and tolerances, shape (P, k, L)."""
+        return seen.rows
 
     def prior_rows(self, n_parameters: int) -> Array:
         """Return the identity: in units of the tolerances the prior is a standard normal."""

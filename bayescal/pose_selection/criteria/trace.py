@@ -3,45 +3,30 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar, Self
 
 import numpy as np
 
 from bayescal.errors import InputError
-from bayescal.identifiability.design import Knowledge, Plan
-from bayescal.identifiability.sensitivity import Sensitivity
 from bayescal.numerics.geometry import Array
 from bayescal.pose_selection.criteria.base import Criterion, Purpose, Scorer
 from bayescal.pose_selection.criteria.updates import UpdateScorer, solve_last
+from bayescal.pose_selection.design import SeenPoses
 
 
 @dataclass(frozen=True, eq=False)
 class BayesianTrace(Criterion):
-    """Minus a weighted trace of the posterior covariance, tr(Q (1 + Λ)⁻¹).
-
-    Attributes
-    ----------
-    plan : Plan
-        Sensors and noise; its actuator positions are not used.
-    """
-
-    plan: Plan
-
-    @classmethod
-    def from_config(cls, config: Any, purpose: Purpose) -> Self:
-        """Return the criterion of the purpose's sensors and noise."""
-        del config
-        return cls(purpose.plan)
+    """Minus a weighted trace of the posterior covariance, tr(Q (1 + Λ)⁻¹)."""
 
     @abstractmethod
     def weight_root(self, n_parameters: int) -> Array:
         """Return W with Q = WᵀW, shape (q, L), in units of the tolerances."""
 
-    def rows(self, knowledge: Knowledge, sensitivity: Sensitivity) -> Array:
-        """Return J_b in units of noise and tolerances, shape (P, k, L)."""
-        return np.asarray(sensitivity.rows(self.plan) * knowledge.sd)
+    def rows(self, seen: SeenPoses) -> Array:
+        """Return the identification Jacobian in units of noise and tolerances, shape (P, k, L)."""
+        return seen.rows
 
     def prior_rows(self, n_parameters: int) -> Array:
         """Return the identity: in units of the tolerances the prior is a standard normal."""
@@ -120,18 +105,15 @@ class IOptimality(BayesianTrace):
 
     Attributes
     ----------
-    workspace : Sensitivity
-        Derivatives at W poses that stand for the workspace.
-    sd : ndarray, shape (L,)
-        Tolerances.
+    workspace : ndarray, shape (W, 6, L)
+        Pose by parameters at W poses that stand for the workspace, mm and rad by tolerances.
     limits : ndarray, shape (6,)
         What an error of each component of the pose is measured by, mm and rad: requirements; infinite where it does
         not matter.
     """
 
-    workspace: Sensitivity = field(kw_only=True)
-    sd: Array = field(kw_only=True)
-    limits: Array = field(kw_only=True)
+    workspace: Array
+    limits: Array
 
     name: ClassVar[str] = "I"
     title: ClassVar[str] = "Mean variance of the predicted pose in units of the limits, negative"
@@ -141,7 +123,7 @@ class IOptimality(BayesianTrace):
     def from_config(cls, config: Any, purpose: Purpose) -> Self:
         """Return the criterion of the purpose's workspace and limits."""
         del config
-        return cls(purpose.plan, workspace=purpose.workspace, sd=purpose.knowledge.sd, limits=purpose.limits)
+        return cls(purpose.workspace.located.tool, purpose.limits)
 
     def __post_init__(self) -> None:
         """Check the limits."""
@@ -151,7 +133,7 @@ class IOptimality(BayesianTrace):
 
     @cached_property
     def _root(self) -> Array:
-        slope = self.workspace.slope * self.sd / self.limits[:, None]
+        slope = self.workspace / self.limits[:, None]
         return np.linalg.qr(slope.reshape(-1, slope.shape[-1]) / np.sqrt(len(slope)), mode="r")
 
     def weight_root(self, n_parameters: int) -> Array:

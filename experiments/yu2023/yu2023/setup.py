@@ -9,16 +9,24 @@ from pathlib import Path
 
 import numpy as np
 
+from bayescal.density.priors import NormalPrior
 from bayescal.errors import InputError
 from bayescal.experiments.frame.parallel import Run
 from bayescal.files.csv_tables import read_by_leg
-from bayescal.identifiability.design import Knowledge
 from bayescal.machines.deformations import NoDeformation
 from bayescal.machines.kinematics import Machine, build_machine, check_home_pose
 from bayescal.machines.models.six_ups import SixUps
 from bayescal.machines.read import load_mechanism
 from bayescal.numerics.geometry import Array
-from bayescal.pose_selection import CRITERIA, Candidates, SelectionProblem, WorkspaceBox, even_candidates, select
+from bayescal.pose_selection import (
+    CRITERIA,
+    Candidates,
+    Design,
+    SelectionProblem,
+    WorkspaceBox,
+    even_candidates,
+    select,
+)
 from bayescal.pose_selection.methods import TabuDetmax
 from yu2023.least_squares import (
     Calibrations,
@@ -156,8 +164,9 @@ def read_setup(config: HexapodCalibrationsConfig, folder: Path) -> Setup:
     machine = build_machine(SixUps, mechanism, NoDeformation())
     check_home_pose(machine)
     half = np.concatenate([config.workspace.position_mm, np.radians(config.workspace.rotation_deg)])
-    knowledge = Knowledge(machine, dict.fromkeys(machine.layout.names, config.parameter_error_mm))
-    return Setup(config, folder, machine, WorkspaceBox(knowledge, half))
+    nominal = zip(machine.layout.names, machine.layout.nominal.tolist(), strict=True)
+    design = Design(machine, {name: NormalPrior(value, config.parameter_error_mm) for name, value in nominal})
+    return Setup(config, folder, machine, WorkspaceBox(design, half))
 
 
 def noise_scale(noise: PoseNoiseConfig) -> Array:

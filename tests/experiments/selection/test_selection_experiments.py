@@ -87,7 +87,7 @@ def test_page_comes_from_the_files_alone(result):
 def test_written_values_are_those_of_the_poses(result):
     config, folder = result
     inputs = read_selection(config, FOLDER)
-    start = inputs.design.knowledge.machine.mechanism.initial_actuator_positions
+    start = inputs.design.machine.mechanism.initial_actuator_positions
     poses, selections = read(folder, "poses"), read(folder, "selections")
     keys = ["label", "criterion", "n_poses", "repeat"]
     for key, rows in poses.groupby(keys, sort=False):
@@ -101,7 +101,7 @@ def test_written_values_are_those_of_the_poses(result):
 
 def test_plans_are_read_by_audits(result):
     config, folder = result
-    legs = len(read_selection(config, FOLDER).design.knowledge.machine.mechanism.leg_lengths)
+    legs = len(read_selection(config, FOLDER).design.machine.mechanism.leg_lengths)
     plans = sorted((folder / "plans").glob("*.csv"))
     ways = {(c.label or c.method, name, n) for c in config.selections for name in c.criteria for n in c.n_poses}
     assert {path.stem for path in plans} == {f"{label}_{criterion}_{n}" for label, criterion, n in ways}
@@ -154,7 +154,7 @@ def test_measured_poses_count(tmp_path):
     run_experiment(config, FOLDER, tmp_path / "out")
     inputs = read_selection(config, FOLDER)
     poses, selections = read(tmp_path / "out", "poses"), read(tmp_path / "out", "selections")
-    start = inputs.design.knowledge.machine.mechanism.initial_actuator_positions
+    start = inputs.design.machine.mechanism.initial_actuator_positions
     own = start + poses[poses["repeat"] == 1][[f"drho_{k}_mm" for k in range(1, 7)]].to_numpy()
     assert own.shape == (1, 6)
     together = inputs.indices(np.concatenate([inputs.measured, own]))["O1"]

@@ -10,14 +10,13 @@ from bayescal.density.errors import ModelError
 from bayescal.density.instruments import InstrumentLikelihood
 from bayescal.density.legs import build_leg_posterior
 from bayescal.density.priors import NormalPrior
-from bayescal.identifiability.calibration import simulate_measurements
-from bayescal.identifiability.fits import Fitter
-from bayescal.machines.frames import N_FRAME_PARAMETERS, move_frames
+from bayescal.machines.frames import frame_blocks, move_frames
 from bayescal.machines.kinematics import solve_forward_kinematics
 from bayescal.numerics.geometry import matrix_from_rotation_vector, rotation_vector_from_matrix
 
 DESIGNS = ("camera_hexapod", "camera_hexapod_frames", "m2_hexapod")
 TRACKED = ("camera_hexapod_frames", "m2_hexapod")  # frames of station and probe unknown, and known
+ACTUATOR_NOISE = 1e-3  # mm
 QUANTILE = 1.6448536269514722  # of a standard normal, 95 %
 
 
@@ -28,36 +27,63 @@ TRACKER = PointNoise((), range_um=5.0, range_ppm=0.5, azimuth_arcsec=1.0, elevat
 MISSED = 0.3  # of the points: some poses have fewer than three
 
 
-def calibrate(knowledge, readings, actuator_noise):
-    """Return mode and covariance, in units of the tolerances, of what an instrument read."""
-    layout = InstrumentLikelihood(knowledge.machine, readings, actuator_noise)
-    centre = dict(zip(knowledge.layout.names, knowledge.centre, strict=True))
-    priors = {name: NormalPrior(float(centre[name]), sd) for name, sd in knowledge.priors.items()}
-    posterior = build_leg_posterior(layout, priors, ModelError(None), knowledge.fixed)
-    assert posterior.names == knowledge.names
-    y = posterior.polish(posterior.approach())
-    gradient, hessian = posterior.gradient(y)
-    covariance = np.linalg.inv(-hessian)
-    assert gradient @ covariance @ gradient < 1e-3
-    return y, covariance
+class Shipped:
+    """A shipped hexapod as those take it who know legs alone, with frames of instrument and tool."""
+
+    def __init__(self, design):
+        plan = problems.read_shipped(design)
+        self.machine = problems.read_machine(design)
+        self.layout = self.machine.layout.extend(frame_blocks(1))
+        self.priors = {}
+        for one, sd in zip(plan.names, plan.sd, strict=True):
+            symbol, _, number = one.removeprefix("laser_tracker_").partition("[")
+            frame, turned = {"frame": "base", "target": "tool"}.get(symbol.removesuffix("_r")), symbol.endswith("_r")
+            axis = "xyz"[int(number[:-1]) - 1] if frame else ""
+            name = f"{frame}_{'r' * turned}{axis}" if frame else one
+            self.priors[name] = NormalPrior(float(self.layout.nominal[self.layout.names.index(name)]), float(sd))
+        self.names = tuple(name for name in self.layout.names if name in self.priors)
+        self.actuators = plan.variant.data.values[:, plan.variant.internal]
+
+    def stand(self, n, rng):
+        """Return n machines off by (n, m) tolerances, which take all poses, and where these are seen."""
+        moves, theta = rng.standard_normal((n, len(self.names))), np.tile(self.layout.nominal, (n, 1))
+        free = [self.layout.names.index(name) for name in self.names]
+        theta[:, free] += moves * [self.priors[name].sd for name in self.names]
+        stood = self.actuators + ACTUATOR_NOISE * rng.standard_normal((n, *self.actuators.shape))
+        size = self.machine.layout.size
+        found = solve_forward_kinematics(self.machine, theta[:, None, :size], stood, check=False)
+        good = self.layout.inside(theta) & found.converged.all(axis=1)
+        assert good.mean() > 0.95
+        position, rotation = move_frames(theta[:, size:], found.position, found.rotation)
+        return moves[good], position[good], rotation[good]
+
+    def calibrate(self, readings):
+        """Return mode and covariance, in units of the tolerances, of what an instrument read."""
+        layout = InstrumentLikelihood(self.machine, readings, ACTUATOR_NOISE)
+        posterior = build_leg_posterior(layout, self.priors, ModelError(None), {})
+        assert posterior.names == self.names
+        y = posterior.polish(posterior.approach())
+        gradient, hessian = posterior.gradient(y)
+        covariance = np.linalg.inv(-hessian)
+        assert gradient @ covariance @ gradient < 1e-3
+        return y, covariance
 
 
 def simulate(design, n, seed):
     """Return z-scores (n, parameters) of the truth under n calibrations of machines of the design's tolerances."""
-    knowledge, plan = problems.describe_shipped(design)
-    fitter, rng = Fitter(knowledge, plan), np.random.default_rng(seed)
-    truth = rng.standard_normal((n, len(knowledge.names)))
-    measured, good = simulate_measurements(fitter, truth, rng)
-    covariance = np.linalg.inv(fitter.seen)
-    names = tuple(f"C{k}" for k in range(plan.n_poses))
+    shipped, rng = Shipped(design), np.random.default_rng(seed)
+    truth, position, rotation = shipped.stand(n, rng)
+    names = tuple(f"C{k}" for k in range(len(shipped.actuators)))
+    covariance = np.tile(
+        np.linalg.inv(problems.TRACKER.information(position[0, :1], rotation[0, :1])), (len(names), 1, 1)
+    )
+    noise = rng.standard_normal((*position.shape[:2], 6)) * np.sqrt(np.diagonal(covariance[0]))
     scores = []
-    for k in np.flatnonzero(good):
-        turn = rotation_vector_from_matrix(measured.rotation[k])
-        values = np.concatenate([measured.position[k], turn], axis=1)
-        readings = PoseReadings(names, measured.actuators[k], values, covariance)
-        y, spread = calibrate(knowledge, readings, plan.actuator_noise)
-        scores.append((y - truth[k]) / np.sqrt(np.diagonal(spread)))
-    assert good.mean() > 0.95
+    for k, moves in enumerate(truth):
+        turn = rotation_vector_from_matrix(matrix_from_rotation_vector(noise[k, :, 3:]) @ rotation[k])
+        values = np.concatenate([position[k] + noise[k, :, :3], turn], axis=1)
+        y, spread = shipped.calibrate(PoseReadings(names, shipped.actuators, values, covariance))
+        scores.append((y - moves) / np.sqrt(np.diagonal(spread)))
     return np.array(scores)
 
 
@@ -80,23 +106,15 @@ def track(position, rotation, rng):
 
 def simulate_tracked(design, n, seed):
     """Return z-scores as `simulate` does, of calibrations by points that one station tracks."""
-    knowledge, plan = problems.describe_shipped(design)
-    assert plan.model_error == 0.0
-    fitter, rng = Fitter(knowledge, plan), np.random.default_rng(seed)
-    truth = rng.standard_normal((n, len(knowledge.names)))
-    theta = fitter.theta(truth)
-    stood = plan.actuators + plan.actuator_noise * rng.standard_normal((n, *plan.actuators.shape))
-    found = solve_forward_kinematics(knowledge.machine, theta[:, None, :-N_FRAME_PARAMETERS], stood, check=False)
-    good = knowledge.layout.inside(theta) & found.converged.all(axis=1)
-    position, rotation = move_frames(theta[:, -N_FRAME_PARAMETERS:], found.position, found.rotation)
-    names, points = tuple(f"C{k}" for k in range(plan.n_poses)), tuple(f"P{k}" for k in range(len(PROBE)))
+    shipped, rng = Shipped(design), np.random.default_rng(seed)
+    truth, position, rotation = shipped.stand(n, rng)
+    names, points = tuple(f"C{k}" for k in range(len(shipped.actuators))), tuple(f"P{k}" for k in range(len(PROBE)))
     scores = []
-    for k in np.flatnonzero(good):
+    for k, moves in enumerate(truth):
         values, covariance = track(position[k], rotation[k], rng)
-        seen = (names, plan.actuators, ("A",), points, PROBE, values[:, None], covariance[:, None])
-        y, spread = calibrate(knowledge, PointReadings(*seen), plan.actuator_noise)
-        scores.append((y - truth[k]) / np.sqrt(np.diagonal(spread)))
-    assert good.mean() > 0.95
+        seen = (names, shipped.actuators, ("A",), points, PROBE, values[:, None], covariance[:, None])
+        y, spread = shipped.calibrate(PointReadings(*seen))
+        scores.append((y - moves) / np.sqrt(np.diagonal(spread)))
     return np.array(scores)
 
 

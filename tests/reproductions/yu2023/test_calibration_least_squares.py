@@ -1,6 +1,8 @@
-"""Batched calibrations against SciPy, the truth, the linear prediction, and the audit's fits."""
+"""Batched calibrations against SciPy, the truth, the linear prediction, and the fits of selections."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,11 +10,10 @@ from hexapod_settings import SCALE, load_setting
 from scipy.optimize import least_squares
 
 from bayescal.errors import InputError
-from bayescal.identifiability.design import Plan
-from bayescal.identifiability.fits import Fitter, Measurements
 from bayescal.machines.sensors import PoseSensor
-from bayescal.numerics.geometry import matrix_from_rotation_vector
+from bayescal.numerics.geometry import matrix_from_rotation_vector, rotation_vector_from_matrix
 from bayescal.pose_selection import candidates_at, even_candidates
+from bayescal.pose_selection.calibrations import _LeastSquares
 from bayescal.pose_selection.observability import angle_rates
 from yu2023.least_squares import (
     PoseErrors,
@@ -112,7 +113,7 @@ def test_parameters_come_back_without_noise_in_three_iterations():
 def test_scatter_matches_the_linear_prediction():
     poses, n = commanded(), 700
     truth, measured = simulated(n, poses)
-    rows = SETTING.domain.linearise(SETTING.domain.at_actuators(poses.actuators)).slope
+    rows = SETTING.domain.design.see(SETTING.domain.at_actuators(poses.actuators)).slope
     rows[:, 3:] = angle_rates(pose_from_coordinates(poses.coordinates)[1]) @ rows[:, 3:]
     predicted, scatter = {}, {}
     for name in ("unweighted", "weighted"):
@@ -129,7 +130,7 @@ def test_scatter_matches_the_linear_prediction():
         assert np.abs(scatter[other] / predicted[name] - 1.0).max() > 0.5
 
 
-def test_most_probable_machines_are_the_audits():
+def test_most_probable_machines_are_those_of_selections():
     shares = even_candidates(SETTING.domain, 20, np.random.default_rng(3)).shares
     placed = candidates_at(SETTING.domain, shares * [1, 1, 1, 0.05, 0.05, 0.05]).placed  # angles are rotation vectors
     poses = CommandedPoses(coordinates_from_pose(placed.position, placed.rotation), placed.actuators)
@@ -137,14 +138,13 @@ def test_most_probable_machines_are_the_audits():
     position, rotation = pose_from_coordinates(SETTING.reach_poses(truth, poses))
     noise = SCALE * np.random.default_rng(5).standard_normal((*position.shape[:2], 6))
     position, rotation = position + noise[..., :3], matrix_from_rotation_vector(noise[..., 3:]) @ rotation
-    measured = coordinates_from_pose(position, rotation)
-    plan = Plan(poses.actuators, (PoseSensor(SCALE[0], SCALE[3]),), 0.0)
-    fitter = Fitter(SETTING.domain.knowledge, plan)
-    actuators = np.broadcast_to(poses.actuators, (5, *poses.actuators.shape))
-    theirs = fitter.fit(Measurements(position, rotation, actuators))
-    ours = calibrate(MACHINE, poses.actuators, measured, WEIGHTINGS["bayesian"])
-    n = MACHINE.layout.size
-    assert np.abs(ours.theta - fitter.theta(theirs.moves)[:, :n]).max() < 5e-3
+    ours = calibrate(MACHINE, poses.actuators, coordinates_from_pose(position, rotation), WEIGHTINGS["bayesian"])
+    design = replace(SETTING.domain.design, sensors=(PoseSensor(SCALE[0], SCALE[3]),))
+    seen, nothing = design.see(placed), np.zeros((20, 6))
+    for k, found in enumerate(ours.theta):
+        stands = np.concatenate([position[k], rotation_vector_from_matrix(rotation[k])], axis=1)
+        theirs = _LeastSquares(seen, stands, poses.actuators, nothing, 1.0).solve()
+        assert np.abs(found - design.theta - theirs @ design.moves).max() < 5e-3
     assert np.sqrt(np.mean((ours.theta - truth) ** 2)) > 0.1  # the prior counts here
 
 

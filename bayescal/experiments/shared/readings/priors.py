@@ -123,6 +123,11 @@ def _check_range(name: str, prior: Prior, layout: ParameterLayout) -> None:
     lower, upper = (float(limit[place]) for limit in layout.limits)
     if not lower < prior.mean < upper:
         raise InputError(f"parameter {name}: found {prior.mean:g}, expected a value between {lower:g} and {upper:g}")
+    if isinstance(prior, UniformPrior) and (prior.lower < lower or prior.upper > upper):
+        raise InputError(
+            f"parameter {name}: found a prior from {prior.lower:g} to {prior.upper:g}, expected it between {lower:g} "
+            f"and {upper:g}"
+        )
 
 
 def _list_common(
