@@ -1,4 +1,4 @@
-"""Densities of all shipped variants as they were before eliminations and posteriors were merged, at 20 points each.
+"""Densities of shipped variants of readings as they were before posteriors were merged, at 20 points each.
 
 ``tests/frozen/densities.json`` has a line for each posterior: its mode and the conditional standard deviations there,
 in sampling coordinates, and what it was at 20 points: the mode, 13 points about it and 6 of the prior. Points are drawn
@@ -23,8 +23,7 @@ import numpy as np
 from bayescal.density.calibration.functions import FunctionErrors, Travel
 from bayescal.density.calibration.terms import Errors
 from bayescal.experiments.frame.load import load
-from bayescal.experiments.shared.readings.inputs import read_inputs as read_calibration
-from bayescal.experiments.study.inputs import load_inputs as load_study
+from bayescal.experiments.shared.readings.inputs import read_inputs
 from bayescal.inference.mode import find_modes
 from bayescal.numerics.units import ARCSECOND, MICROMETRE
 
@@ -33,74 +32,28 @@ FILE = Path(__file__).parent / "frozen" / "densities.json"
 N_POINTS, N_NEAR = 20, 13
 NEAR = (0.3, 1.0, 2.0)  # conditional standard deviations about the mode
 PRIOR = 0.5  # prior standard deviations about the machine as expected
-N_EXACT = 4
 DIGITS = 13
 
-SHIPPED = {
-    "experiments/telescope/study.toml": None,
-    "experiments/telescope/ridges.toml": None,
-    "experiments/m2_hexapod/study.toml": None,
-    "experiments/m2_hexapod/lengths.toml": None,
-    "experiments/hexaglide/study.toml": None,
-    "experiments/camera_hexapod/study.toml": None,
-    "experiments/hangprinter/study.toml": None,
-    "experiments/m2_hexapod_table/study.toml": None,
-    "examples/own_machine/study.toml": None,
-    "experiments/sliding_star/study.toml": None,
-}
-"""Configs, and which of their variants; all where it is None."""
+SHIPPED = (
+    "experiments/hangprinter/study.toml",
+    "experiments/m2_hexapod_table/study.toml",
+    "examples/own_machine/study.toml",
+    "experiments/sliding_star/study.toml",
+)
 
 
 def list_posteriors():
     """Return posteriors by name: shipped variants, and some with what no shipped variant has."""
     found = {}
-    for path, variants in SHIPPED.items():
-        config = load(ROOT / path)[1]
-        if config.by_tables:  # frozen before there was a default model error
-            config = config.model_copy(update={"model_error": {}})
-        names = [one.name for one in config.variants if variants is None or one.name in variants]
-        found |= {f"{path}: {name}": one for name, one in access(config, ROOT / path, names).items()}
-    path = ROOT / "experiments/telescope/study.toml"
-    config = load(path)[1]
-    robust = [one.model_copy(update={"outlier_share": 0.02}) for one in config.variants]
-    config = config.model_copy(update={"variants": robust})
-    names = ["six_pus/none", "six_pus/matrix"]
-    found |= {f"blunders: {name}": one for name, one in access_study(config, path, names).items()}
+    for path in SHIPPED:
+        config = load(ROOT / path)[1].model_copy(update={"model_error": {}})  # frozen before there was a default one
+        for name, variant in read_inputs(config, (ROOT / path).parent).variants.items():
+            found[f"{path}: {name}"] = lambda variant=variant: variant.posterior().anchored()
     path = ROOT / "experiments/sliding_star/study.toml"
-    variant = read_calibration(load(path)[1], path.parent).variants["s8"]
+    variant = read_inputs(load(path)[1], path.parent).variants["s8"]
     for kernel in ("linear", "smooth"):
-        found[f"{kernel}: s8"] = lambda kernel=kernel: (build_with_functions(variant, kernel), None)
+        found[f"{kernel}: s8"] = lambda kernel=kernel: build_with_functions(variant, kernel)
     return found
-
-
-def access_study(config, path, names):
-    """Return how to get at the posteriors of a study's variants, with and without τ, and the exact density beside."""
-    inputs = load_study(config, path.parent)
-
-    def build(name, with_tau):
-        variant = inputs.variant(name)
-        posterior = inputs.posterior(variant, with_tau)
-        exact = inputs.exact_density(variant, posterior)
-        if exact is None:
-            return posterior, None
-
-        def density(y):
-            return exact(posterior.theta(y), posterior.errors.amplitudes(posterior.zeta(y))) + posterior.log_prior(y)
-
-        return posterior, density
-
-    both = (True,) if "ridges" in path.name else (True, False)
-    return {
-        f"{name}{'' if tau else ', no model error'}": (lambda name=name, tau=tau: build(name, tau))
-        for name in names
-        for tau in both
-    }
-
-
-def access_calibration(config, path, names):
-    """Return how to get at the posteriors of a calibration's variants."""
-    inputs = read_calibration(config, path.parent)
-    return {name: (lambda name=name: (inputs.variants[name].posterior().anchored(), None)) for name in names}
 
 
 def build_with_functions(variant, kernel):
@@ -127,11 +80,6 @@ def build_with_functions(variant, kernel):
     return replace(variant.posterior(), errors=Errors((functions,)))
 
 
-def access(config, path, names):
-    """Return how to get at the posteriors of a study's variants."""
-    return (access_calibration if config.by_tables else access_study)(config, path, names)
-
-
 def draw_points(name, mode, scale):
     """Return the points of a posterior, shape (20, n): the mode, points about it, points of the prior."""
     rng = np.random.default_rng(zlib.crc32(name.encode()))
@@ -140,7 +88,7 @@ def draw_points(name, mode, scale):
     return np.concatenate([mode[None], near, PRIOR * z[1 + N_NEAR :]])
 
 
-def measure(name, posterior, exact, y, scale):
+def measure(name, posterior, y, scale):
     """Return what a posterior is at points (B, n): density, the poses' share, their gradient per standard deviation.
 
     A pose's share is weighted by a number of its own, a gradient's entry by another: no two may trade places.
@@ -158,10 +106,7 @@ def measure(name, posterior, exact, y, scale):
     for k in np.flatnonzero(there):
         slope = posterior.gradient(y[k])[0] * scale
         gradient[k] = [np.linalg.norm(slope), *(slope @ across)]
-    found = {"density": density, "pointwise": pointwise, "gradient": gradient}
-    if exact is not None:
-        found["exact"] = exact(y[:N_EXACT])
-    return found
+    return {"density": density, "pointwise": pointwise, "gradient": gradient}
 
 
 def find_mode(posterior):
@@ -191,9 +136,9 @@ def write_frozen():
     """Make the file anew."""
     lines = []
     for name, build in list_posteriors().items():
-        posterior, exact = build()
+        posterior = build()
         mode, scale = (np.array(round_off(one, n)) for one, n in zip(find_mode(posterior), (9, 3), strict=True))
-        found = measure(name, posterior, exact, draw_points(name, mode, scale), scale)
+        found = measure(name, posterior, draw_points(name, mode, scale), scale)
         digits = {"gradient": 7}
         entry = {"mode": mode.tolist(), "scale": scale.tolist()}
         entry |= {key: round_off(values, digits.get(key, DIGITS)) for key, values in found.items()}

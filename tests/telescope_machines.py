@@ -6,22 +6,25 @@ held were recovered from its tables. Whatever is simulated here is a twin, never
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-from eliminated_legs import eliminate_legs
 
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.density.calibration.likelihood import CalibrationPosterior
-from bayescal.density.calibration.terms import Errors
-from bayescal.density.posterior import Posterior
-from bayescal.density.priors import NormalPrior
+from bayescal.density.calibration.model_error import IndependentErrors
+from bayescal.density.calibration.terms import NO_ERRORS, Errors
+from bayescal.density.outliers import NORMAL, Outliers
+from bayescal.density.priors import NormalPrior, Prior
+from bayescal.experiments.shared.leg_readings import place_legs
 from bayescal.machines.deformations import DEFORMATIONS, Deformation, NominalDeformation
 from bayescal.machines.kinematics import Machine, solve_forward_kinematics
 from bayescal.machines.mechanism import Flexures, Mechanism, section_of_rod
 from bayescal.machines.models import MODELS, KinematicModel
 from bayescal.machines.parameters import ParameterLayout
-from bayescal.numerics.geometry import matrix_from_rotation_vector
+from bayescal.machines.readings import Legs
+from bayescal.numerics.geometry import matrix_from_rotation_vector, rotation_vector_from_matrix
 
 ACTUATOR_NOISE = 1e-3
 ACTUATOR_RANGE = 1.3
@@ -232,42 +235,80 @@ def place_poses(machine: Machine, theta: np.ndarray, actuators: np.ndarray, erro
     return MeasuredPoses(names, position, rotation, measurement_covariance(len(actuators)), actuators)
 
 
+def list_coordinates(poses: MeasuredPoses) -> np.ndarray:
+    """Return measured poses as positions and rotation vectors, shape (P, 6)."""
+    return np.concatenate([poses.position, rotation_vector_from_matrix(poses.rotation)], axis=1)
+
+
+def find_pose_covariance(
+    machine: Machine, theta: np.ndarray, poses: MeasuredPoses, tau: np.ndarray, noise: float = ACTUATOR_NOISE
+) -> np.ndarray:
+    """Return covariances of pose errors, (P, 6, 6): as measured, by actuators that are off, by legs that err.
+
+    A leg's error moves the platform alone: unlike a displacement of its actuator it bends nothing at other legs.
+    """
+    basis = machine.basis(poses.actuators)
+    alone = replace(basis, actuator_gain=basis.actuator_gain * np.eye(machine.mechanism.n_legs))
+    here = machine.linearise(theta, poses.position, poses.rotation, poses.actuators)
+    own = machine.model.linearise(machine.layout, theta, poses.position, poses.rotation, alone)
+    inverse = np.linalg.pinv(here.pose)
+    by_actuators, by_legs = inverse @ here.actuators * noise, inverse @ own.actuators * tau
+    added = by_actuators @ np.swapaxes(by_actuators, 1, 2) + by_legs @ np.swapaxes(by_legs, 1, 2)
+    return np.asarray(poses.covariance + added)
+
+
 def simulate_poses(
     machine: Machine, theta: np.ndarray, actuators: np.ndarray, tau: np.ndarray, rng: np.random.Generator
 ) -> MeasuredPoses:
-    """Return measured poses, to first order in the errors of actuators, of the legs themselves, and of the poses."""
-    exact, basis = solve_forward_kinematics(machine, theta, actuators), machine.basis(actuators)
-    alone = replace(basis, actuator_gain=basis.actuator_gain * np.eye(actuators.shape[1]))  # bends no other leg
-    closures = [
-        machine.model.linearise(machine.layout, theta, exact.position, exact.rotation, one) for one in (basis, alone)
-    ]
-    moved = [size * rng.standard_normal(actuators.shape) for size in (ACTUATOR_NOISE, tau)]
-    legs = sum(np.einsum("pij,pj->pi", one.actuators, by) for one, by in zip(closures, moved, strict=True))
-    root = np.linalg.cholesky(measurement_covariance(len(actuators)))
-    error = np.einsum("pij,pj->pi", np.linalg.pinv(closures[0].pose), legs)
-    error += np.einsum("pij,pj->pi", root, rng.standard_normal((len(actuators), 6)))
+    """Return poses with the noise of the instrument and of the actuators, of legs that err by τ."""
+    exact = place_poses(machine, theta, actuators, np.zeros((len(actuators), 6)))
+    covariance = find_pose_covariance(machine, theta, exact, tau)
+    normal = rng.standard_normal((len(actuators), 6, 1))
+    error = (np.linalg.cholesky(covariance) @ normal)[..., 0]
     return place_poses(machine, theta, actuators, error)
+
+
+def let_err(scale: float | None = 0.01, shared: bool = False, outliers: Outliers = NORMAL, n_legs: int = 6) -> Errors:
+    """Return errors of legs of an unknown size, half normal in mm, each leg's or all alike; none without a scale."""
+    every, levers = np.arange(n_legs + 6) < n_legs, np.ones(n_legs + 6)
+    legs = {"tau": every} if shared else {f"tau[{k + 1}]": np.arange(n_legs + 6) == k for k in range(n_legs)}
+    terms = [IndependentErrors(name, own, scale, "mm", levers) for name, own in legs.items()] if scale else []
+    return Errors(tuple(terms), outliers)
+
+
+def measure(
+    machine: Machine,
+    poses: MeasuredPoses,
+    priors: Mapping[str, Prior],
+    errors: Errors = NO_ERRORS,
+    fixed: Mapping[str, float] | None = None,
+    noise: float = ACTUATOR_NOISE,
+) -> CalibrationPosterior:
+    """Return the posterior of a machine on legs by poses measured of it."""
+    return place_legs(Legs(machine), poses, noise, priors, errors, fixed or {}).posterior
+
+
+def list_priors(machine: Machine, symbols: tuple[str, ...]) -> dict[str, Prior]:
+    """Return normal priors of 2 mm (lengths), 0.01 (kappa) and 0.05 (directions) about nominal."""
+    layout = machine.layout
+    return {
+        name: NormalPrior(value, PRIOR_SD.get(block.symbol, 2.0))
+        for block in layout.blocks
+        if block.symbol in symbols
+        for name, value in zip(block.names, block.nominal, strict=True)
+    }
 
 
 def build_posterior(
     deformation: str,
     poses: MeasuredPoses,
-    errors: Errors | None = None,
+    errors: Errors = NO_ERRORS,
     symbols: tuple[str, ...] | None = None,
     machine: Machine | None = None,
 ) -> CalibrationPosterior:
-    """Return a posterior with normal priors of 2 mm (lengths), 0.01 (kappa) and 0.05 (directions) about nominal."""
+    """Return the posterior of the telescope, or of another machine, with the priors of `list_priors`."""
     machine = machine or build_machine(deformation)
-    layout = machine.layout
-    chosen = symbols or FREE_SYMBOLS[deformation]
-    priors = {
-        name: NormalPrior(layout.nominal[k], PRIOR_SD.get(symbol, 2.0))
-        for block in layout.blocks
-        for symbol in (block.symbol,)
-        if symbol in chosen
-        for name, k in zip(block.names, layout.index[symbol], strict=True)
-    }
-    return Posterior(eliminate_legs(machine, poses, ACTUATOR_NOISE, layout.nominal), priors, errors or Errors())
+    return measure(machine, poses, list_priors(machine, symbols or FREE_SYMBOLS[deformation]), errors)
 
 
 def central_difference(function, x: np.ndarray, step: np.ndarray) -> np.ndarray:

@@ -123,7 +123,7 @@ class LoneRows:
         left = np.swapaxes(axes[..., q:], -1, -2) @ whitening
         channels = np.flatnonzero(~errors.is_known(n)) if errors.has_noise else np.arange(n - q)
         gain = np.eye(n)[None] if likelihood.error_gain is None else likelihood.error_gain
-        seen = left @ gain[..., channels]
+        seen = left @ gain[..., channels] if errors.has_noise else np.tile(np.eye(n - q), (data.n_poses, 1, 1))
         if seen.shape[-1] != n - q or not np.all(np.linalg.cond(seen) < ILL):
             return None
         to_rows, follow = np.linalg.inv(seen), invert(slope, 0.0) @ whitening

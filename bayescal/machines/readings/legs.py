@@ -345,7 +345,9 @@ class Legs(ReadingModel):
             basis = machine.basis(commands)
             closure = machine.model.bind(machine.layout, position, rotation, basis)
             residual = closure.evaluate(np.asfortranarray(self._own(theta))).transpose(1, 0, 2)
-            here = machine.model.prepare(machine.layout, self._own(mean))(position, rotation, basis, False)
+            own = self._own(mean)
+            at_mean = machine.basis_at(own, commands)
+            here = machine.model.prepare(machine.layout, own)(position, rotation, at_mean, False)
             return -divide_closure(here.actuators, residual)
 
 
@@ -379,7 +381,9 @@ class BoundLegs(Bound):
         position, rotation = pose[:, :3], matrix_from_rotation_vector(pose[:, 3:])
         basis = machine.basis(actuators)
         closure = machine.model.bind(machine.layout, position, rotation, basis)
-        here = machine.model.prepare(machine.layout, theta)(position, rotation, basis, False)
+        here = machine.model.prepare(machine.layout, theta)(
+            position, rotation, machine.basis_at(theta, actuators), False
+        )
         closure.evaluate(np.asfortranarray(np.broadcast_to(theta, (len(POSE), len(theta)))))
         unit = np.ascontiguousarray(np.broadcast_to(np.eye(len(POSE))[:, None], (len(POSE), len(pose), len(POSE))))
         more = here.pose - closure.along(unit).transpose(1, 0, 2)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import studies
-from eliminated_legs import list_coordinates
+from telescope_machines import list_coordinates
 
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.shared.readings.inputs import read_inputs
