@@ -4,13 +4,13 @@ import guided_machines as guided
 import numpy as np
 import pytest
 import telescope_machines as machines
-from scipy.stats import multivariate_normal
-
-from bayescal.data.instruments.readings import PointReadings, PoseReadings
 from bayescal.density.errors import ModelError
 from bayescal.density.instruments import InstrumentLikelihood
 from bayescal.density.legs import build_leg_posterior
 from bayescal.density.pose_likelihood import PoseLikelihood
+from scipy.stats import multivariate_normal
+
+from bayescal.data.instruments.readings import PointReadings, PoseReadings
 from bayescal.density.priors import NormalPrior
 from bayescal.machines.frames import measured_pose_slopes, move_frames
 from bayescal.machines.kinematics import solve_forward_kinematics

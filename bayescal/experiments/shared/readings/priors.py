@@ -125,7 +125,8 @@ def check_ranges(
         place = layout.names.index((common or {}).get(name, (name,))[0])
         lower, upper = (float(limit[place]) for limit in layout.limits)
         if not lower < prior.mean < upper:
-            raise InputError(f"parameter {name}: found {prior.mean:g}, expected a value between {lower:g} and {upper:g}")
+            found = f"found {prior.mean:g}, expected a value between {lower:g} and {upper:g}"
+            raise InputError(f"parameter {name}: {found}")
         if isinstance(prior, UniformPrior) and (prior.lower < lower or prior.upper > upper):
             raise InputError(
                 f"parameter {name}: found a prior from {prior.lower:g} to {prior.upper:g}, "
