@@ -96,13 +96,15 @@ class StudyInputs(ReadingInputs):
 
     @cached_property
     def claims(self) -> Claims | None:
-        """What a publication claims of the study; InputError for a class that is none."""
+        """What a publication claims of the study; InputError for a class that is none, or wants what is not there."""
         if self.config.claims is None:
             return None
         from bayescal.experiments.study.claims import Claims
 
         kind = Claims
-        return find_class("CLAIMS", self.config.claims, kind, "claims", self.folder, self.folder)()  # type: ignore[type-abstract]
+        found = find_class("CLAIMS", self.config.claims, kind, "claims", self.folder, self.folder)()  # type: ignore[type-abstract]
+        found.check(self)
+        return found
 
     def estimate_memory(self) -> Need:
         """Return what the largest variant's posterior takes, and all that is saved of each."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterable
 from functools import partial
 from typing import NamedTuple
@@ -17,7 +16,6 @@ from matplotlib.patches import Patch
 
 from bayescal.experiments.shared.knowledge_page import VERDICT_LEVELS
 from bayescal.experiments.shared.origin import name_origin
-from bayescal.experiments.shared.study_schema import name_variant
 from bayescal.experiments.study.page.results import NOISE, VARIANT, StudyResults, name_some
 from bayescal.experiments.study.page.styles import Styles, add_legend, assign_styles
 from bayescal.report.blocks import Block, Cell, Column, Figure, Fold, Heading, Section, Statement, Table, make_table
@@ -389,12 +387,8 @@ def _measure_rms(values: Iterable[float]) -> float:
 
 
 def name_table(study: StudyResults, variant: str) -> str:
-    """Return which published table belongs to a variant, ``table 5(a)``; empty where the config names none."""
-    for entry in study.config.get("variants", []):
-        if entry.get("name", name_variant(entry.get("model"), entry.get("deformation"))) == variant:
-            name = re.split(r"[/\\]", str(entry.get("published") or ""))[-1].removesuffix(".csv")
-            return re.sub(r"^table_?(\d+)_?([a-z])$", r"table \1(\2)", name)
-    return ""
+    """Return which published table belongs to a variant, ``table 5(a)``; empty where the publication names none."""
+    return str((study.publication or {}).get("tables", {}).get(variant, ""))
 
 
 def tabulate_published(study: StudyResults) -> Table | None:
