@@ -80,8 +80,7 @@ def write_other_machine(folder: Path) -> None:
 
 @cache
 def _make_texts() -> dict[str, str]:
-    base = {name: text for name, text in studies.tiny_texts().items() if "published" not in name}
-    texts = base | {"study.toml": STUDY}
+    texts = studies.tiny_texts() | {"study.toml": STUDY}
     for k, (moved, warm) in enumerate(zip(MOVED_UM, WARM, strict=True), start=1):
         length = _find_lengths() + OFFSETS + 1e-3 * moved * (np.arange(6) == LEG - 1)
         offsets = length * (1.0 + 1e-6 * PPM * (warm - 20.0)) - _find_lengths()

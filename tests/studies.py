@@ -16,6 +16,7 @@ from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.frame.results import Results, read_results
 from bayescal.experiments.frame.run import compute_experiment
 from bayescal.experiments.study.inputs import StudyInputs
+from bayescal.experiments.study.tables import format_poses
 from bayescal.machines.kinematics import STEP_TOLERANCE
 
 EXPERIMENTS = Path(__file__).parents[1] / "experiments"
@@ -113,7 +114,6 @@ free = ["l"]
 model = "six_pus"
 deformation = "matrix"
 free = ["l", "kappa"]
-published = "published.csv"
 
 [sampler]
 ensembles = 4
@@ -128,13 +128,6 @@ max_draws = 1000
 [sensitivity]
 factor = [1.0]
 """
-
-PUBLISHED = """# as if somebody had published it
-parameter,unit,leg1,leg2,leg3,leg4,leg5,leg6
-l,mm,0.37,-0.45,1.02,0.25,0.43,0.58
-kappa,1e-3,9.58,1.98,4.43,3.33,0.67,6.99
-"""
-
 
 BY_TARGETS = """targets = "data/targets.csv"
 actuators = "data/actuators.csv"
@@ -154,7 +147,6 @@ def tiny_texts() -> dict[str, str]:
     texts = {
         "simulate.toml": SIMULATION,
         "study.toml": STUDY,
-        "published.csv": PUBLISHED,
         "mechanism.toml": (TELESCOPE / "mechanism.toml").read_text(),
         "deformation_matrix.csv": (TELESCOPE / "deformation_matrix.csv").read_text(),
     }
@@ -231,6 +223,13 @@ def load_study(path: Path) -> StudyInputs:
     return StudyInputs.load(load_experiment(path), path.parent)
 
 
+def feed_poses(path: Path) -> str:
+    """Return the poses that a study of targets found as the text of a table of poses."""
+    inputs = load_study(path)
+    assert inputs.seen is not None
+    return format_poses(inputs.seen.measured, inputs.config.origin)
+
+
 def copy_small(config: Path, folder: Path) -> Path:
     """Copy an experiment's folder and shrink the sampler of one of its configs; return the copy."""
     shutil.copytree(config.parent, folder, dirs_exist_ok=True)
@@ -274,8 +273,7 @@ def assert_same_text(found: str, expected: str, name: str = "") -> None:
         assert abs(float(one) - float(other)) <= max(STEP_TOLERANCE, 1.01 * last), f"{name}: {one}, expected {other}"
 
 
-def read_posterior(folder: Path, variant: str, setting: str = "free") -> dict[str, dict[str, Any]]:
+def read_posterior(folder: Path, variant: str) -> dict[str, dict[str, Any]]:
     """Return the rows of a variant's parameters in a results directory, by their names."""
     table = read_results(folder, ("parameters",)).table("parameters")
-    mine = table[(table["variant"] == variant) & (table["model_error"] == setting)]
-    return {str(row["parameter"]): row for row in mine.to_dict("records")}
+    return {str(row["parameter"]): row for row in table[table["variant"] == variant].to_dict("records")}

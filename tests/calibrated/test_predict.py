@@ -11,20 +11,24 @@ import telescope_machines as machines
 
 from bayescal.calibrated.machine import Errors, build_calibrated
 from bayescal.calibrated.predict import command_poses, draw_poses, predict_poses
-from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.errors import InputError
+from bayescal.machines.kinematics import solve_forward_kinematics
 from bayescal.machines.readings import Legs
 
 
 @pytest.mark.parametrize("deformation", ["none", "matrix"])
-def test_errors_of_the_legs_are_those_of_the_density(deformation, rng):
-    """Without a posterior's spread the covariance is that which a study's likelihood gives measured poses."""
+def test_errors_of_the_legs_are_carried_to_the_pose(deformation, rng):
+    """Noise moves the actuators, and bends the other legs; the model error moves each leg by itself."""
     machine = machines.build_machine(deformation)
     made_up = calibrated.build_made_up(machine, rng, scale=1e-9)
     actuators = calibrated.measurable_actuators(machine, 6, rng)
-    poses = machines.place_poses(made_up.legs, made_up.theta, actuators, np.zeros((6, 6)))
-    likelihood = PoseLikelihood(made_up.legs, replace(poses, covariance=np.zeros((6, 6, 6))), 1e-3)
-    expected = likelihood.pose_covariance(np.full(6, 2e-3))
+    legs, basis = made_up.legs, made_up.legs.basis(actuators)
+    exact = solve_forward_kinematics(legs, made_up.theta, actuators)
+    expected = np.zeros((6, 6, 6))
+    for one, size in ((basis, 1e-3), (replace(basis, actuator_gain=basis.actuator_gain * np.eye(6)), 2e-3)):
+        at = legs.model.linearise(legs.layout, made_up.theta, exact.position, exact.rotation, one)
+        moved = size * np.linalg.solve(at.pose, at.actuators)
+        expected += moved @ np.swapaxes(moved, 1, 2)
     np.testing.assert_allclose(predict_poses(made_up, actuators).covariance, expected, rtol=1e-6, atol=1e-16)
 
 

@@ -16,7 +16,7 @@ from fuzz.judged import judge_call, judge_refusal
 from bayescal.errors import InputError
 from bayescal.experiments.frame import run as frame
 from bayescal.experiments.frame.load import load_experiment
-from bayescal.experiments.study.inputs import load_inputs
+from bayescal.experiments.study.inputs import StudyInputs
 
 RESULTS = Path(__file__).parents[2] / "results"
 
@@ -87,13 +87,13 @@ def test_pads_that_nobody_uses_are_no_fault(tmp_path):
     rows = targets.read_text().splitlines()
     targets.write_text("\n".join(row for row in rows if not row.startswith("C03,platform,L1")) + "\n")
     with pytest.raises(InputError, match="pose 'C03'"):
-        load_inputs(load_experiment(path), tmp_path)
+        StudyInputs.load(load_experiment(path), tmp_path)
     content = tomllib.loads(path.read_text())
     content["variants"] = content["variants"][:1]
     del content["parameters"]["kappa"]
     path.write_text(dump_toml(content))
-    inputs = load_inputs(load_experiment(path), tmp_path)
-    assert (inputs.deflection, inputs.measured_matrix, inputs.measured_kappa) == (None, None, None)
+    inputs = StudyInputs.load(load_experiment(path), tmp_path)
+    assert inputs.seen.pads is None
 
 
 # --- what does not come out ------------------------------------------------------------------------------------------

@@ -8,8 +8,8 @@ import audit_problems as problems
 import numpy as np
 import pytest
 import telescope_machines as machines
-
 from bayescal.density.pose_likelihood import PoseLikelihood
+
 from bayescal.density.priors import NormalPrior
 from bayescal.errors import InputError
 from bayescal.experiments.audit.audit import judge_parameters

@@ -9,10 +9,10 @@ import guided_machines as guided
 import numpy as np
 import pytest
 import telescope_machines as machines
-
 from bayescal.density.errors import ModelError
 from bayescal.density.legs import build_leg_posterior
 from bayescal.density.pose_likelihood import PoseLikelihood
+
 from bayescal.density.priors import NormalPrior
 from bayescal.identifiability.information import information_of_rows
 from bayescal.inference.exploration import explore

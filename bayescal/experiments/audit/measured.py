@@ -17,7 +17,7 @@ import numpy as np
 from bayescal.config.classes import label_class
 from bayescal.density.calibration.measurements import Measurements
 from bayescal.density.calibration.model_error import FunctionsOfPose, IndependentErrors, ThinFunctionsOfPose
-from bayescal.density.calibration.terms import Errors, ErrorTerm
+from bayescal.density.calibration.terms import Errors, ErrorTerm, KnownErrors
 from bayescal.density.priors import NormalPrior, Prior
 from bayescal.errors import InputError
 from bayescal.experiments.audit.machine import plan_commands
@@ -99,11 +99,11 @@ class MeasuredMachine:
             raise InputError("sensors: found them beside [data], expected those of the study")
         posterior, model = self.found.posterior, self.model
         data = posterior.likelihood.data
+        noise = np.sqrt(data.sd**2 + _spread_known(posterior.errors, data))
         if planned.rows is not None:
-            some = data.pick(planned.rows)
-            sd, correlation = some.sd, some.correlation
+            sd, correlation = noise[planned.rows], data.pick(planned.rows).correlation
         else:
-            sd = np.tile(np.median(data.sd, axis=0), (len(planned.names), 1))
+            sd = np.tile(np.median(noise, axis=0), (len(planned.names), 1))
             mean = None if data.correlation is None else data.correlation.mean(axis=0)
             correlation = None if mean is None else np.tile(mean, (len(sd), 1, 1))
         priors: dict[str, Prior] = {
@@ -131,8 +131,18 @@ class MeasuredMachine:
             values = np.where(data.present[planned.rows], values, np.nan)
         variant = replace(variant, data=replace(nothing, values=values))
         check_told(variant.posterior(), planned.pose, self.workspace)
-        terms = tuple(_move(one, model, variant.data, planned.pose) for one in posterior.errors.terms)
-        return replace(variant, errors=Errors(terms))
+        others = [one for one in posterior.errors.terms if not isinstance(one, KnownErrors)]
+        return replace(variant, errors=Errors(tuple(_move(one, model, variant.data, planned.pose) for one in others)))
+
+
+def _spread_known(errors: Errors, data: Measurements) -> Array:
+    """Return the variance (P, K) of errors that all rows have in common and that are known: an audit counts it by row.
+
+    What K from targets lacks is different at poses that nobody measured.
+    """
+    known = [one for one in errors.terms if isinstance(one, KnownErrors)]
+    square = sum((one.sign * np.sum(one.act(data) ** 2, axis=-1) for one in known), start=np.zeros_like(data.sd))
+    return np.maximum(square, 0.0)
 
 
 def _move(term: ErrorTerm, model: ReadingModel, data: Measurements, pose: Array) -> ErrorTerm:

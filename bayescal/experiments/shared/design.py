@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from bayescal.config.classes import choose, name_failures
-from bayescal.errors import InputError
+from bayescal.errors import InputError, name_faults
 from bayescal.experiments.shared.schema import (
     DeformationConfig,
     ModelConfig,
@@ -53,7 +53,8 @@ def read_machine(
 
     nominal = NominalDeformation(deformation.kappa, matrix)
     machine = build_named_machine(mechanism, path, variant.model, variant.deformation, nominal, "variant", folder)
-    check_home_pose(machine)
+    with name_faults(path):
+        check_home_pose(machine)
     return machine
 
 

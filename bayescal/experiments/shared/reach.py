@@ -18,10 +18,11 @@ COMMON = 5.0  # misfit of a row without one of its channels, in units of the oth
 LOOK = "look at units, signs, zeros, order of channels and of rows"
 
 
-def check_reach(readings: Readings) -> None:
+def check_reach(readings: Readings, calibrating: Readings | None = None) -> None:
     """Raise InputError for a row whose readings the machine has nowhere, neither as expected nor within its tolerances.
 
-    The message names the row, the channels that have no reading where the others lead, and the slip that mends it.
+    The message names the row, the channels that have no reading where the others lead, and the slip that mends it: of
+    all rows, or of those that calibrate where these are others.
     """
     posterior, data = readings.posterior, readings.posterior.likelihood.data
     lost, off = _find_lost(posterior), readings.measure_rows()
@@ -40,6 +41,8 @@ def check_reach(readings: Readings) -> None:
     said += f"; {n_lost} of {data.n_poses} rows are like it" if n_lost > 1 else ""
     alone = _blame(readings, k) if n_lost == 1 else ""
     slip = None if alone else find_slip([readings])
+    if slip is None and not alone and calibrating is not None:
+        slip = find_slip([calibrating])
     if slip is not None:
         raise InputError(f"{said}; {slip.say()}")
     alone = alone or (_blame(readings, k) if 1 < n_lost <= data.n_poses / 2 else "")

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayescal.config.registry import find_class
+from bayescal.errors import name_faults
 from bayescal.experiments.frame.memory import Need
 from bayescal.experiments.shared.knowledge_page import NO_TOOL
 from bayescal.experiments.shared.measured import MeasuredReadings
@@ -19,6 +20,7 @@ from bayescal.experiments.shared.outlook import join_outlooks
 from bayescal.experiments.shared.readings.errors import drop_model_error
 from bayescal.experiments.shared.readings.inputs import ReadingInputs, read_inputs
 from bayescal.experiments.shared.readings.memory import estimate_calibration
+from bayescal.experiments.shared.readings.priors import check_ranges
 from bayescal.experiments.shared.slip_search import find_slip
 from bayescal.experiments.shared.slips import FoundSlip
 from bayescal.experiments.shared.study_schema import StudyConfig, stem_of
@@ -63,8 +65,14 @@ class StudyInputs(ReadingInputs):
 
     @classmethod
     def load(cls, config: StudyConfig, folder: Path) -> StudyInputs:
-        """Return machine, readings and variants."""
-        return cls(**vars(read_inputs(config, folder)), folder=folder)
+        """Return machine, readings and variants; InputError for other widths of priors that no machine has."""
+        found = cls(**vars(read_inputs(config, folder)), folder=folder)
+        for name, variant in found.variants.items():
+            for factor in config.sensitivity.factor:
+                with name_faults(f"variant {name!r}: sensitivity.factor {factor:g}"):
+                    wide = variant.posterior(factor=factor).priors
+                    check_ranges(wide, variant.model.layout, variant.common)
+        return found
 
     @property
     def verification(self) -> np.ndarray:

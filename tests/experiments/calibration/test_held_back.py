@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from bayescal.experiments.frame.load import load_experiment
-from bayescal.experiments.study.by_tables import ReadingStudy
+from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.page.errors import state_held_back
 from bayescal.experiments.study.page.results import StudyResults
 from bayescal.experiments.study.readings import hold_back, list_lost, list_predictions
@@ -30,7 +30,7 @@ def inputs(tmp_path_factory):
     cells[3] = cells[4] = cells[5] = ""
     lines[place] = ",".join(cells)
     table.write_text("\n".join(lines) + "\n")
-    return ReadingStudy.load(load_experiment(path), path.parent)
+    return StudyInputs.load(load_experiment(path), path.parent)
 
 
 @pytest.fixture(scope="module")

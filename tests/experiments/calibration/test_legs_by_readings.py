@@ -7,7 +7,7 @@ from telescope_machines import list_coordinates
 
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.shared.readings.inputs import read_inputs
-from bayescal.experiments.study.inputs import load_inputs
+from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.inference.exploration import integrate_posterior
 from bayescal.inference.importance import resample
 from bayescal.inference.schema import EvidenceConfig
@@ -78,7 +78,7 @@ title = "Lengths free"
 
 @pytest.fixture(scope="module")
 def study():
-    return load_inputs(load(STUDY)[1], STUDY.parent)
+    return StudyInputs.load(load(STUDY)[1], STUDY.parent)
 
 
 def write_readings(poses):

@@ -11,15 +11,15 @@ from bayescal.density.calibration.model_error import ThinFunctionsOfPose
 from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.shared.readings import errors
-from bayescal.experiments.shared.study_inputs import Task
-from bayescal.experiments.study.by_tables import ReadingStudy
+from bayescal.experiments.study.inputs import StudyInputs
+from bayescal.experiments.study.readings import fit_variant
 
 TERMS = ("tau", "sigma_linear", "sigma_own", "sigma_smooth", "sigma_drift")
 NONE = "\n[model_error]\nterms = []\n"
 
 
 def read(path):
-    return ReadingStudy.load(load(path)[1], path.parent)
+    return StudyInputs.load(load(path)[1], path.parent)
 
 
 def write(folder, section="", variant=""):
@@ -148,7 +148,7 @@ def test_a_coupling_is_found_in_size_place_and_course(tmp_path):
     table, error = err(path, 100.0)
     study = read(path)
     variant = study.variants["all"]
-    tables = study.fit(Task("all")).model_error
+    tables = fit_variant(study, "all").model_error
     sizes = tables["model_error"].set_index("term")
     assert list(sizes.index) == ["independent", "linear", "own", "smooth", "drift", "together"]
     assert (sizes["q05_um"] <= sizes["median_um"]).all()
@@ -171,7 +171,7 @@ def test_a_coupling_is_found_in_size_place_and_course(tmp_path):
 @pytest.mark.runs
 def test_tables_of_random_errors_alone_have_their_size(tmp_path):
     path = write(tmp_path, 'terms = ["independent"]\nat_least_um = { independent = 4.0 }\nper_leg = true')
-    fit = read(path).fit(Task("all"))
+    fit = fit_variant(read(path), "all")
     assert set(fit.model_error) == {"model_error"}
     (row,) = fit.model_error["model_error"].to_dict("records")
     taus = [k for k, name in enumerate(fit.names) if name.startswith("tau[")]

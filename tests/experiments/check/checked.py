@@ -10,12 +10,12 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import studies
 
-from bayescal.data.measured_poses import MeasuredPoses
-from bayescal.density.legs import build_leg_posterior
+from bayescal.density.calibration.likelihood import CalibrationPosterior
+from bayescal.density.calibration.terms import Errors, KnownErrors
 from bayescal.density.priors import NormalPrior
 from bayescal.experiments.check.inputs import Subject, read_check
 from bayescal.experiments.check.kind import configure_check
-from bayescal.experiments.shared.measured import MeasuredVariant, see_legs
+from bayescal.experiments.shared.readings.errors import drop_model_error
 
 VARIANT = "six_pus/matrix"
 
@@ -30,39 +30,39 @@ def tiny_subject() -> Subject:
 
 def make_clean(seed: int, with_model_error: bool = False) -> Subject:
     """Return a study whose data are simulated as it states, of a machine of its priors; K known, no photogrammetry."""
-    legs = tiny_subject().measured.legs
-    known = replace(legs, described={}, actuator_variance=None, shared_errors=None)
-    subject = with_poses(known, known.poses)
-    exact = subject if with_model_error else with_poses(without_model_error(known), known.poses)
-    _, values = exact.draw_truth(np.random.default_rng([seed, 8]))
-    return Subject(subject.measured.retake(values))
+    own = replace(drop_known(tiny_subject()).measured, described={})
+    exact = own if with_model_error else replace(own, posterior=drop_model_error(own.posterior))
+    _, values = Subject(exact).draw_truth(np.random.default_rng([seed, 8]))
+    return Subject(own.retake(values))
 
 
-def with_poses(legs: MeasuredVariant, poses: MeasuredPoses) -> Subject:
-    """Return a study that has measured other poses."""
-    return Subject(see_legs(legs.with_poses(poses)))
+def drop_known(subject: Subject) -> Subject:
+    """Return a study that knows K without error."""
+    terms = tuple(one for one in subject.measured.posterior.errors.terms if not isinstance(one, KnownErrors))
+    return with_posterior(subject, errors=Errors(terms))
 
 
-def without_model_error(legs: MeasuredVariant) -> MeasuredVariant:
-    """Return a study whose legs have no model error."""
-    posterior = legs.posterior
-    return replace(legs, posterior=build_leg_posterior(posterior.likelihood, posterior.priors, fixed=posterior.fixed))
+def with_posterior(subject: Subject, **changes: object) -> Subject:
+    """Return a study of which the posterior has something else."""
+    measured = subject.measured
+    return Subject(replace(measured, posterior=replace(measured.posterior, **changes)))
 
 
-def halve_noise(subject: Subject) -> Subject:
-    """Return a study that states half the noise of poses and actuators."""
-    legs = subject.measured.legs
-    poses, variance = replace(legs.poses, covariance=legs.poses.covariance / 4.0), legs.actuator_variance
-    variance = None if variance is None else variance / 4.0
-    return with_poses(replace(legs, actuator_noise=legs.actuator_noise / 2.0, actuator_variance=variance), poses)
+def with_data(subject: Subject, **changes: object) -> Subject:
+    """Return a study with other data of the same poses."""
+    likelihood = subject.measured.posterior.likelihood
+    return with_posterior(subject, likelihood=replace(likelihood, data=replace(likelihood.data, **changes)))
 
 
-def tighten(subject: Subject, symbol: str, factor: float) -> Subject:
-    """Return a study with the tolerance of a symbol so many times too tight."""
-    posterior = subject.posterior
+def scale_noise(subject: Subject, factor: float) -> Subject:
+    """Return a study that states so many times the noise of all channels."""
+    return with_data(subject, sd=factor * subject.measured.posterior.likelihood.data.sd)
+
+
+def tighten(posterior: CalibrationPosterior, factor: float, symbol: str = "") -> CalibrationPosterior:
+    """Return a posterior with the tolerance of a symbol, or of all, so many times too tight."""
     priors = {
-        name: NormalPrior(prior.mean, prior.sd / factor) if name.startswith(f"{symbol}[") else prior
+        name: NormalPrior(prior.mean, prior.sd / factor) if name.startswith(symbol) else prior
         for name, prior in posterior.priors.items()
     }
-    tight = build_leg_posterior(posterior.likelihood, priors, posterior.errors.model_error, posterior.fixed)
-    return Subject(see_legs(replace(subject.measured.legs, posterior=tight, priors=priors)))
+    return replace(posterior, priors=priors)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -12,14 +11,13 @@ import checked
 import numpy as np
 import pytest
 import telescope_machines as machines
+from checked import with_data
 
-from bayescal.density.errors import ModelError
-from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.posterior import Posterior
-from bayescal.density.priors import NormalPrior
 from bayescal.experiments.check import compute, faults
 from bayescal.experiments.check.compute import rank_truth
 from bayescal.experiments.check.faults import (
+    _fit_known,
     check_derivatives,
     check_modes,
     check_noise,
@@ -28,10 +26,9 @@ from bayescal.experiments.check.faults import (
     look_at_data,
     state_cause,
 )
-from bayescal.experiments.check.inputs import Subject, draw_posterior, read_check
+from bayescal.experiments.check.inputs import draw_posterior, read_check
 from bayescal.experiments.check.kind import configure_check
 from bayescal.experiments.shared.slip_search import search_cause
-from bayescal.experiments.shared.soundness import find_misfit
 from bayescal.inference.mode import find_modes
 
 CHECKS = ["Derivatives", "Likely cause", "Modes", "Noise", "Tolerances"]
@@ -41,14 +38,6 @@ CHECKS = ["Derivatives", "Likely cause", "Modes", "Noise", "Tolerances"]
 def subject(tmp_path_factory):
     path = calibrations.write_delta(tmp_path_factory.mktemp("check"))
     return read_check(configure_check(path, ["all"], None, None), path.parent).subjects["all"]
-
-
-def with_data(subject, **changes):
-    """Return the variant with other data of the same poses."""
-    likelihood = subject.measured.posterior.likelihood
-    data = replace(likelihood.data, **changes)
-    posterior = replace(subject.measured.posterior, likelihood=replace(likelihood, data=data))
-    return Subject(replace(subject.measured, posterior=posterior))
 
 
 def look(subject, seed=1):
@@ -85,7 +74,7 @@ def test_the_tiny_study_passes_with_the_noise_of_its_targets():
 
 @pytest.mark.parametrize("seed", [3, 4, 5])
 def test_noise_stated_at_half_is_named(seed):
-    found = judge_noise(checked.halve_noise(checked.make_clean(seed)))
+    found = judge_noise(checked.scale_noise(checked.make_clean(seed), 0.5))
     assert found.fault == "noise"
     assert found.level in ("warning", "bad")
 
@@ -94,8 +83,7 @@ def test_noise_stated_at_half_is_named(seed):
 def test_how_far_targets_may_scatter_hangs_on_how_many_they_are(per_dof, dof, fault):
     described = {"pose_extraction": {"chi2_per_dof": per_dof, "dof": dof}}
     subject = checked.make_clean(3)
-    legs = replace(subject.measured.legs, described=described)
-    assert judge_noise(checked.with_poses(legs, legs.poses)).fault == fault
+    assert check_noise(replace(subject.measured, described=described)).fault == fault
 
 
 @pytest.mark.parametrize(
@@ -113,28 +101,17 @@ def test_how_far_targets_may_scatter_hangs_on_how_many_they_are(per_dof, dof, fa
 )
 def test_noise_stated_too_large_is_said_by_chance(seed, factor, fault, said):
     """Of clean data with 66 degrees of freedom."""
-    subject = checked.make_clean(seed)
-    legs = subject.measured.legs
-    poses = replace(legs.poses, covariance=factor**2 * legs.poses.covariance)
-    found = judge_noise(checked.with_poses(replace(legs, actuator_noise=factor * legs.actuator_noise), poses))
+    found = judge_noise(checked.scale_noise(checked.make_clean(seed), factor))
     assert found.fault == fault
     assert said in found.text
 
 
 def test_the_error_of_a_measured_matrix_is_no_noise_of_single_poses():
     """It moves all poses alike, so that most of it is fitted away; counted pose by pose, little noise seems left."""
-    subject = checked.tiny_subject()
-    alone = checked.without_model_error(subject.measured.legs)
-    posterior = replace(alone.posterior, likelihood=alone.posterior.likelihood)
-    mode = find_modes(posterior)[0]
-    by_pose = find_misfit(posterior, mode.y, posterior.likelihood)
-    likelihood = PoseLikelihood(alone.machine, alone.poses, alone.actuator_noise)
-    shared = find_misfit(posterior, mode.y, likelihood, alone.shared_errors)
-    assert by_pose.chi_square.value / by_pose.dof < shared.chi_square.value / shared.dof
-    said = judge_noise(subject).text
-    value, dof = re.match(r"χ² of the readings is (\S+) per degree of freedom \((\d+),", said).groups()
-    assert float(value) == pytest.approx(shared.chi_square.value / shared.dof, abs=0.03)
-    assert float(dof) == pytest.approx(shared.dof, abs=1.0)
+    without = checked.drop_known(checked.tiny_subject())
+    shared, alone = (_fit_known(one.measured).found for one in (checked.tiny_subject(), without))
+    assert 0.5 < shared.value / shared.dof < 1.5
+    assert alone.value / alone.dof > 1.2 * shared.value / shared.dof
 
 
 def test_model_errors_are_no_fault_but_are_said():
@@ -145,8 +122,7 @@ def test_model_errors_are_no_fault_but_are_said():
 def test_noise_of_targets_stated_at_half_is_named():
     subject = checked.make_clean(3)
     described = {"pose_extraction": {"chi2_per_dof": 4.0, "dof": 30}}
-    legs = replace(subject.measured.legs, described=described)
-    found = judge_noise(checked.with_poses(legs, legs.poses))
+    found = check_noise(replace(subject.measured, described=described))
     assert (found.fault, found.level) == ("noise", "bad")
     assert "State target_noise_um 2 times as large" in found.text
 
@@ -174,9 +150,9 @@ def test_a_wrong_derivative_is_named(symbol, said, subject, monkeypatch):
 def test_a_tolerance_three_times_too_tight_is_named(seed):
     subject = checked.make_clean(seed)
     for factor, fault in ((1.0, ""), (3.0, "prior")):
-        tight = checked.tighten(subject, "l", factor)
-        draws, _, _, _ = draw_posterior(tight.posterior, 1000, np.random.SeedSequence(seed))
-        found = check_priors(tight.posterior, draws)
+        tight = checked.tighten(subject.posterior, factor, "l[")
+        draws, _, _, _ = draw_posterior(tight, 1000, np.random.SeedSequence(seed))
+        found = check_priors(tight, draws)
         assert found.fault == fault
     assert " l " in found.text
     assert "kappa" not in found.text
@@ -186,13 +162,13 @@ def test_a_tolerance_three_times_too_tight_is_named(seed):
 def folded():
     """Return a posterior with one component of u free and κ fixed: every leg's direction has a mirror image."""
     machine, symbols = machines.build_machine("none"), ("a_x", "a_y", "b_x", "b_y", "l", "u_x")
-    layout, actuators = machine.layout, machines.table_3_actuators()[:10]
-    exact = machines.place_poses(machine, layout.nominal, actuators, np.zeros((10, 6)))
-    slope = machines.build_posterior("none", exact, ModelError(None), symbols).sampling.coordinates.legs[:, 0]
+    layout, actuators = machine.layout, machines.table_3_actuators()
+    exact = machines.place_poses(machine, layout.nominal, actuators, np.zeros((40, 6)))
+    slope = machines.build_posterior("none", exact, symbols=symbols).sampling.coordinates.legs[:, 0]
     theta = layout.nominal.copy()
     theta[layout.index["u_x"]] = np.sin(np.arctan(slope)) + 0.03 * np.array([1, -1, 1, -1, 1, -1])
     poses = machines.simulate_poses(machine, theta, actuators, np.zeros(6), np.random.default_rng(5))
-    return machines.build_posterior("none", poses, ModelError(None), symbols)
+    return machines.build_posterior("none", poses, symbols=symbols)
 
 
 def test_a_missed_mode_is_named(folded, monkeypatch):
@@ -244,19 +220,15 @@ def test_a_slip_is_named_and_nothing_else_said(subject):
 
 @pytest.mark.parametrize(("factor", "fault", "said"), [(0.4, "noise", "times the stated noise"), (1.0, "", "as noise")])
 def test_noise_stated_too_small_is_named(subject, factor, fault, said):
-    sd = factor * subject.measured.posterior.likelihood.data.sd
-    quiet = with_data(subject, sd=sd)
-    finding = check_noise(quiet.measured)
+    finding = judge_noise(checked.scale_noise(subject, factor))
     assert finding.fault == fault
     assert said in finding.text
 
 
 def test_tolerances_that_are_too_tight_are_named(subject):
-    posterior = subject.measured.posterior
-    tight = {name: NormalPrior(one.mean, one.sd / 4.0) for name, one in posterior.priors.items()}
-    found = Subject(replace(subject.measured, posterior=replace(posterior, priors=tight)))
-    draws, _, _, _ = draw_posterior(found.posterior, 500, np.random.SeedSequence(2))
-    assert check_priors(found.posterior, draws).fault == "prior"
+    tight = checked.tighten(subject.posterior, 4.0)
+    draws, _, _, _ = draw_posterior(tight, 500, np.random.SeedSequence(2))
+    assert check_priors(tight, draws).fault == "prior"
 
 
 def test_simulated_readings_have_the_plan_of_the_measured_ones(subject):

@@ -23,7 +23,7 @@ from bayescal.experiments.frame.load import load, load_experiment
 from bayescal.experiments.frame.run import compute_experiment
 from bayescal.experiments.frame.store import Store
 from bayescal.experiments.selection.inputs import read_selection
-from bayescal.experiments.study.inputs import load_inputs
+from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.machines.read import load_mechanism
 
 pytestmark = pytest.mark.runs
@@ -87,9 +87,9 @@ def test_a_study_of_an_own_model_and_deformation(call, tmp_path, no_pictures):
 
 
 def test_a_variant_is_of_its_own_classes(folder):
-    inputs = load_inputs(load_experiment(folder / "study.toml"), folder)
+    inputs = StudyInputs.load(load_experiment(folder / "study.toml"), folder)
     assert [variant.name for variant in inputs.config.variants] == ["longer/none", "six_pus/halved"]
-    machine = inputs.machine(inputs.variant("six_pus/halved"))
+    machine = inputs.variants["six_pus/halved"].whole.machine
     assert machine.layout.nominal[machine.layout.index["kappa"]] == pytest.approx(0.0055)
 
 
@@ -146,7 +146,7 @@ def test_files_and_lines_are_named(folder, tmp_path):
 def test_nothing_is_imported_that_is_not_named(tmp_path):
     path = studies.write_tiny_study(tmp_path)
     (tmp_path / "own.py").write_text("raise RuntimeError('imported')")
-    assert load_inputs(load_experiment(path), tmp_path).config.variants[0].name == "six_pus/none"
+    assert StudyInputs.load(load_experiment(path), tmp_path).config.variants[0].name == "six_pus/none"
 
 
 # --- pose selection ----------------------------------------------------------------------------------------------

@@ -7,14 +7,13 @@ import pytest
 import studies
 from experiments.study.test_instrument_study import FRAMES, write_points
 
-from bayescal.density.functions import FunctionLikelihood
+from bayescal.density.calibration.model_error import FunctionsOfPose
 from bayescal.density.sorts import SORTS
 from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.frame.run import compute_experiment
-from bayescal.experiments.shared.study_inputs import Task
-from bayescal.experiments.study.fit import Legs
-from bayescal.experiments.study.tables import format_poses
+from bayescal.experiments.shared.readings.errors import drop_model_error
+from bayescal.experiments.study.readings import ReadingSubject
 
 SCALES = ["tau", *(f"sigma_{name}" for name in SORTS)]
 NAME = "six_pus/none"
@@ -28,7 +27,7 @@ def write_silent(folder, instrument="targets"):
     first, second = (one.start() for one in re.finditer(r"\[\[variants\]\]", text))
     text = text[:second] + text[text.index("[sampler]") :]
     if instrument in ("poses", "positions"):
-        lines = format_poses(studies.load_study(folder / "study.toml")).splitlines()
+        lines = studies.feed_poses(folder / "study.toml").splitlines()
         head = next(line for line in lines if line.startswith("pose,")).split(",")
         kept = [k for k, name in enumerate(head) if instrument == "poses" or not re.search(r"r[xyz]", name)]
         rows = [line if line.startswith("#") else ",".join(line.split(",")[k] for k in kept) for line in lines]
@@ -54,13 +53,20 @@ def edited(config, of_variant="", **sections):
     return path
 
 
+def errors_of(inputs):
+    """Return the errors of the only variant."""
+    return inputs.variants[NAME].posterior().errors
+
+
 @pytest.mark.runs
 @pytest.mark.parametrize("instrument", ["targets", "poses", "positions", "points"])
 def test_every_instrument_tells_the_terms(instrument, tmp_path):
     config = write_silent(tmp_path, instrument)
     inputs = studies.load_study(config)
     results = compute_experiment(load_experiment(config), tmp_path)
-    legs, names = [f"leg {k}" for k in range(1, 7)], list(inputs.names)
+    bare_config = edited(config, model_error="terms = []")
+    bare = compute_experiment(load_experiment(bare_config), tmp_path)
+    legs, names = [f"rho[{k}]" for k in range(1, 7)], list(inputs.variants[NAME].data.poses)
     terms = results.table("model_error")
     assert list(terms["term"]) == ["independent", *SORTS, "together"]
     assert (terms["q05_um"] <= terms["median_um"]).all()
@@ -71,26 +77,20 @@ def test_every_instrument_tells_the_terms(instrument, tmp_path):
     members = results.table("model_error_members")
     assert list(members["member"]) == [leg for leg in legs for _ in SORTS]
     assert list(members["term"]) == list(SORTS) * 6
-    assert (members["rms_um"] >= 0.0).all()
     poses = results.table("model_error_poses")
     assert list(poses["pose"]) == [name for name in names for _ in legs]
     assert list(poses["use"] == "verification") == [held for held in inputs.verification for _ in legs]
     assert ((poses["low_um"] < poses["mean_um"]) & (poses["mean_um"] < poses["high_um"])).all()
-    found = results.table("parameters").query("model_error == 'free'")["parameter"]
-    assert list(found)[-5:] == SCALES
-    fit = results.summary["variants"][NAME]
-    assert fit["n_parameters"] == fit["without_model_error"]["n_parameters"] + 5
-    assert ("exact_density_shift" in fit) == (instrument in ("targets", "poses"))
-    gain = fit["log_evidence"] - fit["without_model_error"]["log_evidence"]
+    assert list(results.table("parameters")["parameter"])[-5:] == SCALES
+    fit, without = (one.summary["variants"][NAME] for one in (results, bare))
+    assert "model_error" not in bare.tables
+    assert (bare.table("errors")["model_error"] == 0.0).all()
+    assert fit["n_parameters"] == without["n_parameters"] + 5
+    gain = fit["log_evidence"] - without["log_evidence"]
     assert gain > 10.0 if deformed else -30.0 < gain < 0.0
-    assert (fit["elpd"] > fit["without_model_error"]["elpd"]) == deformed
+    assert (fit["elpd"] > without["elpd"]) == deformed
     assert 0.6 < fit["verification"]["interval_90_coverage"] <= 1.0
-    pits = results.table("poses")
-    pits = pits[pits["model_error"] == "free"]
-    seen = "x_pit" if instrument != "points" else "position_pit"
-    assert pits[seen].between(0.0, 1.0).all()
-    own = results.table("errors")
-    size = np.sqrt((poses["mean_um"] ** 2).mean())
+    own, size = results.table("errors"), np.sqrt((poses["mean_um"] ** 2).mean())
     assert (1e3 * own["model_error"] > 0.3 * size).all()
     # the mean of all functions is not larger than they are themselves
     used = poses[poses["use"] == "calibration"]
@@ -100,82 +100,38 @@ def test_every_instrument_tells_the_terms(instrument, tmp_path):
 
 
 def test_functions_stand_where_no_term_is_named(silent):
-    inputs = studies.load_study(silent)
-    posterior = inputs.posterior(inputs.config.variants[0], with_model_error=True)
-    assert isinstance(posterior.likelihood, FunctionLikelihood)
-    assert list(posterior.names[-5:]) == SCALES
-    # places in the order of the table, held-back poses counted
-    expected = np.flatnonzero(~inputs.verification) / len(inputs.names)
-    assert posterior.likelihood.place.time == pytest.approx(expected)
-    plain = inputs.posterior(inputs.config.variants[0], with_model_error=False)
-    assert not isinstance(plain.likelihood, FunctionLikelihood)
-    assert plain.errors.n_parameters == 0
+    found = errors_of(studies.load_study(silent))
+    assert list(found.names) == SCALES
+    assert sum(isinstance(one, FunctionsOfPose) for one in found.terms) == len(SORTS)
 
 
 def test_chosen_terms_alone_are_there(silent):
-    path = edited(silent, model_error='terms = ["linear", "drift"]\nat_least_um = { linear = 7.0 }')
-    inputs = studies.load_study(path)
-    posterior = inputs.posterior(inputs.config.variants[0], with_model_error=True)
-    assert list(posterior.names[-2:]) == ["sigma_linear", "sigma_drift"]
-    amplitudes = posterior.errors.amplitudes(np.full(2, -30.0))
-    assert amplitudes == pytest.approx([0.0] * 6 + [7e-3, 0.0], abs=1e-12)
-
-
-@pytest.mark.runs
-def test_no_model_error_is_one_task_of_each_variant(silent):
-    path = edited(silent, model_error="terms = []")
-    inputs = studies.load_study(path)
-    assert inputs.list_tasks() == [Task(NAME)]
-    results = compute_experiment(load_experiment(path), path.parent)
-    assert "without_model_error" not in results.summary["variants"][NAME]
-    assert "model_error" not in results.tables
-    assert set(results.table("parameters")["model_error"]) == {"free"}
-    assert (results.table("errors")["model_error"] == 0.0).all()
-
-
-@pytest.mark.runs
-def test_beside_variants_with_a_model_error_one_without_stands_for_both(silent, tmp_path):
-    text = silent.read_text()
-    start, stop = text.index("[[variants]]"), text.index("[sampler]")
-    other = text[start:stop].replace('deformation = "none"', 'deformation = "none"\nname = "bare"\nmodel_error = []')
-    path = silent.with_name("both.toml")
-    path.write_text(text[:stop] + other + text[stop:])
-    inputs = studies.load_study(path)
-    assert inputs.list_tasks() == [Task(NAME), Task("bare"), Task(NAME, False)]
-    results = compute_experiment(load_experiment(path), path.parent)
-    bare = results.summary["variants"]["bare"]
-    assert bare["without_model_error"]["log_evidence"] == bare["log_evidence"]
-    rows = results.table("parameters")
-    assert list(dict.fromkeys(zip(rows["variant"], rows["model_error"], strict=True))) == [
-        (NAME, "free"),
-        ("bare", "free"),
-        (NAME, "zero"),
-        ("bare", "zero"),
-    ]
-    assert set(results.table("model_error")["variant"]) == {NAME}
+    found = errors_of(
+        studies.load_study(edited(silent, model_error='terms = ["linear", "drift"]\nat_least_um = { linear = 7.0 }'))
+    )
+    assert list(found.names) == ["sigma_linear", "sigma_drift"]
+    assert [one.floor for one in found.terms] == pytest.approx([7e-3, 0.0])
 
 
 def test_misfit_counts_functions_as_noise(silent):
     inputs = studies.load_study(silent)
-    legs = Legs(inputs, Task(NAME))
-    posterior = legs.posterior
+    posterior = inputs.variants[NAME].posterior().anchored()
     y = posterior.approach()
-    rows = (~inputs.verification).sum() * 6
     y[posterior.n_geometry :] = [-1.0, 1.0, 1.0, 1.0, 1.0]
-    found = legs.measure_misfit(posterior, posterior.polish(y))
-    bare = Legs(inputs, Task(NAME, False))
-    alone = bare.measure_misfit(bare.posterior, bare.posterior.approach())
+    found = ReadingSubject(posterior).measure_misfit(posterior, posterior.polish(y))
+    bare = drop_model_error(inputs.variants[NAME].posterior()).anchored()
+    alone = ReadingSubject(bare).measure_misfit(bare, bare.approach())
     assert found.value / found.dof < 1.5
     assert alone.value / alone.dof > 10.0
-    assert found.dof == pytest.approx(rows - 6.0, abs=0.5)
+    assert 0.0 < found.dof < alone.dof < 6 * (~inputs.verification).sum()
 
 
 @pytest.mark.parametrize(
     ("sections", "fault"),
     [
         (
-            {"of_variant": "outlier_share = 0.02", "model_error": 'terms = ["independent", "own"]'},
-            r"outlier_share: found it beside the terms own .* terms = \[\"indep",
+            {"of_variant": "outlier_share = 0.02", "model_error": 'terms = ["independent", "drift"]'},
+            "model_error: found term 'drift', but single rows may be outliers, expected other terms",
         ),
         (
             {"model_error": 'terms = ["independent"]\nat_least_um = 10.0'},
@@ -193,23 +149,10 @@ def test_what_cannot_be_is_refused_in_a_line(silent, sections, fault):
     assert "\n" not in str(caught.value)
 
 
-def test_poses_that_memory_cannot_hold_are_refused_before_their_columns_are_made(silent, monkeypatch):
-    inputs = studies.load_study(silent)
-    variant = inputs.config.variants[0]
-    base = inputs.likelihood(variant, verification=False)
-    monkeypatch.setattr("bayescal.experiments.frame.memory.measure_available", lambda: 1e6)
-    monkeypatch.setattr("bayescal.experiments.study.inputs.FunctionLikelihood", None)
-    with pytest.raises(
-        InputError, match=r"13 calibration poses with errors that .* fewer poses or \[model_error\] with"
-    ):
-        inputs.give_functions(base, variant)
-
-
-def test_beside_outliers_tau_alone_is_left_and_said(silent):
+def test_beside_outliers_functions_of_few_coefficients_are_left_and_said(silent):
     inputs = studies.load_study(edited(silent, of_variant="outlier_share = 0.02"))
-    names = inputs.posterior(inputs.config.variants[0], with_model_error=True).names
-    assert set(SCALES) & set(names) == {"tau"}
-    assert "the model error has no terms linear, own, smooth, drift, as each pose may be an outlier" in inputs.unused
+    assert set(SCALES) & set(errors_of(inputs).names) == {"tau", "sigma_linear", "sigma_own"}
+    assert "the model error has no terms smooth, drift, as single rows may be outliers" in inputs.missing
 
 
 def test_terms_that_too_few_poses_cannot_show_are_left_out_and_said(silent):
@@ -223,12 +166,11 @@ def test_terms_that_too_few_poses_cannot_show_are_left_out_and_said(silent):
     (silent.parent / "data" / "few.csv").write_text("\n".join(kept) + "\n")
     path.write_text(silent.read_text().replace("data/actuators.csv", "data/few.csv"))
     inputs = studies.load_study(path)
-    posterior = inputs.posterior(inputs.config.variants[0], with_model_error=True)
-    assert posterior.names[-1] == "tau"
-    said = "the model error has no terms linear, own, smooth, drift, as fewer than 3 poses calibrate the machine"
-    assert said in inputs.unused
+    assert errors_of(inputs).names == ("tau",)
+    said = "the model error has no terms linear, own, smooth, drift, as there are fewer than 3 rows"
+    assert said in inputs.missing
     assert any(said in line for line in inputs.outlook())
-    assert not studies.load_study(silent).unused
+    assert not studies.load_study(silent).missing
     named = edited(path, model_error='terms = ["own"]')
-    with pytest.raises(InputError, match=r"found term 'own', but fewer than 3 poses calibrate the machine, expected"):
+    with pytest.raises(InputError, match=r"found term 'own', but there are fewer than 3 rows, expected"):
         studies.load_study(named)

@@ -18,10 +18,10 @@ FAR = 10.0  # posterior sds
 
 
 def test_the_draws_have_the_mass_of_a_mode_far_away():
-    """Of 200,000 weighted draws 0.10 to 0.13 % are there; a single peak that is not refined leaves 0.001 %."""
+    """Of 100,000 weighted draws 0.06 % are there; a single peak that is not refined leaves 0.001 %."""
     experiment, config = load(FOLDER / "study.toml")
     inputs = read_inputs(experiment, config, FOLDER)
-    posterior = inputs.posterior(inputs.variant("beam/none"), True)
+    posterior = inputs.variants["beam/none"].posterior().anchored()
     with np.errstate(all="ignore"):
         found = explore(posterior, np.random.SeedSequence(1))
         sample = sample_posterior(found, np.random.SeedSequence(2), 4, 256, 20, 80)
@@ -32,4 +32,4 @@ def test_the_draws_have_the_mass_of_a_mode_far_away():
     there = [abs(mode.y[u] - found.modes[0].y[u]) > FAR * spread for mode in found.modes]
     assert sum(there) == 1
     share = np.mean(np.abs(draws[:, u] - found.modes[0].y[u]) > FAR * spread)
-    assert 0.0003 < share < 0.004
+    assert 0.0001 < share < 0.003

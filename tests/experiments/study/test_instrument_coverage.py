@@ -3,12 +3,12 @@
 import audit_problems as problems
 import numpy as np
 import pytest
-
-from bayescal.data.instruments.read_points import PointNoise, convert_polar, spread_polar
-from bayescal.data.instruments.readings import PointReadings, PoseReadings
 from bayescal.density.errors import ModelError
 from bayescal.density.instruments import InstrumentLikelihood
 from bayescal.density.legs import build_leg_posterior
+
+from bayescal.data.instruments.read_points import PointNoise, convert_polar, spread_polar
+from bayescal.data.instruments.readings import PointReadings, PoseReadings
 from bayescal.density.priors import NormalPrior
 from bayescal.machines.frames import frame_blocks, move_frames
 from bayescal.machines.kinematics import solve_forward_kinematics

@@ -10,8 +10,9 @@ import studies
 from bayescal.data.truth import PARAMETER_COLUMNS
 from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.frame.run import compute_experiment
+from bayescal.experiments.shared.readings.errors import drop_model_error
 from bayescal.experiments.simulation.compute import POSE_COORDINATES, build_twin
-from bayescal.experiments.study.tables import format_poses
+from bayescal.experiments.study.readings import fit_variant
 from bayescal.files.csv_tables import read_table
 from bayescal.inference.mode import find_modes
 from bayescal.machines.kinematics import solve_forward_kinematics
@@ -62,7 +63,7 @@ def fed(tmp_path_factory):
     folder = tmp_path_factory.mktemp("fed")
     config = studies.write_tiny_study(folder)
     studies.edit(config, 'deformation = "matrix"', 'deformation = "linear"')
-    (folder / "data" / "poses.csv").write_text(format_poses(studies.load_study(config)))
+    (folder / "data" / "poses.csv").write_text(studies.feed_poses(config))
     (folder / "poses.toml").write_text(config.read_text().replace(studies.BY_TARGETS, studies.BY_POSES))
     return folder
 
@@ -97,7 +98,7 @@ def copied(fed, tmp_path):
 def compare_modes(one, other):
     """Return differences of log-evidence (Laplace) and of the modes in posterior sds, variant by variant."""
     for variant in one.config.variants:
-        first, second = (inputs.posterior(variant, with_model_error=True) for inputs in (one, other))
+        first, second = (inputs.variants[variant.name].posterior().anchored() for inputs in (one, other))
         a, b = find_modes(first)[0], find_modes(second)[0]
         assert first.names == second.names
         yield abs(a.log_evidence - b.log_evidence), np.abs((a.y - b.y) / np.sqrt(np.diagonal(a.covariance))).max()
@@ -106,8 +107,9 @@ def compare_modes(one, other):
 def test_poses_fed_back_are_the_targets(fed):
     """The digits of the table are all that is lost."""
     one, other = studies.load_study(fed / "study.toml"), studies.load_study(fed / "poses.toml")
-    np.testing.assert_allclose(other.measured.poses.position, one.measured.poses.position, atol=1e-7)
-    np.testing.assert_allclose(other.measured.poses.covariance, one.measured.poses.covariance, rtol=1e-5, atol=1e-16)
+    poses, fed_back = one.seen.measured.poses, other.seen.measured.poses
+    np.testing.assert_allclose(fed_back.position, poses.position, atol=1e-7)
+    np.testing.assert_allclose(fed_back.covariance, poses.covariance, rtol=1e-5, atol=1e-16)
     for evidence, mean in compare_modes(one, other):
         assert evidence < 0.02
         assert mean < 0.02
@@ -116,13 +118,10 @@ def test_poses_fed_back_are_the_targets(fed):
 @pytest.mark.slow
 def test_poses_of_the_telescope_fed_back_give_its_evidence(tmp_path):
     """By sampling, as the study itself does; κ free in place of K, which targets alone tell."""
-    from bayescal.experiments.shared.study_inputs import Task
-    from bayescal.experiments.study.fit import run_task
-
     shutil.copytree(studies.TELESCOPE, tmp_path, dirs_exist_ok=True)
     config = tmp_path / "study.toml"
     studies.edit(config, 'claims = "claims.py:Rr8096"\n', "")
-    (tmp_path / "data" / "poses.csv").write_text(format_poses(studies.load_study(config)))
+    (tmp_path / "data" / "poses.csv").write_text(studies.feed_poses(config))
     text = config.read_text().replace('matrix = "targets"', 'matrix = "unused.csv"')
     for start in ("targets =", "reference =", "target_noise_um =", "pose_method ="):
         text = re.sub(rf"^{start}.*\n", "", text, flags=re.MULTILINE)
@@ -134,7 +133,7 @@ def test_poses_of_the_telescope_fed_back_give_its_evidence(tmp_path):
     (tmp_path / "poses.toml").write_text("[[variants]]".join([blocks[0], *kept]) + tail)
     one, other = studies.load_study(config), studies.load_study(tmp_path / "poses.toml")
     for variant in other.config.variants:
-        first, second = (run_task(inputs, Task(variant.name, True)) for inputs in (one, other))
+        first, second = (fit_variant(inputs, variant.name) for inputs in (one, other))
         assert abs(first.importance.log_evidence - second.importance.log_evidence) < 0.02
         assert np.abs((first.mean - second.mean) / first.sd).max() < 0.02
 
@@ -142,7 +141,7 @@ def test_poses_of_the_telescope_fed_back_give_its_evidence(tmp_path):
 def test_points_of_two_stations_find_the_machine_and_their_frames(pointed):
     """Every parameter within four posterior sds of the truth, a third of the points unseen."""
     inputs = studies.load_study(pointed)
-    posterior = inputs.posterior(inputs.config.variants[0], with_model_error=False)
+    posterior = drop_model_error(inputs.variants["six_pus/none"].posterior()).anchored()
     mode = find_modes(posterior)[0]
     assert mode.converged
     truth = dict.fromkeys(posterior.names, 0.0)
@@ -183,7 +182,7 @@ def test_positions_alone_are_a_study_with_a_page(fed, tmp_path, call, no_picture
 
 def test_a_factor_widens_the_priors_of_frames_too(pointed):
     inputs = studies.load_study(pointed)
-    own, wide = (inputs.priors(inputs.config.variants[0], factor)[0] for factor in (1.0, 2.5))
+    own, wide = (inputs.variants["six_pus/none"].posterior(factor=factor).priors for factor in (1.0, 2.5))
     assert {name[:4] for name in own} == {"l[1]", "l[2]", "l[3]", "l[4]", "l[5]", "l[6]", "base", "tool"}
     assert {name: prior.sd for name, prior in wide.items()} == {name: 2.5 * prior.sd for name, prior in own.items()}
 
@@ -196,8 +195,9 @@ def test_the_truth_stands_beside_simulated_readings(pointed):
     parameters = read_table(folder / "data" / "true_parameters.csv", PARAMETER_COLUMNS)
     assert parameters.text("parameter") == list(twin.machine.layout.names)
     poses = read_table(folder / "data" / "true_poses.csv", ("pose", *POSE_COORDINATES))
-    assert poses.text("pose") == list(inputs.names)
-    commanded = solve_forward_kinematics(twin.machine, twin.theta, inputs.measured.actuators)
+    seen = inputs.seen.measured.poses
+    assert poses.text("pose") == list(seen.names)
+    commanded = solve_forward_kinematics(twin.machine, twin.theta, seen.actuators)
     off = np.abs(commanded.position - poses.numbers(POSE_COORDINATES[:3]))
     assert 1e-4 < off.max() < 0.05  # the actuators' 1 µm, some times over
     text = (folder / "simulate.toml").read_text()
@@ -347,7 +347,8 @@ CAMERA = studies.EXPERIMENTS / "camera_hexapod"
 def test_shipped_example_finds_its_machine_and_frames():
     """The 54 errors in posterior sds: their mean square is one within four standard errors of independent ones."""
     inputs = studies.load_study(CAMERA / "study.toml")
-    posterior = inputs.posterior(inputs.config.variants[0], with_model_error=False)
+    variant = inputs.variants[inputs.config.variants[0].name]
+    posterior = drop_model_error(variant.posterior()).anchored()
     mode = find_modes(posterior)[0]
     truth = compute_experiment(load_experiment(CAMERA / "simulate.toml"), CAMERA).tables["truth"]
     true = truth.set_index("parameter")["true"]
@@ -355,5 +356,3 @@ def test_shipped_example_finds_its_machine_and_frames():
     sd = np.array([posterior.priors[name].sd for name in posterior.names]) * np.sqrt(np.diagonal(mode.covariance))
     z = (posterior.natural(mode.y[None])[0] - true[list(posterior.names)].to_numpy()) / sd
     assert abs(np.mean(z**2) - 1.0) < 4.0 * np.sqrt(2.0 / len(z))
-    error = posterior.likelihood.pose_errors(posterior.theta(mode.y[None]))[0]
-    assert np.abs(error[:, :3]).max() < 0.06  # noise of 10 µm

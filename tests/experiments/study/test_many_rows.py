@@ -23,8 +23,8 @@ from bayescal.experiments.shared import estimate
 from bayescal.experiments.shared.estimate import Subject, time_fit
 from bayescal.experiments.shared.function_errors import tabulate_model_error
 from bayescal.experiments.shared.slip_search import STATED, _Search
-from bayescal.experiments.study.by_tables import ReadingStudy
 from bayescal.experiments.study.calibrated import tabulate_errors
+from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.inference.schema import EvidenceConfig, SamplerConfig
 from bayescal.projects.start import start_project
 
@@ -40,9 +40,9 @@ NEEDLESS = {"pandas", "xarray", "matplotlib", "arviz_stats", "scipy.stats", "sci
 
 
 @pytest.fixture(scope="module")
-def study() -> ReadingStudy:
+def study() -> StudyInputs:
     path = calibrations.OWN_MACHINE / "study.toml"
-    return ReadingStudy.load(load_experiment(path), path.parent)
+    return StudyInputs.load(load_experiment(path), path.parent)
 
 
 @pytest.fixture(scope="module")

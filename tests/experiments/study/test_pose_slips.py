@@ -7,9 +7,8 @@ import test_instrument_study as instruments
 from scipy.spatial.transform import Rotation
 from shares import run_rest
 
+from bayescal.errors import InputError
 from bayescal.experiments.shared.slip_causes import list_rereads
-from bayescal.experiments.study.doubts import find_study_slip
-from bayescal.experiments.study.tables import format_poses
 
 
 @pytest.fixture(scope="module")
@@ -18,15 +17,19 @@ def fed(tmp_path_factory):
     folder = tmp_path_factory.mktemp("pose_slips")
     config = studies.write_tiny_study(folder)
     studies.edit(config, 'deformation = "matrix"', 'deformation = "linear"')
-    (folder / "data" / "poses.csv").write_text(format_poses(studies.load_study(config)))
+    (folder / "data" / "poses.csv").write_text(studies.feed_poses(config))
     config.write_text(config.read_text().replace(studies.BY_TARGETS, studies.BY_POSES))
     return config
 
 
 def look(config, table="poses.csv", change=None):
-    """Return the slip that is found of a study, some rows of a table changed."""
+    """Return what is said of a study, some rows of a table changed: a doubt, or why it is refused; empty for none."""
     with studies.changed_table(config.parent / "data" / table, change or (lambda rows: rows)):
-        return find_study_slip(studies.load_study(config))
+        try:
+            slip = studies.load_study(config).slip
+        except InputError as error:
+            return str(error)
+    return "" if slip is None else slip.text
 
 
 def negate(*names):
@@ -52,24 +55,21 @@ def exchange(one, other):
 
 
 CAUSES = {
-    "turned back": (negate("rx_deg", "ry_deg", "rz_deg"), "poses", "the other way round"),
-    "mirrored": (negate("y_mm", "rx_deg", "rz_deg"), "poses", "left-handed frame, y of the other sign"),
-    "z": (negate("z_mm"), "unit", "readings of z seem to be of the other sign"),
-    "exchanged": (exchange("x_mm", "y_mm"), "legs", "readings of x and y seem to be exchanged"),
+    "turned back": (negate("rx_deg", "ry_deg", "rz_deg"), "the other way round"),
+    "mirrored": (negate("y_mm", "rx_deg", "rz_deg"), "left-handed frame, y of the other sign"),
+    "z": (negate("z_mm"), "readings of z seem to be of the other sign"),
+    "exchanged": (exchange("x_mm", "y_mm"), "readings of x and y seem to be exchanged"),
 }
 
 
 @pytest.mark.parametrize("cause", run_rest(CAUSES, 2))
 def test_likely_cause_is_found(fed, cause):
-    change, fault, said = CAUSES[cause]
-    slip = look(fed, change=change)
-    assert slip is not None
-    assert slip.fault == fault
-    assert said in slip.text
+    change, said = CAUSES[cause]
+    assert said in look(fed, change=change)
 
 
 def test_clean_poses_are_not_suspected(fed):
-    assert look(fed) is None
+    assert look(fed) == ""
 
 
 @pytest.mark.parametrize("axes", ["xyz", "zyx", "yxz"])
@@ -96,10 +96,9 @@ def test_exchanged_legs_are_found_from_points_in_free_frames(probe, tmp_path, mo
     """A single point, which does not tell the pose, and four, which do."""
     monkeypatch.setattr(instruments, "PROBE", probe)
     path = instruments.write_points(tmp_path)
-    assert look(path, "actuators.csv") is None
+    assert look(path, "actuators.csv") == ""
     found = look(path, "actuators.csv", exchange("rho_2_mm", "rho_3_mm"))
-    assert found is not None
-    assert "readings of rho[2] and rho[3] seem to be exchanged" in found.text
+    assert "readings of rho[2] and rho[3] seem to be exchanged" in found
 
 
 def swap_two(rows):
@@ -126,10 +125,7 @@ ELSEWHERE = {
 @pytest.mark.parametrize("where", run_rest(ELSEWHERE, 2))
 def test_rows_of_actuators_that_stand_elsewhere_are_found(fed, where):
     change, said = ELSEWHERE[where]
-    slip = look(fed, "actuators.csv", change)
-    assert slip is not None
-    assert slip.fault == "rows"
-    assert said in slip.text, slip.text
+    assert said in look(fed, "actuators.csv", change)
 
 
 def test_a_single_pose_that_is_off_is_found(fed):
@@ -137,6 +133,4 @@ def test_a_single_pose_that_is_off_is_found(fed):
         rows[6][rows[0].index("x_mm")] = str(float(rows[6][rows[0].index("x_mm")]) + 0.5)
         return rows
 
-    slip = look(fed, change=spoil)
-    assert slip is not None
-    assert "row 6 (pose 'C06') does not belong to the others" in slip.text
+    assert "row 6 (pose 'C06') does not belong to the others" in look(fed, change=spoil)

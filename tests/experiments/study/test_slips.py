@@ -13,8 +13,7 @@ from shares import run_rest
 from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.simulation.compute import build_twin, format_survey, survey_twin
-from bayescal.experiments.study.doubts import find_study_slip
-from bayescal.experiments.study.inputs import load_inputs
+from bayescal.experiments.study.inputs import StudyInputs
 
 type Rows = list[list[str]]
 
@@ -42,7 +41,7 @@ def drawn(tmp_path_factory) -> Path:
 
 
 def load(folder: Path):
-    return load_inputs(load_experiment(folder / "study.toml"), folder)
+    return StudyInputs.load(load_experiment(folder / "study.toml"), folder)
 
 
 @pytest.mark.parametrize(
@@ -68,7 +67,7 @@ def test_no_clean_twin_is_suspected(drawn, seed, tmp_path):
     theta[lengths] = twin.machine.layout.nominal[lengths] + rng.normal(0.0, 2.0, len(lengths))
     survey = survey_twin(twin, rng, theta)[0]
     studies.write_texts(tmp_path, {f"data/{n}": text for n, text in format_survey(survey, config.origin.text).items()})
-    assert find_study_slip(load(tmp_path)) is None
+    assert load(tmp_path).slip is None
 
 
 # --- contradictions --------------------------------------------------------------------------------------------------

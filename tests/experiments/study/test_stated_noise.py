@@ -15,9 +15,11 @@ from bayescal.experiments.frame import run as frame
 from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.frame.run import run_experiment
 from bayescal.experiments.shared.chi_square import ChiSquare
-from bayescal.experiments.shared.soundness import find_misfit, measure_pulls
+from bayescal.experiments.shared.readings.errors import drop_model_error
+from bayescal.experiments.shared.soundness import measure_pulls
 from bayescal.experiments.simulation.compute import build_twin, format_survey, survey_twin
-from bayescal.experiments.study.inputs import StudyInputs, load_inputs
+from bayescal.experiments.study.inputs import StudyInputs
+from bayescal.experiments.study.readings import ReadingSubject
 from bayescal.inference.exploration import explore
 
 pytestmark = pytest.mark.runs
@@ -44,17 +46,18 @@ def read(folder: Path, noise: float = 3.0, sd: float = 2.0) -> StudyInputs:
     """Return the study with another noise of the targets, or another tolerance of the lengths, than is true."""
     text = studies.STUDY.replace("target_noise_um = 3.0", f"target_noise_um = {noise}")
     (folder / "study.toml").write_text(text.replace(LENGTHS, f'l = {{ prior = "normal", sd = {sd} }}'))
-    return load_inputs(load_experiment(folder / "study.toml"), folder)
+    return StudyInputs.load(load_experiment(folder / "study.toml"), folder)
 
 
 def judge(inputs: StudyInputs) -> dict[str, ChiSquare]:
     """Return χ² of noise and tolerances, from a proposal that is nearly the posterior, and that of the targets."""
-    posterior = inputs.posterior(inputs.variant(VARIANT), with_model_error=False)
+    subject = ReadingSubject(drop_model_error(inputs.variants[VARIANT].posterior()).anchored())
+    posterior = subject.posterior
     found = explore(posterior, np.random.SeedSequence(1))
     draws = posterior.natural(found.straight.y_from_x(found.proposal.draw(1000, np.random.default_rng(1))))
-    extraction = inputs.targets.extraction
+    extraction = inputs.seen.measured.targets.extraction
     return {
-        "noise": find_misfit(posterior, found.modes[0].y, *inputs.without_shared_errors(VARIANT)).chi_square,
+        "noise": subject.measure_misfit(posterior, found.modes[0].y),
         "tolerances": measure_pulls(posterior, draws),
         "targets": ChiSquare(extraction.chi2_per_dof * extraction.dof, extraction.dof),
     }

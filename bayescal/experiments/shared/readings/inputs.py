@@ -29,7 +29,7 @@ from bayescal.experiments.shared.readings.workspace import Workspace, build_work
 from bayescal.experiments.shared.search_memory import check_readings
 from bayescal.experiments.shared.slip_rows import Readings
 from bayescal.experiments.shared.study_schema import StudyConfig, VariantConfig
-from bayescal.machines.readings import ReadingModel, place
+from bayescal.machines.readings import ReadingModel, legs_of, place
 from bayescal.numerics.geometry import Array
 
 FEWEST_ROWS = 3  # fewer may be alike on purpose
@@ -228,6 +228,7 @@ def _build(
         workspace,
     )
     check_readings(data.n_poses, len(chosen), len(priors), len(model.coordinates))
+    _check_machine(unplaced)
     start = find_starts(unplaced.posterior(np.ones(data.n_poses, dtype=bool)), workspace, config.seed)
     used = ~unplaced.verification
     error = config.leg_error.of(section.model_error)
@@ -237,7 +238,8 @@ def _build(
         )
     found, missing = build_terms_of_model(error, model, data, start, used, workspace, priors, unplaced.errors)
     placed = replace(unplaced, start=start, errors=replace(unplaced.errors, terms=(*terms, *found)), missing=missing)
-    check_reach(placed.list_readings(np.ones(data.n_poses, dtype=bool)))
+    every = placed.list_readings(np.ones(data.n_poses, dtype=bool))
+    check_reach(every, None if used.all() else placed.list_readings())
     return placed
 
 
@@ -254,6 +256,18 @@ def _choose_poses(section: VariantConfig, model: ReadingModel, readings: PoseRea
         for k in np.flatnonzero(rows & ~known[name])[:1]:
             raise InputError(f"pose {readings.poses[k]!r}: found no {name}, expected it, or poses_with = [{name!r}]")
     return rows
+
+
+def _check_machine(variant: Variant) -> None:
+    """Raise InputError where the priors' centres and what is fixed are no machine's parameters."""
+    start = variant.posterior().sampling.start
+    variant.model.layout.check(start)
+    if (legs := legs_of(variant.whole)) is None:
+        return
+    with np.errstate(all="ignore"):
+        there = legs.read(start[: legs.layout.size], legs.home_pose[None])[:, legs.select(legs.commanded)]
+    if not np.isfinite(there).all():
+        raise InputError("found no machine at the priors' centres, expected unit directions and a home pose")
 
 
 def _check_moves(data: Measurements) -> None:

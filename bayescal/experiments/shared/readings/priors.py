@@ -67,8 +67,7 @@ def choose_priors(
             fixed |= {n: v + factor * o for n, v, o in zip(block.names, block.nominal, offsets, strict=True)}
         else:
             priors |= {name: one for name, one in _priors_of(block, prior, factor).items() if name in free}
-    for name, one in priors.items():
-        _check_range(name, one, layout)
+    check_ranges(priors, layout)
     common = _list_common(choice.common, priors, layout)
     return _join(priors, common), fixed, common
 
@@ -118,16 +117,21 @@ def widen(prior: Prior, factor: float) -> Prior:
     return UniformPrior(prior.mean - half, prior.mean + half)
 
 
-def _check_range(name: str, prior: Prior, layout: ParameterLayout) -> None:
-    place = layout.names.index(name)
-    lower, upper = (float(limit[place]) for limit in layout.limits)
-    if not lower < prior.mean < upper:
-        raise InputError(f"parameter {name}: found {prior.mean:g}, expected a value between {lower:g} and {upper:g}")
-    if isinstance(prior, UniformPrior) and (prior.lower < lower or prior.upper > upper):
-        raise InputError(
-            f"parameter {name}: found a prior from {prior.lower:g} to {prior.upper:g}, expected it between {lower:g} "
-            f"and {upper:g}"
-        )
+def check_ranges(
+    priors: Mapping[str, Prior], layout: ParameterLayout, common: Mapping[str, tuple[str, ...]] | None = None
+) -> None:
+    """Raise InputError for a prior whose middle, or the ends of which where it has any, are no machine's parameters."""
+    for name, prior in priors.items():
+        place = layout.names.index((common or {}).get(name, (name,))[0])
+        lower, upper = (float(limit[place]) for limit in layout.limits)
+        if not lower < prior.mean < upper:
+            found = f"found {prior.mean:g}, expected a value between {lower:g} and {upper:g}"
+            raise InputError(f"parameter {name}: {found}")
+        if isinstance(prior, UniformPrior) and (prior.lower < lower or prior.upper > upper):
+            raise InputError(
+                f"parameter {name}: found a prior from {prior.lower:g} to {prior.upper:g}, "
+                f"expected it between {lower:g} and {upper:g}"
+            )
 
 
 def _list_common(
