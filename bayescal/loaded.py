@@ -35,8 +35,6 @@ ROWS, COLUMNS = 12, 14
 MARKS = {"good": "✓", "warning": "!", "bad": "✗"}
 type Table = pd.DataFrame | Mapping[str, Any] | Path | str
 """A table, or the CSV file of one."""
-WITHOUT = "-tau-zero"
-"""What ends the name of a posterior's file without model error."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,7 +231,7 @@ class StudyResult(LoadedResults):
         table = self.results.table("predictions")
         return self.results.table("pose_errors") if table.empty else table  # of whole poses that an instrument measured
 
-    def posterior(self, variant: str | None = None, with_model_error: bool = True) -> xr.DataTree:
+    def posterior(self, variant: str | None = None) -> xr.DataTree:
         """Return the posterior of a variant, the best by default, as ArviZ takes it.
 
         Raises
@@ -246,7 +244,7 @@ class StudyResult(LoadedResults):
         name = self._check(variant)
         stems = {name.replace("/", "-").replace(" ", "_"), re.sub(r"[^\w.-]+", "_", name)}
         for stem in sorted(stems):
-            path = self.folder / "posterior" / f"{stem}{'' if with_model_error else WITHOUT}.nc"
+            path = self.folder / "posterior" / f"{stem}.nc"
             if path.is_file():
                 return xr.open_datatree(path, engine="h5netcdf").load()
         raise InputError(f"{self.folder}: found no draws of {name!r} in posterior/, expected those that a run keeps")
@@ -257,7 +255,6 @@ class StudyResult(LoadedResults):
         In prior standard deviations: 0 is nominal, an interval as long as ±1.6 has learnt nothing.
         """
         table = self.parameters[self.parameters["variant"] == self._check(variant)]
-        table = table[table["model_error"] == "free"]
         table = table[np.isfinite(table["prior_sd"])]
         middle = (table["mean"] - table["nominal"]) / table["prior_sd"]
         ends = [((table[end] - table["mean"]) / table["prior_sd"]).abs() for end in ("q05", "q95")]

@@ -77,7 +77,7 @@ def test_a_config_is_looked_at_without_running_it(call, tmp_path):
     code, said, complaint = call("validate", path)
     assert (code, complaint) == (0, "")
     assert "fit to run, a study 'tiny' (Tiny study)" in said
-    assert "equations of legs at 13 poses for 12 unknowns: " in said
+    assert "readings in 13 rows for 12 + 78 unknowns of machine and poses: " in said
     assert "combinations of parameters will be determined" in said
     assert "data/targets.csv" in said
     assert f"next: bayescal run {path}" in said

@@ -14,12 +14,13 @@ from typing import Any
 
 import pandas as pd
 
-from bayescal.density.least_squares import LeastSquaresFit
-from bayescal.errors import NumericalError
+from bayescal.errors import InputError, NumericalError
 from bayescal.experiments.study.claims import Claims
 from bayescal.experiments.study.inputs import StudyInputs
 from rr8096 import accuracy, geometry, identifiability, identification
 from rr8096.evidence import FAILS, HOLDS, UNTESTABLE, Claim, ClaimEvidence, ClaimRows, untestable
+from rr8096.identified import identify_variants, read_tables, tabulate_least_squares
+from rr8096.published import LETTERS, NUMBERS
 
 CLAIMS: tuple[Callable[[ClaimEvidence], ClaimRows], ...] = (
     *geometry.CLAIMS,
@@ -81,11 +82,28 @@ class Rr8096(Claims):
         }
     )
 
-    def tabulate(
-        self, inputs: StudyInputs, summary: Mapping[str, Any], fits: Mapping[str, LeastSquaresFit]
-    ) -> pd.DataFrame:
-        """Return a row for each claim that the study allows."""
-        return tabulate_claims(ClaimEvidence.from_study(inputs, summary, fits))
+    tables = MappingProxyType(
+        {
+            f"{model}/{deformation}": f"table {number}({letter})"
+            for model, letter in LETTERS.items()
+            for deformation, number in NUMBERS.items()
+        }
+    )
+
+    def check(self, inputs: StudyInputs) -> None:
+        """Refuse a study without targets, and printed tables that cannot be read."""
+        if inputs.seen is None or inputs.seen.measured.targets is None:
+            found = inputs.config.claims
+            raise InputError(f"{inputs.folder}: claims: found {found!r} without targets, expected measured targets")
+        read_tables(inputs)
+
+    def tabulate(self, inputs: StudyInputs, summary: Mapping[str, Any]) -> dict[str, pd.DataFrame]:
+        """Return a row for each claim that the study allows, and least squares beside the report's tables."""
+        fits = identify_variants(inputs)
+        return {
+            "claims": tabulate_claims(ClaimEvidence.from_study(inputs, summary, fits)),
+            "least_squares": tabulate_least_squares(inputs, fits),
+        }
 
 
 def tabulate_claims(evidence: ClaimEvidence) -> pd.DataFrame:

@@ -150,7 +150,7 @@ def read_draws_of(results: Results, name: str) -> dict[str, Array] | None:
 def read_parameters(results: Results, variant: str) -> pd.DataFrame:
     """Return a variant's posterior of its parameters, with its model error if it has any, by their names."""
     rows = results.table("parameters")
-    return rows[(rows["variant"] == variant) & (rows["model_error"] == "free")].set_index("parameter")
+    return rows[rows["variant"] == variant].set_index("parameter")
 
 
 def read_means(results: Results, variant: str) -> dict[str, float]:

@@ -102,20 +102,11 @@ def choose_candidate(candidates: Sequence[Candidate]) -> Candidate:
     return groups[0][0] if groups else max(candidates, key=lambda one: one.log_evidence)
 
 
-def list_candidates(summary: Mapping[str, Any], setting: str = "free") -> list[Candidate]:
-    """Return the variants of the most data of a study's summary, of which one is to be used, in the study's order.
-
-    Parameters
-    ----------
-    summary : mapping
-        As ``summary.json`` has it.
-    setting : str
-        ``zero`` for the same variants without model error.
-    """
+def list_candidates(summary: Mapping[str, Any]) -> list[Candidate]:
+    """Return the variants of the most data of a study's summary, of which one is to be used, in the study's order."""
     rows = summary["variants"]
     ranking = max(summary["rankings"], key=lambda names: (rows[names[0]].get("n_equations", 0), len(names)))
-    chosen = [(name, row if setting == "free" else row["without_model_error"]) for name, row in rows.items()]
-    return [describe_candidate(name, row) for name, row in chosen if name in ranking]
+    return [describe_candidate(name, row) for name, row in rows.items() if name in ranking]
 
 
 def describe_candidate(name: str, row: Mapping[str, Any]) -> Candidate:

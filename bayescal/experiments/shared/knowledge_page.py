@@ -56,16 +56,15 @@ def show_accuracy(tables: Mapping[str, pd.DataFrame], asked: Asked = None) -> Se
     return make_section("How accurate the machine is", text, (table,))
 
 
-def show_ridges(tables: Mapping[str, pd.DataFrame], variant: str) -> list[Section]:
+def state_ridges(tables: Mapping[str, pd.DataFrame], variant: str) -> list[Statement]:
     """Return the combinations that a variant's readings leave undetermined; nothing where there are none."""
     if "ridges" not in tables:
         return []
     mine = tables["ridges"][tables["ridges"]["variant"] == variant]
-    text = [
-        f"Contraction of this combination {format_fixed(row['contraction'], 2)}: {row['sentence']}"
+    return [
+        Statement(f"Contraction of this combination {format_fixed(row['contraction'], 2)}: {row['sentence']}")
         for row in list_rows(mine)
     ]
-    return [make_section("Undetermined combinations", text)] if text else []
 
 
 def _say_gain(gain: float) -> str:

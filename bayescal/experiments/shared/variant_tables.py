@@ -14,8 +14,6 @@ if TYPE_CHECKING:
 
     from bayescal.experiments.shared.estimate import Fit
 
-FREE, ZERO = "free", "zero"
-"""Settings of the model error: with it as the variant has it, and without."""
 NOISE = "noise"
 """Verdict on a parameter that is not one of the machine's."""
 INFORMED, HARDLY = 0.75, 0.05
@@ -47,7 +45,7 @@ def judge_contraction(contraction: Array) -> list[str]:
 
 
 def tabulate_parameters(
-    variant: str, fit: Fit, nominal: Sequence[float], verdicts: Sequence[str] | None = None, setting: str = FREE
+    variant: str, fit: Fit, nominal: Sequence[float], verdicts: Sequence[str] | None = None
 ) -> pd.DataFrame:
     """Return one posterior's rows of ``parameters.csv``.
 
@@ -60,8 +58,6 @@ def tabulate_parameters(
     verdicts : sequence of str, optional
         ``identifiable``, ``weak``, ``not``, or ``noise`` of what is no parameter of the machine; by their contractions
         without it.
-    setting : str
-        Of the model error.
     """
     import pandas as pd  # a third of a second, for those who have tables
 
@@ -69,7 +65,6 @@ def tabulate_parameters(
     return pd.DataFrame(
         {
             "variant": variant,
-            "model_error": setting,
             "parameter": fit.names,
             "unit": fit.units,
             "nominal": nominal,
@@ -89,9 +84,7 @@ def tabulate_parameters(
     )
 
 
-def tabulate_left_out(
-    variant: str, fit: Fit, poses: Sequence[str], held: np.ndarray, elpd_held: Array | None = None, setting: str = FREE
-) -> pd.DataFrame:
+def tabulate_left_out(variant: str, fit: Fit, poses: Sequence[str]) -> pd.DataFrame:
     """Return the common columns of one posterior's rows of ``poses.csv``.
 
     Parameters
@@ -100,31 +93,17 @@ def tabulate_left_out(
     fit : Fit
         Each calibration pose of which was left out.
     poses : sequence of str
-        Names of all poses.
-    held : ndarray of bool, shape (P,)
-        Which were held back for verification.
-    elpd_held : ndarray, shape (V,), optional
-        Log predictive density of each of these; NaN without it.
-    setting : str
-        Of the model error.
+        Names of these.
     """
     import pandas as pd  # a third of a second, for those who have tables
-
-    def spread(values: Array, elsewhere: Any) -> Array:
-        every = np.full(len(held), np.nan)
-        every[~held] = values
-        every[held] = elsewhere
-        return every
 
     return pd.DataFrame(
         {
             "variant": variant,
-            "model_error": setting,
             "pose": list(poses),
-            "use": np.where(held, "verification", "calibration"),
-            "elpd_loo": spread(fit.left_out.elpd, np.nan if elpd_held is None else elpd_held),
-            "pareto_k": spread(fit.left_out.pareto_k, np.nan),
-            "refitted": spread(fit.left_out.was_refitted, 0.0).astype(bool),
+            "elpd_loo": fit.left_out.elpd,
+            "pareto_k": fit.left_out.pareto_k,
+            "refitted": fit.left_out.was_refitted.astype(bool),
         }
     )
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any, ClassVar
 
 import pandas as pd
@@ -27,19 +28,27 @@ class Claims(ABC):
         By the names of the page's figures, what each is after.
     notation : mapping of str to str
         By symbol, where it is defined.
+    tables : mapping of str to str
+        By variant, where its printed values are; none by default.
     """
 
     source: ClassVar[str]
     citation: ClassVar[str]
     figures: ClassVar[Mapping[str, str]]
     notation: ClassVar[Mapping[str, str]]
+    tables: ClassVar[Mapping[str, str]] = MappingProxyType({})
+
+    def check(self, inputs: StudyInputs) -> None:  # noqa: B027
+        """Raise InputError where a study lacks what the claims are put to, before anything is computed."""
 
     @abstractmethod
     def tabulate(self, inputs: StudyInputs, summary: Mapping[str, Any]) -> dict[str, pd.DataFrame]:
         """Return tables for the study's results, by name: ``claims`` has a row for each claim that the study allows.
 
         Its columns are ``claim``, ``section``, ``statement``, ``expected``, ``found``, ``value``, ``unit``, ``verdict``
-        (holds, does not hold, not testable) and ``why``.
+        (holds, does not hold, not testable) and ``why``. Where values are printed, ``least_squares`` has a row for each
+        parameter and leg: ``variant``, ``parameter``, ``leg``, ``unit``, ``nominal``, ``offset``, ``published_offset``
+        (NaN without any), ``difference``, ``leg_residual_rms_um`` and ``converged``.
         """
 
     def describe(self) -> dict[str, Any]:
@@ -49,4 +58,5 @@ class Claims(ABC):
             "citation": self.citation,
             "figures": dict(self.figures),
             "notation": dict(self.notation),
+            "tables": dict(self.tables),
         }

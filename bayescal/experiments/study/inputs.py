@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -64,9 +64,15 @@ class StudyInputs(ReadingInputs):
     folder: Path = Path()
 
     @classmethod
-    def load(cls, config: StudyConfig, folder: Path) -> StudyInputs:
-        """Return machine, readings and variants; InputError for other widths of priors that no machine has."""
-        found = cls(**vars(read_inputs(config, folder)), folder=folder)
+    def load(cls, config: StudyConfig, folder: Path, only: Collection[str] | None = None) -> StudyInputs:
+        """Return machine, readings and variants, or some of these.
+
+        Raises
+        ------
+        InputError
+            For faults of files, and other widths of priors that no machine has.
+        """
+        found = cls(**vars(read_inputs(config, folder, only)), folder=folder)
         for name, variant in found.variants.items():
             for factor in config.sensitivity.factor:
                 with name_faults(f"variant {name!r}: sensitivity.factor {factor:g}"):
@@ -96,13 +102,15 @@ class StudyInputs(ReadingInputs):
 
     @cached_property
     def claims(self) -> Claims | None:
-        """What a publication claims of the study; InputError for a class that is none."""
+        """What a publication claims of the study; InputError for a class that is none, or wants what is not there."""
         if self.config.claims is None:
             return None
         from bayescal.experiments.study.claims import Claims
 
         kind = Claims
-        return find_class("CLAIMS", self.config.claims, kind, "claims", self.folder, self.folder)()  # type: ignore[type-abstract]
+        found = find_class("CLAIMS", self.config.claims, kind, "claims", self.folder, self.folder)()  # type: ignore[type-abstract]
+        found.check(self)
+        return found
 
     def estimate_memory(self) -> Need:
         """Return what the largest variant's posterior takes, and all that is saved of each."""

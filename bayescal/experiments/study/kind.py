@@ -93,10 +93,9 @@ class Study(MachineExperiment[StudyConfig, StudyInputs], Measuring, Calibrating)
         self, config: StudyConfig, path: Path, names: Sequence[str], with_model_error: bool
     ) -> dict[str, MeasuredReadings]:
         """Return variants of the study in a file."""
-        chosen = [one for one in config.variants if one.name in names]
         with name_faults(path):
-            inputs = StudyInputs.load(config.model_copy(update={"variants": chosen}), path.parent)
-        return inputs.measure([one.name for one in chosen], with_model_error)
+            inputs = StudyInputs.load(config, path.parent, names)
+        return inputs.measure([one.name for one in config.variants if one.name in names], with_model_error)
 
     def calibrate(self, results: Results, variant: str | None, experiment: Path | None) -> CalibratedMachine:
         """Return the machine of a variant of the study."""

@@ -514,7 +514,7 @@ def _list_poses(variant: Variant, fit: ReadingFit) -> pd.DataFrame:
     used = variant.data.pick(~variant.verification)
     contradicting = left.find_contradicting(variant.config.outliers.expected)
     own = {"equations": left.freedom, "square": left.square, "chance": chance, "trust": left.trust}
-    common = tabulate_left_out(variant.name, fit, used.poses, np.zeros(used.n_poses, dtype=bool))
+    common = tabulate_left_out(variant.name, fit, used.poses)
     return common.assign(**coordinates, **own, contradicting=contradicting)
 
 

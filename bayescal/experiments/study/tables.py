@@ -20,7 +20,6 @@ from bayescal.experiments.shared.readings.measurement import Measured
 from bayescal.experiments.shared.readings.schema import OriginConfig
 from bayescal.experiments.shared.readings.seen_legs import SeenLegs
 from bayescal.experiments.shared.study_schema import VariantConfig
-from bayescal.experiments.shared.variant_tables import FREE
 from bayescal.files.csv_tables import format_table
 from bayescal.inference.importance import smooth_weights
 from bayescal.limits import PARETO_K_LIMIT
@@ -58,7 +57,6 @@ def tabulate_pose_errors(variant: Variant, prediction: Prediction) -> pd.DataFra
     frame = pd.DataFrame(
         {
             "variant": variant.name,
-            "model_error": FREE,
             "pose": variant.data.poses,
             "use": np.where(variant.verification, *reversed(USES)),
             "position_error_mm": prediction.position_error,
@@ -121,7 +119,7 @@ def tabulate_tau_scale(inputs: ReadingInputs, fits: Mapping[str, Fit]) -> pd.Dat
             continue
         places = [fit.names.index(one.names[0]) for one in terms]
         own, square = terms[0].scale / MICROMETRE, np.sum((fit.draws[..., places] / MICROMETRE) ** 2, axis=-1).ravel()
-        for scale in inputs.config.sensitivity.tau_scale_um:
+        for scale in sorted({own, *inputs.config.sensitivity.tau_scale_um}):
             log_weights = len(terms) * np.log(own / scale) + 0.5 * square * (own**-2 - scale**-2)
             gain = float(logsumexp(log_weights) - np.log(len(log_weights)))
             relative = np.exp(log_weights - gain)
@@ -130,6 +128,7 @@ def tabulate_tau_scale(inputs: ReadingInputs, fits: Mapping[str, Fit]) -> pd.Dat
             rows.append(
                 {
                     "variant": name,
+                    "own_um": own,
                     "tau_scale_um": scale,
                     "log_evidence": fit.importance.log_evidence + gain if trusted else np.nan,
                     "efficiency": 1.0 / np.mean(relative**2),

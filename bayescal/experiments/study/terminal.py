@@ -17,7 +17,7 @@ from bayescal.experiments.shared.headline import (
     state_rivals,
 )
 from bayescal.experiments.shared.origin import name_origin
-from bayescal.report.numbers import MICROMETRES, format_estimate, format_fixed
+from bayescal.report.numbers import MICROMETRES, NOTHING, format_estimate, format_fixed
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -48,7 +48,7 @@ def show_ranking(summary: Mapping[str, Any], console: Console) -> None:
     """Print the variants of a study, those of one set of data together, and what did not converge."""
     console.print(f"{summary['title']} ({name_origin(summary['origin'])})")
     use = "verification" if summary["n_poses"]["verification"] else "calibration"
-    of_poses = any(use in fit for fit in summary["variants"].values())
+    of_poses = any(fit.get(use) for fit in summary["variants"].values())
     shown = [one for one in RANKING if of_poses or one.title != "position error"]
     rows, told = [], list[str]()
     for ranking in summary["rankings"]:
@@ -67,8 +67,7 @@ def show_ranking(summary: Mapping[str, Any], console: Console) -> None:
                 format_fixed(fit["elpd"], 1),
             ]
             if of_poses:
-                error = fit[use]["position_error_mm"]
-                row.append(" / ".join(_format_size(error[which]) for which in ("mean", "max")) + " µm")
+                row.append(_format_errors(fit.get(use)))
             rows.append((*row, "yes" if fit["converged"] else "NO"))
     print_table(console, tuple(shown), rows)
     errors = f"position error: mean / largest on the {use} poses; " if of_poses else ""
@@ -76,11 +75,10 @@ def show_ranking(summary: Mapping[str, Any], console: Console) -> None:
     for said in told:
         print_text(console, said)
     for name, fit in summary["variants"].items():
-        for setting, one in (("", fit), (" without model error", fit.get("without_model_error"))):
-            if one is not None and one.get("log_evidence_tempered") is not None:
-                print_text(console, _describe_check(f"{name}{setting}", one))
-            if one is not None and one["problems"]:
-                print_text(console, f"NOT CONVERGED {name}{setting}: {one['problems']}")
+        if fit.get("log_evidence_tempered") is not None:
+            print_text(console, _describe_check(name, fit))
+        if fit["problems"]:
+            print_text(console, f"NOT CONVERGED {name}: {fit['problems']}")
 
 
 def _describe_check(name: str, fit: Mapping[str, Any]) -> str:
@@ -90,8 +88,12 @@ def _describe_check(name: str, fit: Mapping[str, Any]) -> str:
     return f"checked {name}: log-evidence {own}, by tempering {check}"
 
 
-def _format_size(size: float | None) -> str:
-    return format_fixed(None if size is None else MICROMETRES * size, 1)
+def _format_errors(errors: Mapping[str, Any] | None) -> str:
+    """Return mean and largest position error; a dash of a variant whose poses no instrument saw."""
+    if not errors:
+        return NOTHING
+    sizes = (errors["position_error_mm"][which] for which in ("mean", "max"))
+    return " / ".join(format_fixed(None if one is None else MICROMETRES * one, 1) for one in sizes) + " µm"
 
 
 def show_comparison(comparison: pd.DataFrame, console: Console) -> None:

@@ -2,31 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Self
 
 import numpy as np
+from scipy.special import logsumexp
 
 from bayescal.data.measured_poses import MeasuredPoses
-from bayescal.density.least_squares import LeastSquaresFit
-from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.errors import InputError
 from bayescal.experiments.shared.origin import name_origin
+from bayescal.experiments.shared.readings.errors import drop_model_error
+from bayescal.experiments.shared.readings.seen_legs import SeenLegs
 from bayescal.experiments.study.inputs import StudyInputs
-from bayescal.experiments.study.published import read_published
+from bayescal.files.csv_tables import read_matrix
+from bayescal.inference.mode import find_modes
 from bayescal.machines.deformations import DEFORMATIONS, NominalDeformation
-from bayescal.machines.kinematics import Machine, build_machine
+from bayescal.machines.kinematics import Machine, build_machine, solve_forward_kinematics
 from bayescal.machines.mechanism import Mechanism
 from bayescal.machines.models import MODELS
 from bayescal.numerics.geometry import Array
+from bayescal.numerics.units import MICROMETRE
+from rr8096.identified import FREE, list_free, read_tables
+from rr8096.least_squares import LeastSquaresFit
 
 REFERENCE = "six_pus"
 DEFORMATION_ORDER = ("none", "linear", "matrix")
 TITLES = {"six_pus": "6-PUS", "jacobian": "Jacobian-based", "beam": "beam theory-based", "stiffness": "stiffness"}
-POINTS = ("a_x", "a_y", "b_x", "b_y")
-FREE = {"none": {*POINTS, "l", "u_x"}, "linear": {*POINTS, "l", "kappa"}, "matrix": {*POINTS, "l", "kappa"}}
-"""What the report identifies with each deformation."""
+PER_MILLE = 1e-3  # unit of K in a file
 HOLDS = "holds"
 FAILS = "does not hold"
 UNTESTABLE = "not testable"
@@ -54,6 +58,8 @@ class ClaimEvidence:
         The posteriors' summary, as in ``summary.json``.
     published : mapping of variant to mapping of symbol to ndarray, shape (N,)
         Published offsets from nominal.
+    weigh_alone : callable
+        Returns the log-evidence of a variant, by its name, without its model error.
     """
 
     mechanism: Mechanism
@@ -67,6 +73,7 @@ class ClaimEvidence:
     fits: Mapping[str, LeastSquaresFit]
     variants: Mapping[str, Mapping[str, Any]]
     published: Mapping[str, Mapping[str, Array]]
+    weigh_alone: Callable[[str], float]
 
     @classmethod
     def from_study(cls, inputs: StudyInputs, summary: Mapping[str, Any], fits: Mapping[str, LeastSquaresFit]) -> Self:
@@ -74,25 +81,23 @@ class ClaimEvidence:
 
         The report has one free set for each model and deformation: variants with names of their own are none of its.
         """
-        config = inputs.config
-        variants = [v for v in config.variants if not v.has_own_name]
-        others = {v.name for v in config.variants if v.has_own_name}
+        config, seen = inputs.config, inputs.seen
+        assert seen is not None
+        assert seen.measured.targets is not None
+        own = {name: one for name, one in inputs.variants.items() if not one.config.has_own_name}
         return cls(
-            mechanism=inputs.mechanism,
-            nominal=NominalDeformation(config.deformation.kappa, lambda: inputs.matrix),
-            poses=inputs.poses(verification=False),
-            all_poses=inputs.measured.poses,
-            target_noise=inputs.target_noise,
-            actuator_noise=1e-3 * config.measured.actuator_noise_um,
+            mechanism=seen.mechanism,
+            nominal=NominalDeformation(config.deformation.kappa, partial(_find_matrix, inputs, seen)),
+            poses=seen.measured.poses.select(~seen.measured.verification),
+            all_poses=seen.measured.poses,
+            target_noise=seen.measured.targets.noise,
+            actuator_noise=config.measured.actuator_noise_um * MICROMETRE,
             origin=name_origin(config.origin.model_dump()),
-            free={v.name: inputs.free(v) for v in variants},
-            fits={name: fit for name, fit in fits.items() if name not in others},
-            variants={name: fit for name, fit in summary["variants"].items() if name not in others},
-            published={
-                v.name: _by_symbol(read_published(inputs.folder / v.published, inputs.mechanism.n_legs))
-                for v in variants
-                if v.published is not None
-            },
+            free={name: list_free(one) for name, one in own.items()},
+            fits={name: fit for name, fit in fits.items() if name in own},
+            variants={name: one for name, one in summary["variants"].items() if name in own},
+            published={name: _by_symbol(values) for name, values in read_tables(inputs).items()},
+            weigh_alone=partial(_weigh_alone, inputs),
         )
 
     @property
@@ -115,9 +120,42 @@ class ClaimEvidence:
         fit = self.fits.get(name_of(machine))
         return machine.layout.nominal if fit is None else fit.theta
 
-    def likelihood(self, machine: Machine) -> PoseLikelihood:
-        """Return the density of the calibration poses without model error."""
-        return PoseLikelihood(machine, self.poses, self.actuator_noise)
+    def hold(self, machine: Machine, theta: Array) -> MeasuredPoses:
+        """Return the calibration poses as a machine of these parameters holds them by the same actuator positions."""
+        found = solve_forward_kinematics(machine, theta, self.poses.actuators)
+        return replace(self.poses, position=found.position, rotation=found.rotation)
+
+    def linearise(self, machine: Machine, theta: Array, carrier: Array | None = None) -> tuple[Array, Array]:
+        """Return how the calibration poses' errors, seen by the legs, follow the parameters, and their covariance.
+
+        With A = ∂f/∂pose and e the error of a measured pose, which follows a parameter by A⁻¹ ∂f/∂θ, they are A⁰ e, mm.
+        A⁰, and what the noise does, are by default those of the nominal machine: a model that leaves something out
+        identifies parameters that stand for it, and noise reaches the legs by the machine as it is, which is nearer to
+        nominal.
+
+        Parameters
+        ----------
+        machine : Machine
+        theta : ndarray, shape (D,)
+            Where it is linearised, at the poses that it holds itself.
+        carrier : ndarray, shape (D,), optional
+            The machine of A⁰, in place of the nominal one.
+
+        Returns
+        -------
+        slope : ndarray, shape (P, N, D)
+        covariance : ndarray, shape (P, N, N)
+            By the stated noise of poses and actuators, without model error.
+        """
+        carrier = machine.layout.nominal if carrier is None else carrier
+        held = [(one, self.hold(machine, one)) for one in (theta, carrier)]
+        here, there = (machine.linearise(one, poses.position, poses.rotation, poses.actuators) for one, poses in held)
+        gain = np.linalg.pinv(there.pose)
+        moved = np.linalg.solve(gain @ here.pose, gain) @ here.parameters
+        slope = here.parameters + (there.pose - here.pose) @ moved
+        covariance = there.pose @ self.poses.covariance @ np.swapaxes(there.pose, -1, -2)
+        covariance += self.actuator_noise**2 * there.actuators @ np.swapaxes(there.actuators, -1, -2)
+        return slope, covariance
 
     def repeats(self, *variants: str) -> bool:
         """Return whether the study identifies what the report does in these variants."""
@@ -146,6 +184,19 @@ class ClaimEvidence:
 def name_of(machine: Machine) -> str:
     """Return the name of a machine's variant."""
     return f"{machine.model.name}/{machine.deformation.name}"
+
+
+def _find_matrix(inputs: StudyInputs, seen: SeenLegs) -> Array:
+    """Return K in mm per mm, from the targets on the pads or from a file."""
+    if seen.from_targets:
+        return seen.find_matrix()
+    return PER_MILLE * read_matrix(inputs.folder / inputs.config.deformation.matrix, seen.mechanism.n_legs)
+
+
+def _weigh_alone(inputs: StudyInputs, variant: str) -> float:
+    """Return the log-evidence of a variant without its model error, by Laplace's approximation at each mode."""
+    posterior = drop_model_error(inputs.variants[variant].posterior()).anchored()
+    return float(logsumexp([mode.log_evidence for mode in find_modes(posterior)]))
 
 
 def _by_symbol(values: Mapping[tuple[str, int], float]) -> dict[str, Array]:

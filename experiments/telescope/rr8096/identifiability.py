@@ -6,11 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bayescal.density.least_squares import identify
 from bayescal.machines.kinematics import Machine
 from bayescal.numerics.geometry import Array
-from rr8096.evidence import POINTS, REFERENCE, Claim, ClaimEvidence, ClaimRows, judge
+from rr8096.evidence import REFERENCE, Claim, ClaimEvidence, ClaimRows, judge
 from rr8096.geometry import MICRO
+from rr8096.identified import POINTS
+from rr8096.least_squares import identify
 
 IDENTIFIED = 0.5
 """A direction counts as identified where the poses at least halve its tolerance."""
@@ -56,7 +57,7 @@ def null_direction(evidence: ClaimEvidence) -> ClaimRows:
     machine, noise = evidence.best_machine(), MICRO * evidence.target_noise
     layout = machine.layout
     free = WITH_KAPPA if "kappa" in layout.index else WITH_DIRECTION
-    slope = evidence.likelihood(machine).error_jacobian(evidence.identified(machine))[1]
+    slope, _ = evidence.linearise(machine, evidence.identified(machine))
     alone, followed = 0.0, 0.0
     for leg in range(evidence.mechanism.n_legs):
         columns = slope[:, leg, [layout.index[s][leg] for s in LENGTHS]]
@@ -109,13 +110,16 @@ def one_of_directions(evidence: ClaimEvidence) -> ClaimRows:
         machine = evidence.machine(model)
         if machine is None:
             continue
-        found = compute_contraction(evidence, machine, (*WITH_DIRECTION, "u_y"), ("u_x", "u_y"))
+        free, chosen = (*WITH_DIRECTION, "u_y"), ("u_x", "u_y")
+        found = compute_contraction(evidence, machine, free, chosen)
+        other = compute_contraction(evidence, machine, free, chosen, evidence.identified(machine))
         yield _one_of_two(
             f"one_of_directions_{model}",
             section,
             "Of the two components of an actuator's direction only one can be identified.",
             found,
-            what,
+            f"{what} Noise reaches the legs by the nominal machine; by the identified one it would be "
+            f"{_percent(float(other[:, 1].max()))} at most.",
         )
 
 
@@ -270,7 +274,9 @@ def tolerance_of(machine: Machine) -> Array:
     return sd
 
 
-def compute_contraction(evidence: ClaimEvidence, machine: Machine, free: Sequence[str], chosen: Sequence[str]) -> Array:
+def compute_contraction(
+    evidence: ClaimEvidence, machine: Machine, free: Sequence[str], chosen: Sequence[str], carrier: Array | None = None
+) -> Array:
     """Return by how much the calibration poses narrow some parameters of a leg, all free ones unknown.
 
     Parameters
@@ -282,6 +288,8 @@ def compute_contraction(evidence: ClaimEvidence, machine: Machine, free: Sequenc
         What is unknown, each within its tolerance.
     chosen : sequence of str
         The parameters to look at, in all directions of their common space.
+    carrier : ndarray, shape (D,), optional
+        The machine by which the noise reaches the legs, in place of the nominal one.
 
     Returns
     -------
@@ -290,12 +298,10 @@ def compute_contraction(evidence: ClaimEvidence, machine: Machine, free: Sequenc
         whole machine one row. Zero says nothing was learnt, one everything.
     """
     layout, sd = machine.layout, tolerance_of(machine)
-    likelihood = evidence.likelihood(machine)
-    slope = likelihood.error_jacobian(evidence.identified(machine))[1]
+    slope, noise = evidence.linearise(machine, evidence.identified(machine), carrier)
     index = np.concatenate([layout.index[symbol] for symbol in free])
     slope = slope[..., index] * sd[index]
-    precision = np.linalg.inv(likelihood.error_covariance(np.zeros(likelihood.n_legs)))
-    data = np.einsum("pik,pij,pjm->km", slope, precision, slope, optimize=True)
+    data = np.einsum("pik,pij,pjm->km", slope, np.linalg.inv(noise), slope, optimize=True)
     covariance = np.linalg.inv(data + np.eye(len(index)))
     place = {position: k for k, position in enumerate(index)}
     groups = np.stack([layout.index[symbol] for symbol in chosen], axis=1)

@@ -6,13 +6,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from bayescal.density.least_squares import identify, minimise
 from bayescal.machines.kinematics import Machine, compute_home_legs
-from bayescal.numerics.geometry import Array
+from bayescal.numerics.geometry import Array, compute_pose_error
 from rr8096.evidence import (
     DEFORMATION_ORDER,
-    FREE,
-    POINTS,
     REFERENCE,
     TITLES,
     UNTESTABLE,
@@ -23,6 +20,9 @@ from rr8096.evidence import (
 )
 from rr8096.geometry import MICRO
 from rr8096.identifiability import tolerance_of
+from rr8096.identified import FREE, POINTS
+from rr8096.least_squares import identify, minimise
+from rr8096.published import NUMBERS
 
 SAME = 0.1
 """Two results are the same where they differ by less than a tenth."""
@@ -30,7 +30,6 @@ START = 0.1  # distance of the directions' starts from the legs' slopes
 N_STARTS = 3
 SEED = 8096
 OTHERS = ("a_y", "b_x", "b_y", "l")  # what neither u_x nor κ touches
-TABLES = {"none": "5", "linear": "6", "matrix": "7"}
 ROUGH = 1e-6  # tolerance of the least squares: two digits of a correlation
 FOLLOWS = 0.5  # correlation from which on a pattern counts as found
 FAR = 1.0  # tolerances from nominal
@@ -277,7 +276,8 @@ def _pose_errors(evidence: ClaimEvidence, name: str) -> tuple[float, float]:
     """Return the mean position (mm) and orientation error (deg) that least squares leaves at the calibration poses."""
     machine = evidence.machine(*name.split("/"))
     assert machine is not None
-    error = evidence.likelihood(machine).pose_errors(evidence.fits[name].theta[None])[0]
+    poses, held = evidence.poses, evidence.hold(machine, evidence.fits[name].theta)
+    error = compute_pose_error(poses.position, poses.rotation, held.position, held.rotation)
     position, turn = (np.linalg.norm(part, axis=1).mean() for part in (error[:, :3], error[:, 3:]))
     return float(position), float(np.degrees(turn))
 
@@ -296,7 +296,7 @@ CLAIMS = (
 
 def stiffness_objective(evidence: ClaimEvidence) -> ClaimRows:
     """Own: tables (d) differ from tables (a) because their objective weighs newtons and newton metres alike."""
-    for deformation, table in TABLES.items():
+    for deformation, table in NUMBERS.items():
         ours, reference = f"stiffness/{deformation}", f"{REFERENCE}/{deformation}"
         known = [set(POINTS) <= set(evidence.published.get(name, {})) for name in (ours, reference)]
         if not all(known) or not evidence.repeats(ours, reference):

@@ -50,7 +50,7 @@ def test_a_container_is_smaller_than_its_host(monkeypatch, tmp_path):
 def test_a_study_is_refused_and_writes_nothing(monkeypatch, tmp_path):
     path = studies.write_tiny_study(tmp_path)
     monkeypatch.setattr(memory, "measure_available", lambda: 0.2 * GIB)
-    with pytest.raises(InputError, match=r"found 16 poses, 13 parameters and 4 posteriors, .* expected fewer poses"):
+    with pytest.raises(InputError, match=r"found 16 poses, 12 parameters and 2 variants, .* expected fewer poses"):
         run_experiment(load_experiment(path), path.parent, tmp_path / "out")
     assert not list(tmp_path.glob("out*"))
 

@@ -36,8 +36,8 @@ def load_twin(path: Path) -> Twin:
 
 @pytest.fixture(scope="module")
 def shipped():
-    """Return the inputs of the shipped telescope study."""
-    return studies.load_study(studies.TELESCOPE / "study.toml")
+    """Return what was seen of the shipped telescope."""
+    return studies.load_study(studies.TELESCOPE / "study.toml").seen
 
 
 @pytest.fixture
@@ -141,11 +141,12 @@ def test_shipped_headers_say_reconstructed_and_state_units(name):
 
 
 def test_shipped_twin_is_the_one_described(shipped):
-    assert shipped.targets.extraction.poses.n_poses == 46
-    assert shipped.targets.survey.actuators.shape == (46, 6)
+    targets = shipped.measured.targets
+    assert targets.extraction.poses.n_poses == 46
+    assert targets.survey.actuators.shape == (46, 6)
     np.testing.assert_allclose(np.unique(np.abs(shipped.displacement[:40])), [0, 1.3])
-    dof = int(shipped.targets.extraction.base.dof.sum() + shipped.targets.extraction.platform.dof.sum())
-    check_chi_square(shipped.targets.extraction.chi2_per_dof * dof, dof)
+    dof = int(targets.extraction.base.dof.sum() + targets.extraction.platform.dof.sum())
+    check_chi_square(targets.extraction.chi2_per_dof * dof, dof)
 
 
 # --- the truth beside the data ---------------------------------------------------------------------------------------
@@ -154,13 +155,13 @@ def test_shipped_twin_is_the_one_described(shipped):
 def test_true_poses_are_those_that_the_targets_show(shipped):
     """Extracted poses lie about them as their covariance says; those of the commanded actuators are others."""
     table = read_table(studies.TELESCOPE / "data" / "true_poses.csv", ("pose", *POSE_COLUMNS))
-    assert table.text("pose") == list(shipped.targets.survey.poses)
-    true, found = table.numbers(POSE_COLUMNS), shipped.targets.extraction.poses
+    assert table.text("pose") == list(shipped.measured.targets.survey.poses)
+    true, found = table.numbers(POSE_COLUMNS), shipped.measured.targets.extraction.poses
     turn = rotation_vector_from_matrix(found.rotation @ np.swapaxes(matrix_from_rotation_vector(true[:, 3:]), -1, -2))
     error = np.concatenate([found.position - true[:, :3], turn], axis=1)
     check_chi_square(float(np.einsum("pi,pij,pj->", error, np.linalg.inv(found.covariance), error)), error.size)
     twin = load_twin(studies.TELESCOPE / "simulate.toml")
-    commanded = solve_forward_kinematics(twin.machine, twin.theta, shipped.targets.survey.actuators)
+    commanded = solve_forward_kinematics(twin.machine, twin.theta, shipped.measured.targets.survey.actuators)
     off = commanded.position - true[:, :3]
     assert 1e-4 < np.abs(off).max() < 0.05  # the actuators' 1 µm, some times over
 
@@ -194,7 +195,7 @@ def true_matrix() -> np.ndarray:
 
 
 def test_ring_gives_back_the_matrix_of_eq_4(shipped, true_matrix):
-    estimate = shipped.measured_matrix
+    estimate = shipped.pads.matrix
     error = (estimate.matrix - true_matrix).ravel()
     check_chi_square(float(error @ np.linalg.solve(estimate.covariance, error)), 36)
     assert (np.abs(error) < 4 * estimate.sd.ravel()).all()
@@ -203,17 +204,17 @@ def test_ring_gives_back_the_matrix_of_eq_4(shipped, true_matrix):
 
 
 def test_another_matrix_fails_the_same_check(shipped, true_matrix):
-    error = (shipped.measured_matrix.matrix - true_matrix.T).ravel()
-    assert stats.chi2.sf(float(error @ np.linalg.solve(shipped.measured_matrix.covariance, error)), 36) < RARE
+    error = (shipped.pads.matrix.matrix - true_matrix.T).ravel()
+    assert stats.chi2.sf(float(error @ np.linalg.solve(shipped.pads.matrix.covariance, error)), 36) < RARE
 
 
 def test_ring_gives_the_kappa_that_the_matrix_implies(shipped, true_matrix):
-    travel = shipped.displacement[~shipped.targets.survey.verification]
+    travel = shipped.displacement[~shipped.measured.targets.survey.verification]
     implied = np.sum(travel * (travel @ true_matrix.T), axis=0) / np.sum(travel**2, axis=0)
-    np.testing.assert_allclose(shipped.measured_kappa.kappa, implied, atol=1.5e-3)
+    np.testing.assert_allclose(shipped.pads.kappa.kappa, implied, atol=1.5e-3)
     # the report's nominal value is 0.011; what K does beyond its diagonal is scatter to a linear ring
-    assert ((shipped.measured_kappa.kappa > 0.005) & (shipped.measured_kappa.kappa < 0.025)).all()
-    assert (shipped.measured_kappa.residual_sd > 5e-3).all()
+    assert ((shipped.pads.kappa.kappa > 0.005) & (shipped.pads.kappa.kappa < 0.025)).all()
+    assert (shipped.pads.kappa.residual_sd > 5e-3).all()
 
 
 def test_offset_of_kappa_leaves_the_ring_alone(config):

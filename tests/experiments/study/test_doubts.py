@@ -14,10 +14,12 @@ from bayescal.experiments.study.doubts import doubt_zero, find_shift, measure_si
 SHIFT = np.array([0.0, -3.0, 110.0])
 
 
-def make_inputs(poses, **options):
-    measured = SimpleNamespace(**({"has_poses": True, "poses": poses} | options))
-    config = SimpleNamespace(variants=[None])
-    return SimpleNamespace(measured=measured, config=config, machine=lambda _: machines.build_machine("none"))
+def make_inputs(poses, seen=True):
+    """Return inputs as far as doubts read them: legs that an instrument saw in a known frame, or in one of its own."""
+    likelihood = machines.build_posterior("none", poses).likelihood
+    model = likelihood.model if seen else likelihood.model.pick(np.arange(6))
+    data = replace(likelihood.data, values=likelihood.data.values[:, : len(model.names)])
+    return SimpleNamespace(variants={"none": SimpleNamespace(whole=model, model=model, data=data)})
 
 
 def test_a_zero_that_is_another_is_told_with_its_likely_cause(twin):
@@ -41,6 +43,6 @@ def test_scattered_poses_and_unknown_frames_are_no_doubt(twin, rng):
     apart = replace(twin, position=twin.position + rng.normal(0.0, 50.0, twin.position.shape))
     assert doubt_zero(make_inputs(apart)) == []
     shifted = replace(twin, position=twin.position + SHIFT)
-    assert doubt_zero(make_inputs(shifted, has_poses=False)) == []
+    assert doubt_zero(make_inputs(shifted, seen=False)) == []
     lost = replace(twin, position=twin.position * np.nan)
     assert doubt_zero(make_inputs(lost)) == []

@@ -129,9 +129,9 @@ def test_contradiction_is_refused(drawn, what):
 
 
 def test_order_of_columns_does_not_matter(drawn):
-    before = load(drawn).measured.actuators
+    before = load(drawn).seen.measured.poses.actuators
     with studies.changed_table(drawn / "data" / ACTUATORS, lambda rows: [row[::-1] for row in rows]):
-        after = load(drawn).measured.actuators
+        after = load(drawn).seen.measured.poses.actuators
     np.testing.assert_array_equal(before, after)
 
 

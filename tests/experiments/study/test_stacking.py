@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from bayescal.experiments.shared.stacking import compare_variants, find_tied, tabulate_comparison
+from bayescal.experiments.shared.stacking import compare_variants, tabulate_comparison
 from bayescal.inference.leave_one_out import LeftOut
 
 N_POSES = 40
@@ -36,10 +36,6 @@ def test_differences_have_the_standard_errors_of_paired_poses(fits):
 def test_a_pose_that_was_refitted_counts_by_its_run(fits):
     fits["right"].refitted[3] = 100.0
     assert compare_variants(fits).index[0] == "right"
-
-
-def test_variants_within_two_standard_errors_tie(fits):
-    assert find_tied(compare_variants(fits)) == ["left", "right"]
 
 
 def test_a_table_says_how_each_predicts_beside_the_best(fits):

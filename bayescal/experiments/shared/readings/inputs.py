@@ -145,8 +145,14 @@ class ReadingInputs:
     seen: SeenLegs | None = None
 
 
-def read_inputs(config: StudyConfig, folder: Path) -> ReadingInputs:
-    """Return the inputs of a calibration; InputError names the file, the variant, the pose, the column."""
+def read_inputs(config: StudyConfig, folder: Path, only: Collection[str] | None = None) -> ReadingInputs:
+    """Return the inputs of a calibration, of some of its variants or of all.
+
+    Raises
+    ------
+    InputError
+        It names the file, the variant, the pose, the column.
+    """
     seen = None if config.by_tables else look(config, folder)
     config = config if seen is None else seen.measured.translate(config)
     models = dict[str, ReadingModel]()
@@ -168,7 +174,7 @@ def read_inputs(config: StudyConfig, folder: Path) -> ReadingInputs:
     readings = read_tables(config.tables, folder, model.channels, given) if seen is None else seen.measured.readings
     deviations = stated_noise(config.sensors, readings, model)
     variants = {}
-    for one in config.variants:
+    for one in [one for one in config.variants if only is None or one.name in only]:
         with name_faults(f"variant {one.name!r}"):
             known = () if seen is None else seen.list_terms(models[one.name])
             variants[one.name] = _build(config, one, models[one.name], readings, deviations, folder, symbols, known)

@@ -17,9 +17,11 @@ from bayescal.experiments.study.page.parameters import show_frames, show_paramet
 from bayescal.experiments.study.page.ranking import show_ranking
 from bayescal.experiments.study.page.results import StudyResults
 from bayescal.experiments.study.page.ridges import show_ridges
-from bayescal.experiments.study.page.soundness import has_warnings, list_failures, title_failures
+from bayescal.experiments.study.page.soundness import has_warnings, list_failures
 from bayescal.experiments.study.page.verdict import state_headline, state_verdict
 from bayescal.report.blocks import Page, Section
+
+FAILURES = "Do not rely on these numbers yet. What speaks against them:"
 
 type PageBlock = Callable[[StudyResults], Section | None]
 """A part of the page of any study; None where these results have nothing for it."""
@@ -83,6 +85,6 @@ def build_page(results: Results) -> Page:
             ("Data of the variant to use", str(study.fit(study.chosen)["data"])),
         ),
         failures=tuple(list_failures(study)),
-        failures_title=title_failures(study),
+        failures_title=FAILURES,
         doubtful=has_warnings(study),
     )

@@ -9,28 +9,22 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 from arviz_stats.base import array_stats
-from arviz_stats.ecdf_utils import ecdf_pit
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Drawing
-from matplotlib.lines import Line2D
 
-from bayescal.experiments.study.page.results import SETTINGS, StudyResults
+from bayescal.experiments.study.page.results import StudyResults
 from bayescal.experiments.study.page.styles import Styles, add_legend, assign_styles
 from bayescal.limits import PARETO_K_LIMIT
 from bayescal.report.blocks import Block, Cell, Column, Figure, Fold, Statement, Table, make_table
-from bayescal.report.numbers import MICROMETRES, format_fixed, join_words
-from bayescal.report.style import GREY, INK, LEG_COLOURS, PALE, RED
-from bayescal.report.symbols import Asked, shown_in, split_name
+from bayescal.report.numbers import format_fixed, join_words
+from bayescal.report.style import GREY, LEG_COLOURS, PALE, RED
+from bayescal.report.symbols import split_name
 
 if TYPE_CHECKING:
     from bayescal.numerics.geometry import Array
 
-COMPONENT_PITS = ("x_pit", "y_pit", "z_pit", "rx_pit", "ry_pit", "rz_pit")
 KOLMOGOROV = 1.358  # 95 % of the largest distance of an ECDF, times the root of the number of draws
-SIMULATIONS = 500
 MOST_NAMED = 80  # poses with a name below the axis
-MANY = 600
-"""Values from which on a band is not simulated."""
 GRID = np.linspace(0.0, 1.0, 101)
 SENSITIVE = 0.05
 """Change of a posterior per doubling of a power, as a distance of distributions, from which on it counts."""
@@ -39,20 +33,8 @@ RANKS = (
     "Band: 95 % of as many independent draws as the smallest bulk ESS says, one parameter at a time. A chain that "
     "leaves it together with others of its colour has not seen what the others have."
 )
-PITS = (
-    "Share of the measured components (x, y, z and three angles of every calibration pose, each pose left out) "
-    "below a quantile of their predictions, less the expected share. Band: 95 % of "
-    "independent uniform numbers. An S that falls first and rises then means predictions too wide, the other way "
-    "round too narrow, a hump to one side a bias."
-)
-REPLICATES = (
-    "Errors of the calibration poses against the mean prediction, sorted, with those that replicates of the "
-    "measurement would have (band: 95 %; line: median), with model error. A posterior that has seen a "
-    "pose fits it somewhat better than a replicate. Poses far left of the band: noise or model error too large; "
-    "right of it: too small, at the upper end single poses that are outliers."
-)
 PARETO_K = (
-    "Pareto k of the weights that leave a calibration pose out, with model error. Above the line "
+    "Pareto k of the weights that leave a calibration pose out. Above the line "
     f"({PARETO_K_LIMIT}) the weights fail; such a pose (open) was left out by a run of its own, unless more than "
     "ten poses of a posterior are as bad."
 )
@@ -67,20 +49,11 @@ def fold_checks(study: StudyResults) -> list[Block]:
     """Return the checks of the best variant, and those of all, each behind a line."""
     best = study.label(study.best_name)
     shown: list[tuple[str, Figure | Table]] = []
-    poses = study.table("poses")
-    poses = poses[poses["use"] == "calibration"]
-    if "x_pit" in poses:
-        title = f"Poses left out: where they lie in the predictions of {best} (LOO-PIT)"
-        shown.append((title, _illustrate_pits(poses[poses["variant"] == study.best_name])))
-        figure = Figure("replicates", REPLICATES, None, study.say_missing())
-        if study.replicates is not None:
-            figure = Figure("replicates", REPLICATES, partial(_draw_replicates, study.replicates, study.units))
-        shown.append((f"Errors of poses and of their replicates, {best} (posterior predictive check)", figure))
-    draw = partial(_draw_pareto_k, poses[poses["model_error"] == "free"], study.ranking, assign_styles(study))
+    draw = partial(_draw_pareto_k, study.table("poses"), study.ranking, assign_styles(study))
     shown.append(("Pareto k of every pose left out", Figure("pareto_k", PARETO_K, draw)))
     shown.append((f"Chains of {best} (rank plot)", _illustrate_ranks(study)))
     own = study.table("parameters", study.best_name)
-    own = own[(own["model_error"] == "free") & own["prior_sensitivity"].notna()]
+    own = own[own["prior_sensitivity"].notna()]
     if len(own):
         shown.append((f"Sensitivity of {best} to prior and data (power scaling)", tabulate_power_scaling(own)))
     return [Fold(title, (block,)) for title, block in shown]
@@ -113,83 +86,17 @@ def _draw_ranks(draws: Mapping[str, Array], n_chains: int, effective: float) -> 
     return figure
 
 
-def _illustrate_pits(poses: pd.DataFrame) -> Figure:
-    pits = {}
-    for setting in (one for one in SETTINGS if (poses["model_error"] == one).any()):
-        words, chosen = SETTINGS[setting], poses[poses["model_error"] == setting]
-        values = chosen[list(COMPONENT_PITS)].to_numpy(dtype=float).ravel()
-        pits[words[0].upper() + words[1:]] = values[pd.notna(values)]
-    if not all(len(values) > 2 for values in pits.values()):
-        return Figure("loo_pit", PITS, None, "no component of a pose is measured")
-    return Figure("loo_pit", PITS, partial(_draw_pits, pits))
-
-
-def _draw_pits(pits: Mapping[str, Array]) -> Drawing:
-    """Return ΔECDF of PITs, a panel per setting, each with a simultaneous 95 % band of uniform numbers.
-
-    By simulation, whose time grows with the square of their number; Kolmogorov's, which many values reach, beyond.
-    """
-    figure = Drawing(figsize=(4.6 * len(pits), 2.6))
-    panels = figure.subplots(1, len(pits), squeeze=False, sharey=True)[0]
-    for axes, (title, values) in zip(panels, pits.items(), strict=True):
-        if len(values) <= MANY:
-            points, share, low, high = ecdf_pit(values, 0.95, SIMULATIONS)
-        else:
-            points, width = GRID, KOLMOGOROV / np.sqrt(len(values))
-            share = np.searchsorted(np.sort(values), GRID, side="right") / len(values)
-            low, high = np.clip(GRID - width, 0.0, 1.0), np.clip(GRID + width, 0.0, 1.0)
-        _shade(axes, points, low - points, high - points)
-        axes.plot(points, share - points, color=INK, linewidth=1.1)
-        axes.set_title(title)
-        axes.set_xlabel("Where the measured value lies in its prediction (LOO-PIT)")
-    panels[0].set_ylabel("share below − expected")
-    return figure
-
-
 def _shade(axes: Axes, points: Array, low: Array, high: Array) -> None:
     axes.fill_between(points, low, high, color=PALE, alpha=0.6, linewidth=0)
     axes.axhline(0.0, color=GREY, linewidth=0.7)
     axes.set_xlim(0, 1)
 
 
-def _draw_replicates(misfit: Array, asked: Asked) -> Drawing:
-    """Return the distribution of the poses' errors and that of replicates.
-
-    ``misfit``, shape (S, P, 6), mm and rad, is measured less replicated poses.
-    """
-    angle, unit = shown_in("rad", asked)
-    turned = (f"Orientation error ({unit})", slice(3, 6), angle)
-    kinds = (("Position error (µm)", slice(0, 3), MICROMETRES), turned)
-    mean = misfit.mean(axis=0)
-    known = [one for one in kinds if np.isfinite(misfit[..., one[1]]).any()]
-    figure = Drawing(figsize=(4.6 * len(known), 2.6))
-    panels = figure.subplots(1, len(known), squeeze=False, sharey=True)[0]
-    for axes, (label, part, factor) in zip(panels, known, strict=True):
-        seen = factor * np.sort(_measure(mean[:, part]))
-        made = factor * np.sort(_measure((mean - misfit)[..., part]), axis=-1)
-        share = (np.arange(len(seen)) + 0.5) / len(seen)
-        axes.fill_betweenx(share, *np.quantile(made, [0.025, 0.975], axis=0), color=PALE, linewidth=0)
-        axes.plot(np.median(made, axis=0), share, color=GREY, linewidth=0.9)
-        axes.plot(seen, share, color=INK, marker="o", markersize=2.5, linewidth=0.7)
-        axes.set_xlim(left=0)
-        axes.set_xlabel(label)
-    panels[0].set_ylabel("share of the poses below")
-    measured = Line2D([], [], color=INK, marker="o", markersize=2.5, label="measured")
-    replicates = Line2D([], [], color=PALE, linewidth=6, label="replicates, 95 %")
-    panels[0].legend(handles=[measured, replicates], loc="lower right")
-    return figure
-
-
-def _measure(vector: Array) -> Array:
-    """Return the lengths of vectors (..., 3) along what was measured."""
-    return np.asarray(np.sqrt(np.nansum(vector**2, axis=-1)))
-
-
 def _draw_pareto_k(left_out: pd.DataFrame, variants: list[str], styles: Styles) -> Drawing:
     """Return Pareto k of every calibration pose and variant; open where a run left the pose out."""
     figure = Drawing(figsize=(9.4, 2.6))
     axes = figure.subplots()
-    poses = list(dict.fromkeys(left_out["pose"]))
+    poses = list(dict.fromkeys(left_out[left_out["variant"].isin(variants)]["pose"]))
     place = {pose: k for k, pose in enumerate(poses)}
     for k, name in enumerate(variants):
         own, style = left_out[left_out["variant"] == name], styles[name]

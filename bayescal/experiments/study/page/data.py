@@ -146,8 +146,8 @@ def _shorten(names: list[str]) -> str:
 
 
 def show_notation(study: StudyResults) -> Section | None:
-    """Return the symbols of a machine on legs; of a publication, also where it defines them."""
-    if not study.has("pose_errors"):
+    """Return the symbols of models of legs; of a publication, also where it defines them."""
+    if "drive" not in study.summary:
         return None
     publication = study.publication
     columns = [Column("Symbol", kind="symbol"), Column("Meaning", kind="text")]

@@ -18,17 +18,16 @@ from scipy import stats
 
 from bayescal.experiments.frame.results import Row
 from bayescal.experiments.study.page.results import (
-    SETTINGS,
-    SHORT_SETTINGS,
+    POSITION,
     USES,
     VARIANT,
     ErrorScale,
     StudyResults,
+    get_number,
     name_some,
 )
 from bayescal.experiments.study.page.soundness import COVERAGE, is_too_narrow
 from bayescal.experiments.study.page.styles import Styles, assign_styles
-from bayescal.limits import OUTLIER
 from bayescal.report.blocks import Block, Cell, Column, Figure, Fold, Section, Statement, Table, make_table
 from bayescal.report.numbers import (
     MICROMETRES,
@@ -37,7 +36,6 @@ from bayescal.report.numbers import (
     format_percent,
     format_plain,
     format_significant,
-    join_words,
 )
 from bayescal.report.style import GREY, INK, LEG_COLOURS, PALE, RED
 from bayescal.report.symbols import describe_deformation, quote
@@ -48,16 +46,14 @@ CROWDED = 4  # variants beyond which labels and numbers are slanted
 MARGINS = {"left": 0.065, "right": 0.995, "bottom": 0.11, "top": 0.89, "wspace": 0.16}
 CROWDED_MARGINS = MARGINS | {"bottom": 0.34, "top": 0.93}
 SLANTED: dict[str, Any] = {"rotation": 25, "ha": "right", "rotation_mode": "anchor", "fontsize": 7}
-BOUND = "position_bound_95_mm"
 NINETY = 1.645
 FAR = 2.5  # binomial deviations of a coverage that are no chance
 RANGE = 0.95  # of the binomial distribution, where a coverage is as expected
 FEW = 40  # held-back readings, from which little can be said of coverage
-SHOWN = 10
 MOST_NAMED = 25  # poses with a name below the axis, legible on a telephone too
 BARS = (
     "each bar is as high as the largest error, the line across it is the mean, both as numbers. Errors of the "
-    "posterior mean prediction with model error"
+    "posterior mean prediction"
 )
 BOUNDS = (
     "Position error of every pose in units of the 95 % bound that the posterior predicts for it (open: "
@@ -68,10 +64,10 @@ HELD_BACK = (
     "Each reading of a held-back pose, predicted from the other readings there and from a calibration that has not "
     "seen the pose."
 )
-OUTLIERS = (
-    "Each pose may be an outlier: it has nothing to do with where the machine was, because it was named wrongly, the "
-    "machine had not settled or something was in the way. An outlier counts for nothing in the posterior. The "
-    "probability is that of the best variant."
+WEIGHTS = (
+    "Some poses are expected to have nothing to do with where the machine was, because they were named wrongly, the "
+    "machine had not settled or something was in the way. Weight: how much a pose counts in the posterior, near zero "
+    "of one that is certainly wrong."
 )
 
 
@@ -83,30 +79,33 @@ def show_errors(study: StudyResults) -> Section | None:
     if not study.has("pose_errors"):
         return None
     title = "Coverage: how many measurements lie inside their intervals, variant by variant"
-    draw = partial(_draw_bounds, study.table("pose_errors"), study.ranking, assign_styles(study))
+    table = study.table("pose_errors")
+    seen = [name for name in study.ranking if name in set(table["variant"])]
+    draw = partial(_draw_bounds, table, seen, assign_styles(study))
     blocks: list[Block] = [*_illustrate_errors(study), Figure("bounds", BOUNDS, draw)]
     blocks.append(Fold(title, (_tabulate_coverage(study),)))
     return Section("Pose errors", tuple(blocks), anchor="errors", short="Errors")
 
 
 def _tabulate_coverage(study: StudyResults) -> Table:
-    """Return how often intervals and bounds hold the measurements, for every posterior."""
+    """Return how often intervals and bounds hold the measurements, for every variant whose poses were seen."""
     uses = USES if study.n_verification else USES[:1]
-    kinds = ("90 % intervals, all components", "95 % bound, position", "95 % bound, orientation")
-    columns = [VARIANT, Column("Model error", kind="text"), *(Column(use, "%", kind) for kind in kinds for use in uses)]
+    kinds = ("90 % intervals, all components", *(f"95 % bound, {scale.what}" for scale in study.error_scales))
+    columns = [VARIANT, *(Column(use, "%", kind) for kind in kinds for use in uses)]
     rows = []
-    for name, setting, fit in study.fits():
+    for name, fit in study.fits.items():
         frame = study.table("pose_errors", name)
-        frame = frame[frame["model_error"] == setting]
-        cells: list[str | Cell] = [study.label(name), SHORT_SETTINGS[setting]]
+        if frame.empty:
+            continue
+        cells: list[str | Cell] = [study.label(name)]
         for use in uses:
-            share, n = fit[use]["interval_90_coverage"], study.summary["n_poses"][use]
+            share, n = get_number(fit[use] or {}, "interval_90_coverage"), study.summary["n_poses"][use]
             cells.append(Cell(format_percent(share).rstrip(" %"), "warning" if is_too_narrow(share, n) else "plain"))
-        for kind, unit in (("position", "mm"), ("orientation", "deg")):
+        for scale in study.error_scales:
             for use in uses:
-                poses = frame[frame["use"] == use]
-                inside = poses[f"{kind}_error_{unit}"] <= poses[f"{kind}_bound_95_{unit}"]
-                cells.append(format_percent(float(inside.mean())).rstrip(" %") if len(poses) else NOTHING)
+                poses = frame[(frame["use"] == use) & frame[scale.column].notna()]
+                inside = poses[scale.column] <= poses[scale.bound]
+                cells.append(format_percent(float(inside.mean()) if len(poses) else None).rstrip(" %"))
         rows.append(cells)
     note = "Marked where the coverage lies two standard errors or more below 90 %, a pose counted as one trial."
     caption = "Share of the measurements inside their predictive intervals and bounds; nominal 90 % and 95 %."
@@ -115,7 +114,8 @@ def _tabulate_coverage(study: StudyResults) -> Table:
 
 def _illustrate_errors(study: StudyResults) -> list[Figure]:
     """Return the bars of every deformation, on common axes; of a single model all deformations together."""
-    styles = assign_styles(study)
+    seen = set(study.table("pose_errors")["variant"])
+    styles = {name: style for name, style in assign_styles(study).items() if name in seen}
     bars = partial(draw_error_bars, study.table("pose_errors"), study.error_scales, styles)
     if len(study.models) == 1:
         caption = f"{BARS[0].upper()}{BARS[1:]}{study.cite('figures', 'errors_all')}."
@@ -126,7 +126,8 @@ def _illustrate_errors(study: StudyResults) -> list[Figure]:
         words = describe_deformation(deformation)
         title = f"{words[0].upper()}{words[1:]}"
         caption = f"{title}{study.cite('figures', name)}: {BARS}; the axes are the same for all deformations."
-        shown.append(Figure(name, caption, partial(bars, study.find(deformation=deformation), title)))
+        variants = [one for one in study.find(deformation=deformation) if one in seen]
+        shown += [Figure(name, caption, partial(bars, variants, title))] if variants else []
     return shown
 
 
@@ -140,17 +141,16 @@ def draw_error_bars(
     crowded = len(variants) > CROWDED
     figure = Drawing(figsize=(9.4, 3.6 if crowded else 2.2))
     figure.set_layout_engine("none")  # fixed margins take half the time
-    frame = predictions[predictions["model_error"] == "free"]
-    uses = [use for use in SHADES if (frame["use"] == use).any()]
+    uses = [use for use in SHADES if (predictions["use"] == use).any()]
     panels = figure.subplots(1, len(scales), gridspec_kw=CROWDED_MARGINS if crowded else MARGINS, squeeze=False)[0]
     models, deformations = ({getattr(styles[name], what) for name in variants} for what in ("model", "deformation"))
     by_model = len(models) > 1 and len(deformations) == 1
     labels = [styles[name].model if by_model else styles[name].label for name in variants]
     for axes, scale in zip(panels, scales, strict=True):
-        errors = scale.factor * frame.groupby(["variant", "use"])[scale.column].agg(["mean", "max"])
+        errors = scale.factor * predictions.groupby(["variant", "use"])[scale.column].agg(["mean", "max"])
         for k, name in enumerate(variants):
             for use, side in zip(uses, (-1, 1) if len(uses) > 1 else (0,), strict=True):
-                mean, largest = (float(errors[what][name, use]) for what in ("mean", "max"))
+                mean, largest = (float(errors[what].get((name, use), math.nan)) for what in ("mean", "max"))
                 _draw_bar(axes, k, side, mean, largest, styles[name].colour, SHADES[use], crowded)
         axes.set_ylim(0, (1.35 if crowded else 1.3) * float(errors["max"].max()) or 1.0)
         axes.set_xlim(-0.6, max(len(variants), 3) - 0.4)
@@ -188,28 +188,23 @@ def _draw_bar(
 
 
 def _draw_bounds(predictions: pd.DataFrame, variants: Sequence[str], styles: Styles) -> Drawing:
-    """Return every pose's position error in units of its 95 % bound: a row per variant, a column per setting."""
+    """Return every pose's position error in units of its 95 % bound: a row per variant."""
     figure = Drawing(figsize=(9.4, 0.8 + 0.265 * len(variants)))
-    settings = [one for one in SETTINGS if (predictions["model_error"] == one).any()]
-    grid = figure.subplots(1, len(settings), sharex=True, sharey=True, squeeze=False)[0]
-    ratio = predictions["position_error_mm"] / predictions[BOUND]
+    axes = figure.subplots()
+    ratio = predictions[POSITION.column] / predictions[POSITION.bound]
     frame = predictions.assign(ratio=ratio.clip(lower=1e-6))
-    for axes, setting in zip(grid, settings, strict=True):
-        for k, name in enumerate(variants):
-            rows = frame[(frame["variant"] == name) & (frame["model_error"] == setting)]
-            _draw_strip(axes, rows, k, styles[name].colour)
-        axes.axvline(1.0, color=INK, linewidth=0.9)
-        if len(settings) > 1:
-            axes.set_title(f"{SETTINGS[setting][0].upper()}{SETTINGS[setting][1:]}")
-        axes.set_xlabel("Position error / its 95 % bound")
-        axes.grid(axis="x")
-        axes.tick_params(axis="y", length=0)
-    low, high = max(0.002, 0.7 * frame["ratio"].min()), 1.25 * max(1.0, frame["ratio"].max())
-    grid[0].set_xscale("log")  # shared
-    grid[0].set_xlim(low, high)
-    grid[0].xaxis.set_major_formatter(FuncFormatter(lambda value, _: format_plain(value)))
-    grid[0].set_yticks(range(len(variants)), [styles[name].label for name in variants])
-    grid[0].set_ylim(len(variants) - 0.5, -0.5)
+    frame = frame[frame["variant"].isin(list(variants)) & frame["ratio"].notna()]
+    for k, name in enumerate(variants):
+        _draw_strip(axes, frame[frame["variant"] == name], k, styles[name].colour)
+    axes.axvline(1.0, color=INK, linewidth=0.9)
+    axes.set_xlabel("Position error / its 95 % bound")
+    axes.grid(axis="x")
+    axes.tick_params(axis="y", length=0)
+    axes.set_xscale("log")
+    axes.set_xlim(max(0.002, 0.7 * frame["ratio"].min()), 1.25 * max(1.0, frame["ratio"].max()))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: format_plain(value)))
+    axes.set_yticks(range(len(variants)), [styles[name].label for name in variants])
+    axes.set_ylim(len(variants) - 0.5, -0.5)
     return figure
 
 
@@ -224,7 +219,7 @@ def _draw_strip(axes: Axes, rows: pd.DataFrame, k: int, colour: str) -> None:
         )
     beyond = int((ratio > 1).sum())
     expected = 0.05 * len(rows)
-    bound = format_significant(MICROMETRES * float(rows[BOUND].median()), 2)
+    bound = format_significant(MICROMETRES * float(rows[POSITION.bound].median()), 2)
     axes.annotate(
         f"{beyond} of {len(rows)} beyond, bound {bound} µm",
         (1.02, k),
@@ -336,57 +331,39 @@ def _draw_predictions(predictions: pd.DataFrame) -> Drawing:
 
 
 def _list_outliers(study: StudyResults) -> list[Row]:
-    """Return the rows of the best variant's poses, the most improbable first."""
-    rows = [row for row in study.rows("poses", study.best_name) if row["model_error"] == "free"]
-    if rows and math.isfinite(rows[0].get("outlier_probability", math.nan)):  # other variants may expect some
-        return sorted(rows, key=lambda row: -row["outlier_probability"])
-    if "square" in study.table("poses"):
-        return sorted((row for row in rows if row["contradicting"]), key=lambda row: row["trust"])
-    return []
+    """Return the best variant's poses that the others contradict, those that count least first."""
+    rows = [row for row in study.rows("poses", study.best_name) if row["contradicting"]]
+    return sorted(rows, key=lambda row: row["trust"])
 
 
 def state_outliers(study: StudyResults) -> list[Statement]:
-    """Say which poses the others contradict, or that none is an outlier."""
+    """Say which poses the others contradict, or that none does where some were expected to be outliers."""
     rows, lead = _list_outliers(study), "Outliers"
-    if not rows:
-        return []
-    if "square" in study.table("poses"):
+    if rows:
         words = name_some([str(row["pose"]) for row in rows])
         verb = "pose disagrees" if len(rows) == 1 else "poses disagree"
         return [Statement(f"Check the readings of {words}: {len(rows)} {verb} with the others.", "warning", lead)]
-    probabilities = {str(row["pose"]): float(row["outlier_probability"]) for row in rows}
-    bad = [f"{pose} ({format_percent(p)})" for pose, p in probabilities.items() if p > OUTLIER]
-    if not bad:
-        most = f"the most probable is {rows[0]['pose']}, with {format_percent(rows[0]['outlier_probability'])}"
-        return [Statement(f"No pose is probably an outlier; {most}.", "good", lead)]
-    verb, rest = ("pose is an outlier", "it counts") if len(bad) == 1 else ("poses are outliers", "they count")
-    text = f"Measure again or leave out: {len(bad)} of {len(rows)} {verb}, {join_words(bad)}; {rest} for nothing here."
-    return [Statement(text, "warning", lead)]
+    if not study.fit(study.best_name).get("robust"):
+        return []
+    least = min(study.rows("poses", study.best_name), key=lambda row: row["trust"])
+    text = f"No pose contradicts the others; {least['pose']} counts least, with a weight of"
+    return [Statement(f"{text} {format_fixed(least['trust'], 2)}.", "good", lead)]
 
 
-def show_outliers(study: StudyResults) -> Section | None:
-    """Return the residuals of the poses, and those that the others contradict; None where nothing says which."""
-    rows, blocks = _list_outliers(study), list[Block]()
+def show_outliers(study: StudyResults) -> Section:
+    """Return the residuals of the poses, and those that the others contradict."""
+    caption = f"Residuals of {study.label(study.best_name)} at each pose, in units of their noise."
+    blocks: list[Block] = [Figure("poses", caption, partial(_draw_poses, study.table("poses", study.best_name)))]
+    columns = [Column("Pose", kind="text"), Column("Equations"), Column("Residual / noise"), Column("Weight")]
     cells: list[list[str | Cell]] = []
-    if "square" in study.table("poses"):
-        caption = f"Residuals of {study.label(study.best_name)} at each pose, in units of their noise."
-        blocks.append(Figure("poses", caption, partial(_draw_poses, study.table("poses", study.best_name))))
-        columns = [Column("Pose", kind="text"), Column("Equations"), Column("Residual / noise"), Column("Weight")]
-        for row in rows:
-            size = format_significant(math.sqrt(row["square"] / max(1, row["equations"])), 2)
-            cells.append([str(row["pose"]), str(row["equations"]), size, format_fixed(row["trust"], 2)])
-        none = "No pose contradicts the others."
-        blocks.append(make_table("Poses that the others contradict.", columns, cells) if rows else none)
-    elif rows:
-        columns = [Column("Pose", kind="text"), Column("Use", kind="text"), Column("P(outlier)", "%")]
-        for row in rows[:SHOWN]:
-            p = row["outlier_probability"]
-            cells.append(
-                [str(row["pose"]), str(row["use"]), Cell(format_fixed(100 * p, 1), "bad" if p > OUTLIER else "plain")]
-            )
-        caption = f"The {len(cells)} most probable outliers of {len(rows)} poses."
-        blocks += [OUTLIERS, make_table(caption, columns, cells)]
-    return Section("Poses", tuple(blocks), anchor="outliers") if blocks else None
+    for row in _list_outliers(study):
+        size = format_significant(math.sqrt(row["square"] / max(1, row["equations"])), 2)
+        cells.append([str(row["pose"]), str(row["equations"]), size, format_fixed(row["trust"], 2)])
+    blocks += [WEIGHTS] if study.fit(study.best_name).get("robust") else []
+    blocks.append(
+        make_table("Poses that the others contradict.", columns, cells) if cells else "No pose contradicts the others."
+    )
+    return Section("Poses", tuple(blocks), anchor="outliers")
 
 
 def _draw_poses(poses: pd.DataFrame) -> Drawing:

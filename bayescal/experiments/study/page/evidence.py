@@ -14,7 +14,7 @@ from matplotlib.figure import Figure as Drawing
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from bayescal.experiments.study.page.checks import fold_checks
-from bayescal.experiments.study.page.results import SHORT_SETTINGS, VARIANT, StudyResults
+from bayescal.experiments.study.page.results import VARIANT, StudyResults
 from bayescal.experiments.study.page.soundness import list_failures, measure_gap
 from bayescal.experiments.study.page.styles import Styles, add_legend, assign_styles
 from bayescal.limits import AGREEMENT, ESS_BULK_LIMIT, ESS_TAIL_LIMIT, MOVED_LIMIT, PARETO_K_LIMIT, RHAT_LIMIT
@@ -27,7 +27,7 @@ EXACT = (
     "moved there count."
 )
 WIDTHS = (
-    "Log-evidence with model error against a factor on the widths of all parameters' priors, which keep their "
+    "Log-evidence against a factor on the widths of all parameters' priors, which keep their "
     "ratios. Left: each variant below its own largest value; right: each variant below the best one at the same "
     "factor, logarithmic beyond 1 nat. Models are shifted a little at each factor, so that equal ones do not overlap. "
     "The ranking is stable where no lines cross on the right (ranks: table below)."
@@ -67,18 +67,13 @@ def format_evidence(value: float, se: float) -> str:
 
 def _tabulate(study: StudyResults, caption: str, describe: Callable[[Mapping[str, Any]], Row]) -> Table:
     """Return a table with a row per posterior, of what is to be said of each."""
-    rows: list[Row] = []
-    for name, setting, fit in study.fits():
-        row: Row = [(VARIANT, study.label(name))]
-        if len(study.settings) > 1:
-            row.append((Column("Model error", kind="text"), SHORT_SETTINGS[setting]))
-        rows.append([*row, *describe(fit)])
+    rows: list[Row] = [[(VARIANT, study.label(name)), *describe(fit)] for name, fit in study.fits.items()]
     return make_table(caption, [column for column, _ in rows[0]], [[cell for _, cell in row] for row in rows])
 
 
 def tabulate_evidence(study: StudyResults) -> Table:
     """Return both estimators of the log-evidence side by side."""
-    fits = [fit for _, _, fit in study.fits()]
+    fits = study.fits.values()
     exact = any(fit.get("exact_density_shift") is not None for fit in fits)
     checked = any(fit.get("log_evidence_tempered") is not None for fit in fits)
 
@@ -225,10 +220,7 @@ def show_tau_scale(study: StudyResults) -> list[Block]:
     if own is None or study.table("tau_scale")["tau_scale_um"].nunique() < 2:
         return []
     wide = study.table("tau_scale").pivot(index="tau_scale_um", columns="variant", values="log_evidence")
-    wide = wide[study.ranking]
-    if own not in wide.index:
-        wide.loc[own] = [study.evidence(name) for name in study.ranking]
-    wide = wide.sort_index()
+    wide = wide[[name for name in study.ranking if name in wide.columns]].sort_index()
     columns = [Column(f"{scale:g} µm", "nat (rank)", "Scale of τ's prior") for scale in wide.index]
     caption = "Log-evidence for other scales of τ's prior, by weighted draws of each posterior."
     return [_state_order(study, wide, own), _tabulate_grid(study, wide, columns, caption)]

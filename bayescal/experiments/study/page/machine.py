@@ -39,7 +39,8 @@ SMALLEST = 1e-4  # nm: below, an error is that of the numbers themselves
 def show_machine(study: StudyResults) -> Section | None:
     """Return the machine's joints or anchors where the variant to use has found them; None of other machines."""
     blocks: list[Block] = [scene for scene in (_build_joints(study), _build_lines(study)) if scene is not None]
-    if study.has("pose_errors"):
+    frame = study.geometry[study.geometry["leg"] > 0]
+    if {symbol for *symbols, _ in HARDPOINTS for symbol in symbols} <= set(frame["symbol"]):
         blocks.append(_illustrate_joints(study))
     return Section("The machine", tuple(blocks), anchor="joints", short="Machine") if blocks else None
 
@@ -48,7 +49,7 @@ def _build_joints(study: StudyResults) -> Scene | None:
     """Return a machine on legs in space; None where its joints are not among the results."""
     if not study.has("joints"):
         return None
-    chosen = study.free[study.free["variant"] == study.chosen]
+    chosen = study.geometry[study.geometry["variant"] == study.chosen]
     moved = chosen.assign(offset=chosen["mean"] - chosen["nominal"])
     offsets, spreads = read_joint_columns(moved, "offset"), read_joint_columns(moved, "sd")
     scene = build_scene(study.table("joints"), offsets, spreads)
@@ -82,18 +83,14 @@ def _take_triple(column: pd.Series, names: list[str]) -> Triple:
 
 def _illustrate_joints(study: StudyResults) -> Figure:
     """Return the joints from above, of the chosen model large."""
-    frame, name = study.free, "hardpoints"
-    there = set(frame[frame["leg"] > 0]["symbol"])
-    if not all(x in there and y in there for x, y, _ in HARDPOINTS):
-        reason = "the joints' coordinates a_x, a_y, b_x, b_y are not all free parameters"
-        return Figure(name, "The joints from above.", None, reason)
-    joints = locate_joints(frame)
+    joints, name = locate_joints(study.geometry), "hardpoints"
     first = study.split(study.chosen)[0]
     models = sorted(study.models, key=lambda model: model != first)
     several = " The first model is shown large; of the others base and platform share one plan." * (len(models) > 1)
+    keys = " (circle: no deformation, cross: linear, triangle: matrix)" if "models" in study.summary else ""
     caption = (
         f"The joints from above{study.cite('figures', name)}: black dots are nominal, markers the posterior "
-        "means (circle: no deformation, cross: linear, triangle: matrix), bars their standard deviations; moves and "
+        f"means{keys}, bars their standard deviations; moves and "
         f"deviations are magnified {format_plain(find_magnification(joints))} times. Full outline: base points a; "
         f"dashed: platform points b. In mm: rms distance of the points from nominal.{several} A model that lacks "
         "something real pushes the joints away from nominal to make up for it."
@@ -173,7 +170,8 @@ def _draw_joints(joints: pd.DataFrame, models: Mapping[str, Sequence[str]], styl
         axes = figure.add_subplot(grid[0, 3 * k : 3 * k + 3])
         own = rows[rows["point"] == point]
         _draw_plan(axes, own, {name: marks[name] for name in names}, factor, True)
-        axes.set_title(f"{first}: points {point} of the {where}, moves magnified {format_plain(factor)} times")
+        model = f"{first}: points" if first else "Points"
+        axes.set_title(f"{model} {point} of the {where}, moves magnified {format_plain(factor)} times")
         axes.set_xlabel("x (mm)")
         axes.set_ylabel("y (mm)")
         keys = list_keys(names, measure_moves(own), True)
@@ -309,9 +307,8 @@ def draw_flexure(rows: pd.DataFrame) -> Drawing:
 
 
 def show_deformation(study: StudyResults) -> Section | None:
-    """Return what targets at the joints show; None where there are none by design, on struts or of an instrument."""
-    without = study.has_struts or study.instrument is not None or not study.has("pose_errors")
-    if not study.has("ring") and without:
+    """Return what targets at the joints show; None where there are none by design, on struts or without targets."""
+    if not study.has("ring") and (study.has_struts or "pose_extraction" not in study.summary):
         return None
     name = "deflections"
     caption = (

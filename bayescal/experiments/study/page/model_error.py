@@ -1,8 +1,7 @@
 """What a model leaves out beside the noise: what to do, how large it is, in which leg or channel, along what.
 
-One code for legs and for tables of readings, from three tables of the results: `model_error` has the size of each term,
-`model_error_members` how much of it is in which leg or channel, `model_error_poses` the errors pose by pose. Studies of
-legs that state τ alone show τ leg by leg.
+From three tables of the results: `model_error` has the size of each term, `model_error_members` how much of it is in
+which leg or channel, `model_error_poses` the errors pose by pose; and where each leg has a τ of its own, its posterior.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from matplotlib.lines import Line2D
 from bayescal.experiments.frame.results import Row
 from bayescal.experiments.shared.headline import say_odds
 from bayescal.experiments.shared.hidden import show_hidden
-from bayescal.experiments.study.page.parameters import draw_intervals, label_legs
+from bayescal.experiments.study.page.parameters import draw_intervals, label_members
 from bayescal.experiments.study.page.results import INDEPENDENT, TERMS, TOGETHER, VARIANT, StudyResults
 from bayescal.experiments.study.page.styles import Styles, add_legend, assign_styles
 from bayescal.limits import LASTING, UNSEEN_UM
@@ -32,20 +31,18 @@ from bayescal.report.numbers import (
     format_fixed,
     format_plain,
     format_significant,
-    format_span,
     join_words,
 )
 from bayescal.report.style import GREY, INK
 from bayescal.report.symbols import MODEL_ERROR, quote
 
 LEAD = "Model error"
-TEXT = (
-    "τ is the standard deviation of the model error along a leg, beyond the noise of {} and actuators. Where it is "
-    "near zero the model suffices; where it is large the posterior widens all intervals instead of attributing "
-    "the residuals to the geometry. What repeats with the pose goes into the geometry all the same."
+TAU = (
+    "τ is the standard deviation of what differs from pose to pose, beyond the stated noise. Where it is near zero the "
+    "model suffices; where it is large the posterior widens all intervals instead of attributing the residuals to the "
+    "geometry. What repeats with the pose goes into the geometry all the same."
 )
-GAIN = "Benefit of τ: log-evidence with model error less that without; negative where the model suffices."
-CAPTION = "Model error τ: posterior mean and 90 % interval of each leg and variant, a panel per deformation."
+CAPTION = "Model error τ: posterior mean and 90 % interval of each {member} and variant."
 
 
 class Kind(NamedTuple):
@@ -131,7 +128,6 @@ FLOOR = (
     "An error that the parameters can imitate leaves no trace in any data: as stated (at_least_um), {} are allowed for "
     "even where none is seen."
 )
-BENEFIT = "Benefit: log-evidence with model error less that without; negative where the data show none."
 MEMBERS = "Rms over the calibration poses of the posterior mean, in µm: what is known of the error's course."
 POSES = (
     "{label}: systematic error of each {member} at the poses in the order of the data, with 90 % intervals; full: "
@@ -147,21 +143,17 @@ def bracket(words: Iterable[str]) -> str:
 
 
 def show_model_error(study: StudyResults) -> Section | None:
-    """Return what was found of the model error; None where no variant was computed without any and none has terms."""
+    """Return what was found of the model error; None where no variant has terms."""
     described = _list_described(study)
-    if described:
-        return Section(LEAD, tuple(_show_terms(study, described)), anchor="model-error")
-    return _show_tau(study) if "zero" in study.settings else None
+    return Section(LEAD, tuple(_show_terms(study, described)), anchor="model-error") if described else None
 
 
 # --- terms of the model error ----------------------------------------------------------------------------------------
 
 
 def _list_described(study: StudyResults) -> list[str]:
-    """Return the variants with a model error, that to use first; none where all have τ alone, which is told by leg."""
-    names = [name for name in dict.fromkeys([study.chosen, *study.names]) if study.list_terms(name)]
-    alone = all(study.list_terms(name) == [INDEPENDENT] for name in names)
-    return [] if alone and "zero" in study.settings else names
+    """Return the variants with a model error in terms, that to use first."""
+    return [name for name in dict.fromkeys([study.chosen, *study.names]) if study.list_terms(name)]
 
 
 def name_cause(alone: Mapping[str, float]) -> str:
@@ -174,8 +166,7 @@ class _Found(NamedTuple):
     """What was found of one variant's model error.
 
     Rows of its table by term; rms of each member's mean, µm; evidence of each cause alone less that of all, nat, and
-    rows of the sizes of those without a term; the least size of each term that is stated, µm; whether the log-evidence
-    is higher with a model error than without.
+    rows of the sizes of those without a term; the least size of each term that is stated, µm.
     """
 
     label: str
@@ -184,7 +175,6 @@ class _Found(NamedTuple):
     alone: dict[str, float]
     directions: dict[str, Row]
     floors: dict[str, float]
-    is_needed: bool
 
     @property
     def functions(self) -> dict[str, Row]:
@@ -218,8 +208,7 @@ class _Found(NamedTuple):
     @property
     def seen(self) -> list[str]:
         """The terms of which the data show an error."""
-        terms = [*self.functions, INDEPENDENT] if self.is_needed else [*self.functions]
-        return [name for name in terms if is_seen(self.beyond(name))]
+        return [name for name in (*self.functions, INDEPENDENT) if is_seen(self.beyond(name))]
 
     def beyond(self, name: str) -> Mapping[str, Any] | None:
         """Return the size of a term, or of all together, beyond what is stated; None where there is no such term."""
@@ -252,9 +241,8 @@ def _find(study: StudyResults, name: str) -> _Found:
     directions = {term: row for term, row in alone.items() if term in DIRECTIONS}
     floors = _list_floors(study, name)
     floors |= {TOGETHER: math.sqrt(sum(one**2 for term, one in floors.items() if term != INDEPENDENT))}
-    is_needed = "zero" not in study.settings or study.gain(name) > 0.0
     odds = {term: float(row["log_odds"]) for term, row in alone.items()}
-    return _Found(study.label(name), sizes, members, odds, directions, floors, is_needed)
+    return _Found(study.label(name), sizes, members, odds, directions, floors)
 
 
 def _list_floors(study: StudyResults, name: str) -> dict[str, float]:
@@ -264,12 +252,6 @@ def _list_floors(study: StudyResults, name: str) -> dict[str, float]:
         return {term: float(size) for term, size in stated.items() if size > 0.0 and term in terms}
     lasting = [term for term in LASTING if term in terms]
     return {term: stated / math.sqrt(len(lasting)) for term in lasting if stated > 0.0}
-
-
-def find_cause(study: StudyResults, name: str) -> str:
-    """Return along what all that a variant's model leaves out may be, where that alone explains the data best."""
-    found = _find(study, name)
-    return KINDS[found.cause].along.format(member=found.member) if found.cause else ""
 
 
 def state_terms(study: StudyResults) -> list[Statement]:
@@ -377,7 +359,10 @@ def _show_terms(study: StudyResults, described: list[str]) -> list[Block]:
         panels = {member: place[place["member"] == member] for member in chosen}
         draw = partial(draw_errors, panels, "place", dict.fromkeys(chosen, "pose"))
         blocks.append(Figure("model_error", caption, draw))
-    blocks.append(WHY.format(member=found.member, where=WHERE[found.member]))
+    if found.functions:
+        blocks.append(WHY.format(member=found.member, where=WHERE[found.member]))
+    if INDEPENDENT in found.sizes:
+        blocks += [TAU, *_show_tau(study)]
     by_member = study.table("model_error_members", name)
     if len(by_member):
         blocks.append(_tabulate_members(found, by_member))
@@ -434,18 +419,15 @@ def _tabulate_members(found: _Found, rows: pd.DataFrame) -> Table:
 
 
 def _tabulate_variants(study: StudyResults, names: list[str]) -> Table:
-    """Return the sizes of the terms of every variant and, where it was computed without any, what they add."""
+    """Return the sizes of the terms of every variant."""
     there = {row["term"] for name in names for row in study.rows("model_error", name)}
     terms = [term for term in (*TERMS, TOGETHER) if term in there]
     columns = [VARIANT, *(Column(term, "µm rms", "median [5 %, 95 %]") for term in terms)]
-    without = "zero" in study.settings
-    columns += [Column("Benefit", "nat")] if without else []
     rows = []
     for name in names:
         sizes = {row["term"]: _format_size(row) for row in study.rows("model_error", name)}
-        benefit = [format_fixed(study.gain(name), 1, sign=True)] if without else []
-        rows.append([study.label(name), *(sizes.get(term, NOTHING) for term in terms), *benefit])
-    return make_table("Model error by variant.", columns, rows, [Statement(BENEFIT)] if without else [], style="wide")
+        rows.append([study.label(name), *(sizes.get(term, NOTHING) for term in terms)])
+    return make_table("Model error by variant.", columns, rows, style="wide")
 
 
 def draw_errors(panels: Mapping[str, pd.DataFrame], place: str, labels: Mapping[str, str]) -> Drawing:
@@ -478,52 +460,40 @@ def draw_errors(panels: Mapping[str, pd.DataFrame], place: str, labels: Mapping[
     return figure
 
 
-# --- τ alone, of each leg --------------------------------------------------------------------------------------------
+# --- τ of each leg ---------------------------------------------------------------------------------------------------
 
 
-def _show_tau(study: StudyResults) -> Section:
-    blocks: list[Block] = [TEXT.format("targets" if study.instrument is None else "the instrument")]
-    rows = study.free[study.free["symbol"] == MODEL_ERROR]
+def _show_tau(study: StudyResults) -> list[Block]:
+    """Return τ leg by leg where each has its own."""
+    rows = study.parameters[(study.parameters["symbol"] == MODEL_ERROR) & (study.parameters["leg"] > 0)]
     if rows.empty:
-        blocks.append(Figure("model_error", CAPTION, None, "no variant has a model error"))
-    else:
-        blocks += [_state_group(study, rows, group) for group in study.group(study.ranking)]
-        draw = partial(_draw_model_error, rows.assign(nominal=0.0), assign_styles(study), study.tau_scale)
-        blocks.append(Figure("model_error", CAPTION, draw))
-        blocks.append(Fold("τ of every leg, variant by variant", (_tabulate_legs(study, rows),)))
-    return Section(LEAD, tuple(blocks), anchor="model-error")
+        return []
+    seen = set(rows["variant"])
+    styles = {name: style for name, style in assign_styles(study).items() if name in seen}
+    draw = partial(_draw_tau, rows.assign(nominal=0.0), styles, study.tau_scale, study.member)
+    table = _tabulate_tau(study, rows)
+    return [
+        Figure("tau", CAPTION.format(member=study.member), draw),
+        Fold(f"τ of every {study.member}, variant by variant", (table,)),
+    ]
 
 
-def _tabulate_legs(study: StudyResults, free: pd.DataFrame) -> Table:
-    """Return τ of each leg with its 90 % interval and what it adds to the evidence."""
-    legs = sorted(set(free["leg"]))
-    columns = [VARIANT, *(Column(f"leg {leg}" if leg else "all legs", "µm", "τ, mean [5 %, 95 %]") for leg in legs)]
-    columns.append(Column("Benefit of τ", "nat"))
-    rows = []
-    for name in study.ranking:
-        values = MICROMETRES * free[free["variant"] == name].set_index("leg")[["mean", "q05", "q95"]]
-        places = min(3, count_decimals(float((values["q95"] - values["q05"]).min()))) if len(values) else 0
+def _tabulate_tau(study: StudyResults, rows: pd.DataFrame) -> Table:
+    """Return τ of each leg with its 90 % interval."""
+    legs = sorted(set(rows["leg"]))
+    columns = [VARIANT, *(Column(f"{study.member} {leg}", "µm", "τ, mean [5 %, 95 %]") for leg in legs)]
+    cells = []
+    for name in study.names:
+        values = MICROMETRES * rows[rows["variant"] == name].set_index("leg")[["mean", "q05", "q95"]]
+        if values.empty:
+            continue
+        places = min(3, count_decimals(float((values["q95"] - values["q05"]).min())))
         found = {leg: bracket(format_fixed(x, places) for x in row) for leg, *row in values.itertuples()}
-        cells = [found.get(leg, NOTHING) for leg in legs]
-        rows.append([study.label(name), *cells, format_fixed(study.gain(name), 1, sign=True)])
-    return make_table("Model error of each leg.", columns, rows, [Statement(GAIN)])
+        cells.append([study.label(name), *(found.get(leg, NOTHING) for leg in legs)])
+    return make_table(f"Model error τ of each {study.member}.", columns, cells)
 
 
-def _state_group(study: StudyResults, rows: pd.DataFrame, names: list[str]) -> Statement:
-    """Say how large τ is in variants that are alike, and whether the measurements call for it."""
-    values = MICROMETRES * rows[rows["variant"].isin(names)]["mean"]
-    span = " to ".join(dict.fromkeys(format_significant(float(x), 2) for x in (values.min(), values.max())))
-    gains = [study.gain(name) for name in names]
-    call, level = "needed in some", "higher or lower"
-    if min(gains) > 0:
-        call, level = "needed", "higher"
-    elif max(gains) <= 0:
-        call, level = "not needed", "lower"
-    change = f"log-evidence {format_span([abs(x) for x in gains])} nat {level} than with no model error"
-    return Statement(f"{study.name_variants(names)}: τ is {span} µm; it is {call} ({change}).")
-
-
-def _draw_model_error(rows: pd.DataFrame, styles: Styles, prior_scale_um: float | None) -> Drawing:
+def _draw_tau(rows: pd.DataFrame, styles: Styles, prior_scale_um: float | None, member: str) -> Drawing:
     """Return the 90 % posterior intervals of the model error τ of each leg, µm: a panel per deformation."""
     deformations = list(dict.fromkeys(style.deformation for style in styles.values()))
     figure = Drawing(figsize=(9.4, 2.5))
@@ -532,7 +502,7 @@ def _draw_model_error(rows: pd.DataFrame, styles: Styles, prior_scale_um: float 
     for axes, deformation in zip(grid, deformations, strict=True):
         draw_intervals(axes, rows, {n: s for n, s in styles.items() if s.deformation == deformation}, MICROMETRES)
         axes.set_title(deformation)
-        label_legs(axes, rows)
+        label_members(axes, rows, member)
         if prior_scale_um is not None:
             axes.axhline(prior_scale_um, **scale)
     others = [Line2D([], [], label="scale of the half-normal prior", **scale)] if prior_scale_um is not None else []

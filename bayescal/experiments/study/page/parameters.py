@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -17,7 +16,6 @@ from matplotlib.patches import Patch
 
 from bayescal.experiments.shared.knowledge_page import VERDICT_LEVELS
 from bayescal.experiments.shared.origin import name_origin
-from bayescal.experiments.shared.study_schema import name_variant
 from bayescal.experiments.study.page.results import NOISE, VARIANT, StudyResults, name_some
 from bayescal.experiments.study.page.styles import Styles, add_legend, assign_styles
 from bayescal.report.blocks import Block, Cell, Column, Figure, Fold, Heading, Section, Statement, Table, make_table
@@ -29,7 +27,7 @@ from bayescal.report.numbers import (
     format_significant,
     format_span,
 )
-from bayescal.report.style import GREY, INK, LEG_COLOURS, PALE
+from bayescal.report.style import GREY, INK, PALE
 from bayescal.report.symbols import (
     Asked,
     describe_deformation,
@@ -69,14 +67,18 @@ MOST_NAMED = 25  # parameters with a name each below an axis, legible on a telep
 
 
 def show_parameters(study: StudyResults) -> Section:
-    """Return the posterior of the parameters: leg by leg where poses of legs were measured, else one by one."""
-    return _show_legs(study) if study.has("pose_errors") else _show_each(study)
+    """Return the posterior of the parameters: leg by leg where they are of legs, and one by one."""
+    title, blocks = "Parameters", list[Block]()
+    published = tabulate_published(study)
+    if published is not None:
+        title += " and published tables"
+        blocks += [published, PUBLISHED.format(origin=name_origin(study.summary["origin"]).rstrip("."))]
+    blocks += _show_members(study) if study.has_members else _show_each(study)
+    return Section(title, tuple(blocks), anchor="parameters", short="Parameters")
 
 
 def state_undetermined(study: StudyResults) -> list[Statement]:
-    """Say of which parameters the data do not halve the uncertainty; nothing of legs, leg by leg."""
-    if study.has("pose_errors"):
-        return []
+    """Say of which parameters the data do not halve the uncertainty."""
     rows = [row for row in study.rows("parameters", study.chosen) if row["verdict"] != NOISE]
     weak = [str(row["parameter"]) for row in rows if row["verdict"] != "identifiable"]
     if not weak:
@@ -89,7 +91,14 @@ def state_undetermined(study: StudyResults) -> list[Statement]:
 # --- one by one ------------------------------------------------------------------------------------------------------
 
 
-def _show_each(study: StudyResults) -> Section:
+def _show_each(study: StudyResults) -> list[Block]:
+    caption = "Posterior standard deviation of each parameter over its tolerance (prior standard deviation)."
+    draw = partial(_draw_reduction, study.geometry, study.names, assign_styles(study))
+    return [CONTRACTION, _tabulate_each(study), Figure("parameters", caption, draw), *state_agreement(study)]
+
+
+def _tabulate_each(study: StudyResults) -> Table:
+    """Return every parameter of the variant to use, its noise and errors too."""
     columns = [Column("Parameter", kind="text"), Column("Unit", kind="text"), Column("Nominal"), Column("Tolerance")]
     columns += [Column("Posterior, mean ± sd"), Column("90 % interval"), Column("Contraction"), Column("Verdict")]
     rows: list[list[str | Cell]] = []
@@ -111,24 +120,19 @@ def _show_each(study: StudyResults) -> Section:
                 Cell("" if verdict == NOISE else VERDICTS[verdict], VERDICT_LEVELS[verdict]),
             ]
         )
-    titles = {name: str(study.fit(name)["title"]) for name in study.names}
-    draw = partial(_draw_reduction, study.table("parameters"), titles)
-    caption = "Posterior standard deviation of each parameter over its tolerance (prior standard deviation)."
-    table = make_table(f"Parameters of {study.label(study.chosen)}.", columns, rows)
-    return Section("Parameters", (CONTRACTION, table, Figure("parameters", caption, draw)), anchor="parameters")
+    return make_table(f"Parameters of {study.label(study.chosen)}.", columns, rows)
 
 
-def _draw_reduction(parameters: pd.DataFrame, titles: dict[str, str]) -> Drawing:
+def _draw_reduction(parameters: pd.DataFrame, variants: Sequence[str], styles: Styles) -> Drawing:
     """Return each parameter's posterior standard deviation over its tolerance, by variant."""
-    some = parameters[parameters["verdict"] != NOISE]
-    names = list(dict.fromkeys(str(name) for name in some["parameter"]))
+    names = list(dict.fromkeys(str(name) for name in parameters["parameter"]))
     figure = Drawing(figsize=(9.4, 3.6))
     axes = figure.subplots()
-    for k, (variant, title) in enumerate(titles.items()):
-        rows = some[some["variant"] == variant]
-        place = np.array([names.index(str(name)) for name in rows["parameter"]]) + 0.1 * (k - 0.5 * (len(titles) - 1))
-        marker, colour = "osD^vPX*p"[k % 9], LEG_COLOURS[k % 6]
-        axes.plot(place, rows["sd"] / rows["prior_sd"], marker, color=colour, markersize=4.5, label=quote(title))
+    for k, variant in enumerate(variants):
+        rows, style = parameters[parameters["variant"] == variant], styles[variant]
+        place = np.array([names.index(str(name)) for name in rows["parameter"]]) + 0.1 * (k - 0.5 * (len(variants) - 1))
+        shape: dict[str, Any] = {"color": style.colour, "markersize": 4.5, "label": style.label}
+        axes.plot(place, rows["sd"] / rows["prior_sd"], style.marker, **shape)
     axes.axhline(1.0, color=GREY, linewidth=0.8)
     axes.set_yscale("log")
     axes.set_ylabel("Posterior sd / tolerance")
@@ -147,17 +151,13 @@ def _draw_reduction(parameters: pd.DataFrame, titles: dict[str, str]) -> Drawing
 # --- leg by leg ------------------------------------------------------------------------------------------------------
 
 
-def _show_legs(study: StudyResults) -> Section:
-    title, blocks = "Parameters", list[Block]()
-    published = tabulate_published(study)
-    if published is not None:
-        title += " and published tables"
-        blocks += [published, PUBLISHED.format(origin=name_origin(study.summary["origin"]).rstrip("."))]
-    blocks += [_illustrate(study), *state_agreement(study)]
+def _show_members(study: StudyResults) -> list[Block]:
+    blocks: list[Block] = [_illustrate(study), *state_agreement(study)]
     for heading, folds in fold_parameters(study):
-        blocks += [Heading(heading), *folds]
+        blocks += [*([Heading(heading)] if heading else []), *folds]
     blocks.append(Fold("How much the measurements narrowed each parameter", (_tabulate_contraction(study),)))
-    return Section(title, tuple(blocks), anchor="parameters", short="Parameters")
+    blocks.append(Fold(f"Every parameter of {study.label(study.chosen)}", (CONTRACTION, _tabulate_each(study))))
+    return blocks
 
 
 def fold_parameters(study: StudyResults) -> list[tuple[str, list[Fold]]]:
@@ -173,19 +173,14 @@ def fold_parameters(study: StudyResults) -> list[tuple[str, list[Fold]]]:
                     f"{found.n_inside} of {found.n_known} published values in the posterior's 90 % intervals"
                 )
             folds.append(Fold(title, (tabulate_parameters(study, name),), len(study.ranking) <= OPEN))
-        words = describe_deformation(deformation)
-        groups.append((words[0].upper() + words[1:], folds))
+        words = describe_deformation(deformation) if deformation else ""
+        groups.append((words[:1].upper() + words[1:], folds))
     return groups
-
-
-def _read_geometry(study: StudyResults) -> pd.DataFrame:
-    return study.free[~study.free["symbol"].map(is_model_error)]
 
 
 def state_agreement(study: StudyResults) -> list[Statement]:
     """Say how far the posteriors of variants that fit equally well lie apart."""
-    frame = _read_geometry(study)
-    words = []
+    frame, words = study.geometry, list[str]()
     for group in study.group(study.ranking):
         rows = frame[frame["variant"].isin(group)]
         index = ["symbol", "leg"]  # of the parameters that all have
@@ -202,12 +197,11 @@ def state_agreement(study: StudyResults) -> list[Statement]:
 
 def tabulate_parameters(study: StudyResults, variant: str) -> Table:
     """Return one variant's offsets from nominal: posterior, least squares and published, a column per leg."""
-    posterior = _read_geometry(study)
-    posterior = posterior[posterior["variant"] == variant]
+    posterior = study.geometry[study.geometry["variant"] == variant]
     found = study.table("least_squares", variant)
     legs = sorted({*posterior["leg"], *found["leg"]} - {0}) or [1]
     columns = [Column("", kind="symbol"), Column("Unit", kind="text"), Column("", kind="text")]
-    columns += [Column(f"leg {leg}") for leg in legs]
+    columns += [Column(f"{study.member} {leg}") for leg in legs]
     rows = []
     for symbol, chosen in posterior.groupby("symbol", sort=False):
         factor, unit = study.scale_of(str(symbol), str(chosen["unit"].iloc[0]))
@@ -251,7 +245,7 @@ def _state_fit(study: StudyResults, variant: str, found: pd.DataFrame) -> list[S
         return []
     residual = found.drop_duplicates("leg").sort_values("leg")["leg_residual_rms_um"]
     low, high = (format_significant(x, 2) for x in (residual.min(), residual.max()))
-    statements = [Statement(f"Residuals of least squares: {low} to {high} µm (rms) per leg.")]
+    statements = [Statement(f"Residuals of least squares: {low} to {high} µm (rms) per {study.member}.")]
     if not found["converged"].astype(bool).all():
         statements.append(Statement("The least-squares fit did not converge.", "bad"))
     comparison = compare_published(study, variant)
@@ -267,14 +261,14 @@ def _state_fit(study: StudyResults, variant: str, found: pd.DataFrame) -> list[S
 
 def _tabulate_contraction(study: StudyResults) -> Table:
     """Return the contraction of each symbol's parameters: the mean over the legs and the least."""
-    frame = _read_geometry(study)
+    frame = study.geometry
     grouped = frame.groupby(["variant", "symbol"])["contraction"].agg(["mean", "min"])
     cells = {key: f"{format_fixed(mean, 2)} ({format_fixed(least, 2)})" for key, mean, least in grouped.itertuples()}
     columns = [Column("", kind="symbol")]
-    columns += [Column(study.label(name), group="mean over legs (least)") for name in study.ranking]
+    columns += [Column(study.label(name), group=f"mean over {study.member}s (least)") for name in study.ranking]
     symbols = dict.fromkeys(map(str, frame["symbol"]))
     rows = [[symbol, *(cells.get((name, symbol), NOTHING) for name in study.ranking)] for symbol in symbols]
-    return make_table("Contraction of the parameters, with model error.", columns, rows, [Statement(CONTRACTION)])
+    return make_table("Contraction of the parameters.", columns, rows, [Statement(CONTRACTION)])
 
 
 def _illustrate(study: StudyResults) -> Figure:
@@ -283,18 +277,20 @@ def _illustrate(study: StudyResults) -> Figure:
     several = len(study.models) > 1
     which = f" of the {study.label_model(model)} model, the study's first among the best," if several else ""
     caption = (
-        f"Parameters{which} as offsets from nominal, with model error: posterior mean and 90 % interval of each "
+        f"Parameters{which} as offsets from nominal: posterior mean and 90 % interval of each "
         "variant; the band is the prior's central 90 %. Where an interval is as wide as the band the measurements "
         f"determine nothing.{' The other models: tables below.' if several else ''}"
     )
     names = study.find(model)
-    frame, published = _read_geometry(study), study.table("least_squares")
+    frame, published = study.geometry, study.table("least_squares")
     frame, published = (table[table["variant"].isin(names)] for table in (frame, published))
-    draw = partial(_draw_parameters, frame, published, {name: styles[name] for name in names}, study.units)
+    draw = partial(
+        _draw_parameters, frame, published, {name: styles[name] for name in names}, study.units, study.member
+    )
     return Figure("parameters", caption, draw)
 
 
-def _draw_parameters(rows: pd.DataFrame, published: pd.DataFrame, styles: Styles, asked: Asked) -> Drawing:
+def _draw_parameters(rows: pd.DataFrame, published: pd.DataFrame, styles: Styles, asked: Asked, member: str) -> Drawing:
     """Return the 90 % posterior intervals of the geometry, as offsets from nominal, a panel per symbol."""
     symbols = list(dict.fromkeys(rows["symbol"]))
     n_columns = 2 if len(symbols) <= MANY else 3
@@ -316,7 +312,7 @@ def _draw_parameters(rows: pd.DataFrame, published: pd.DataFrame, styles: Styles
             axes.plot(leg, offset, linestyle="none", marker="x", markersize=4.5, color=INK, markeredgewidth=0.9)
         axes.axhline(0, color=INK, linewidth=0.8)
         axes.set_ylabel(f"{set_mathematics(symbol, 'Δ')} ({unit})")
-        label_legs(axes, chosen)
+        label_members(axes, chosen, member)
     for axes in grid[len(symbols) :]:
         axes.set_axis_off()
     others: list[Patch | Line2D] = [Patch(color=PALE, alpha=0.55, label="prior, central 90 %")]
@@ -340,10 +336,10 @@ def draw_intervals(axes: Axes, rows: pd.DataFrame, styles: Styles, factor: float
         axes.plot(leg, mean, linestyle="none", marker=style.marker, markersize=3.8, color=style.colour)
 
 
-def label_legs(axes: Axes, rows: pd.DataFrame) -> None:
-    """Name the legs below an axis."""
+def label_members(axes: Axes, rows: pd.DataFrame, member: str) -> None:
+    """Name the legs, or what else the index of a parameter counts, below an axis."""
     legs = sorted(set(rows["leg"]))
-    axes.set_xticks(legs, [f"leg {leg}" if leg else "machine" for leg in legs])
+    axes.set_xticks(legs, [f"{member} {leg}" if leg else "machine" for leg in legs])
     axes.set_xlim(min(legs) - 0.5, max(legs) + 0.5)
     axes.tick_params(axis="x", length=0)
     axes.grid(axis="y")
@@ -366,14 +362,13 @@ class Published(NamedTuple):
 
 
 def compare_published(study: StudyResults, variant: str) -> Published | None:
-    """Compare one variant's least squares and posterior (model error free) with the published values, if any."""
+    """Compare one variant's least squares and posterior with the published values, if any."""
     rows = study.table("least_squares", variant)
     published = rows[rows["published_offset"].notna()]
     if published.empty:
         return None
     lengths = rows[(rows["unit"] == LENGTH) & rows["difference"].notna()]["difference"]
-    free = [row for row in study.rows("parameters", variant) if row["model_error"] == "free"]
-    parameters = {str(row["parameter"]): row for row in free}
+    parameters = {str(row["parameter"]): row for row in study.rows("parameters", variant)}
     inside = []
     for row in published.itertuples():
         one = parameters.get(f"{row.parameter}[{row.leg}]") or parameters.get(str(row.parameter))
@@ -389,12 +384,8 @@ def _measure_rms(values: Iterable[float]) -> float:
 
 
 def name_table(study: StudyResults, variant: str) -> str:
-    """Return which published table belongs to a variant, ``table 5(a)``; empty where the config names none."""
-    for entry in study.config.get("variants", []):
-        if entry.get("name", name_variant(entry.get("model"), entry.get("deformation"))) == variant:
-            name = re.split(r"[/\\]", str(entry.get("published") or ""))[-1].removesuffix(".csv")
-            return re.sub(r"^table_?(\d+)_?([a-z])$", r"table \1(\2)", name)
-    return ""
+    """Return which published table belongs to a variant, ``table 5(a)``; empty where the publication names none."""
+    return str((study.publication or {}).get("tables", {}).get(variant, ""))
 
 
 def tabulate_published(study: StudyResults) -> Table | None:
@@ -470,8 +461,8 @@ def _remark(study: StudyResults, name: str, symbol: str, shares: list[float], ro
 
 
 def show_frames(study: StudyResults) -> Section | None:
-    """Return the frames found, with model error, and what was known of them; None where all were known."""
-    rows = study.frames[study.frames["model_error"] == "free"]
+    """Return the frames found, and what was known of them; None where all were known."""
+    rows = study.frames
     if rows.empty:
         return None
     columns = [VARIANT]
@@ -484,7 +475,7 @@ def show_frames(study: StudyResults) -> Section | None:
         before.append(f"± {format_significant(factor * float(chosen['prior_sd'].iloc[0]), 2)}")
         places = min(4, count_decimals(factor * float(chosen["sd"].min())))
         for name in study.ranking:
-            mean, sd = (factor * float(chosen[value][name]) for value in ("mean", "sd"))
+            mean, sd = (factor * float(chosen[value].get(name, math.nan)) for value in ("mean", "sd"))
             cells[name].append(format_estimate(mean, sd, places, sign=True))
     caption = "Frames found, posterior mean ± sd; displacements along and rotation vectors about the axes."
     return Section("Frames", (FRAMES, make_table(caption, columns, [*cells.values(), before])), anchor="frames")

@@ -1,4 +1,4 @@
-"""The ranking of the variants, what deformation and model add, each by itself, and what variants predict together."""
+"""The ranking of the variants, and what deformation and model add, each by itself."""
 
 from __future__ import annotations
 
@@ -8,17 +8,16 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Drawing
 from matplotlib.ticker import FuncFormatter, SymmetricalLogLocator
 
 from bayescal.experiments.shared.headline import describe_candidate, order_candidates, say_named_first
 from bayescal.experiments.study.page.evidence import format_evidence
-from bayescal.experiments.study.page.results import SETTINGS, USES, VARIANT, ErrorScale, StudyResults, get_number
+from bayescal.experiments.study.page.results import USES, VARIANT, ErrorScale, StudyResults, get_number
 from bayescal.experiments.study.page.styles import Styles, assign_styles
 from bayescal.limits import PARETO_K_LIMIT
-from bayescal.report.blocks import Block, Cell, Column, Figure, Fold, Section, Statement, Table, make_table
+from bayescal.report.blocks import Block, Cell, Column, Figure, Section, Statement, Table, make_table
 from bayescal.report.numbers import (
     NOTHING,
     format_estimate,
@@ -29,21 +28,17 @@ from bayescal.report.numbers import (
     format_significant,
     join_words,
 )
-from bayescal.report.style import INK, PALE
+from bayescal.report.style import PALE
 
 TEXT = (
     "Log-evidence in nats: a difference of 1 nat is odds of 2.7 to 1, 5 nats of 150 to 1; it is compared between "
     "variants of the same data. elpd is the log density that the posterior gives to poses it has not seen: each pose "
-    "left out in turn (LOO), or poses held back."
-)
-NOMINAL = (
-    " “From nominal” is how far the identified geometry moved: rms of all lengths, and rms in units of the stated "
-    "tolerances along the directions that the data determine."
+    "left out in turn (LOO), or poses held back. “From nominal” is how far the identified geometry moved: rms of all "
+    "lengths, and rms in units of the stated tolerances along the directions that the data determine."
 )
 STACKING = (
-    "Variants whose elpd LOO lies within two standard errors of the best one's predict equally well on the "
-    "calibration poses. Stacking weighs them so that the mixture predicts left-out poses best; a small "
-    "weight means that a variant adds nothing to the others, not that it is wrong."
+    "Stacking weighs the variants so that their mixture predicts left-out poses best; a small weight means that a "
+    "variant adds nothing to the others, not that it is wrong."
 )
 NOT_COMPARED = "Variants that are not ranked did not converge: their log-evidence is not compared."
 THICKNESS = 0.62
@@ -53,23 +48,22 @@ type Found = list[tuple[Column, str | Cell]]
 
 def show_ranking(study: StudyResults) -> Section:
     """Return the variants, the best first, with what they add to each other."""
-    blocks: list[Block] = [TEXT + (NOMINAL if study.has("pose_errors") else "")]
-    if study.has("pose_errors"):
+    blocks: list[Block] = [TEXT]
+    if len(study.ranking) > 1 or study.error_scales:
         blocks.append(_illustrate(study))
-    blocks.append(tabulate_ranking(study, "free"))
-    blocks += [table for table in (tabulate_effects(study), tabulate_stacking(study)) if table is not None]
-    if "zero" in study.settings:
-        blocks.append(Fold("The same ranking without model error", (tabulate_ranking(study, "zero"),)))
+    blocks.append(tabulate_ranking(study))
+    effects = tabulate_effects(study)
+    blocks += [] if effects is None else [effects]
     title = "Ranking" if len(study.names) > 1 else "The variant"
     return Section(title, tuple(blocks), anchor="ranking", short="Ranking")
 
 
-def tabulate_ranking(study: StudyResults, setting: str) -> Table:
-    """Return the variants in one setting of the model error, the largest evidence first, by the data they take."""
+def tabulate_ranking(study: StudyResults) -> Table:
+    """Return the variants, the largest evidence first, by the data they take."""
     rows: list[list[str | Cell]] = []
     columns, several = list[Column](), len(study.names) > 1
     for names in study.summary["rankings"]:
-        fits = {name: study.fit(name, setting) for name in names}
+        fits = {name: study.fit(name) for name in names}
         candidates = [describe_candidate(*one) for one in fits.items()]
         sound = [fits[one.name] for one in candidates if one.converged] or list(fits.values())
         best, highest = (max(one[key] for one in sound) for key in ("elpd_loo", "log_evidence"))
@@ -81,15 +75,11 @@ def tabulate_ranking(study: StudyResults, setting: str) -> Table:
             columns = [column for column, _ in found]
             rows.append([cell for _, cell in found])
     caption = "Variants, best first." if several else "Variant."
-    if "zero" in study.settings:
-        caption = f"Variants {SETTINGS[setting]}."
-    notes = []
-    if any(study.fit(name, setting)["loo_unreliable"] for name in study.names):
+    notes = [Statement(STACKING)] if several else []
+    if any(fit["loo_unreliable"] for fit in study.fits.values()):
         text = f"(n) n poses with Pareto k above {PARETO_K_LIMIT} that no run left out: elpd LOO is unreliable."
         notes.append(Statement(text, "warning"))
-    if setting == "free":
-        notes += _state_order(study)
-        notes += _state_names(study)
+    notes += [*_state_order(study), *_state_names(study)]
     return make_table(caption, columns, rows, notes, "wide")
 
 
@@ -116,17 +106,16 @@ def _describe(study: StudyResults, name: str, fit: dict[str, Any], behind: Found
         (Column("", "nat", "elpd LOO"), Cell(f"{loo} ({bad})", "warning") if bad else Cell(loo)),
         *behind[1:],
     ]
-    if any(get_number(one, "elpd") == get_number(one, "elpd") for _, _, one in study.fits()):
+    if any(get_number(one, "elpd") == get_number(one, "elpd") for one in study.fits.values()):
         found.append((Column("elpd held back", "nat"), format_fixed(get_number(fit, "elpd"), 1)))
     found.append((Column("Residual / noise"), format_significant(get_number(fit, "misfit"), 2)))
     for scale in study.error_scales:
         for use in USES if study.n_verification else USES[:1]:
             found.append((Column(use, scale.unit, f"{scale.title}, mean / max"), scale.format_both(fit[use])))
-    if "distance_from_nominal_mm" in fit:
-        length = format_significant(fit["distance_from_nominal_mm"])
-        tolerances = format_significant(get_number(fit, "distance_from_nominal_prior_sd"), 2)
-        group = "From nominal, rms"
-        found += [(Column("", "mm", group), length), (Column("", "tolerances", group), tolerances)]
+    length = format_significant(get_number(fit, "distance_from_nominal_mm"))
+    tolerances = format_significant(get_number(fit, "distance_from_nominal_prior_sd"), 2)
+    group = "From nominal, rms"
+    found += [(Column("", "mm", group), length), (Column("", "tolerances", group), tolerances)]
     found.append((Column("Checks", kind="text"), Cell("passed") if fit["converged"] else Cell("FAILED", "bad")))
     if len(study.summary["rankings"]) > 1:
         found.append((Column("Readings", kind="name"), str(fit["data"])))
@@ -194,34 +183,7 @@ def tabulate_effects(study: StudyResults) -> Table | None:
     )
     if study.free_sets:
         note += " Of several free sets of one model and deformation the best one is shown."
-    return make_table("Log-evidence by model and deformation, with model error.", columns, rows, [Statement(note)])
-
-
-def tabulate_stacking(study: StudyResults) -> Table | None:
-    """Return the variants that predict alike, and their stacked prediction; None where one predicts best alone."""
-    stacked: Mapping[str, Any] | None = study.summary.get("stacked")
-    if stacked is None:
-        return None
-    weights: Mapping[str, float] = stacked["weights"]
-    uses, scales = [use for use in USES if use in stacked], study.error_scales
-    columns = [
-        VARIANT,
-        Column("Weight", "%"),
-        *([Column("verification", "nat", "elpd")] if "verification" in uses else []),
-        *(Column(use, one.unit, f"{one.title}, mean / max") for one in scales for use in uses),
-        *(Column(use, "%", "In 90 % intervals") for use in uses),
-    ]
-    order = sorted(weights, key=lambda name: -weights[name])
-    rows = []
-    for title, weight, fit in (
-        *((study.label(name), weights[name], study.fit(name)) for name in order),
-        ("all, stacked", 1.0, stacked),
-    ):
-        row = [title, format_percent(weight).rstrip(" %")]
-        row += [format_fixed(get_number(fit, "elpd"), 1)] if "verification" in uses else []
-        row += [scale.format_both(fit.get(use)) for scale in scales for use in uses]
-        rows.append(row + [format_percent(fit[use]["interval_90_coverage"]).rstrip(" %") for use in uses])
-    return make_table(f"The stacked prediction of {study.name_variants(order)}.", columns, rows, [Statement(STACKING)])
+    return make_table("Log-evidence by model and deformation.", columns, rows, [Statement(note)])
 
 
 # --- the figure ------------------------------------------------------------------------------------------------------
@@ -229,50 +191,41 @@ def tabulate_stacking(study: StudyResults) -> Table | None:
 
 def _illustrate(study: StudyResults) -> Figure:
     """Return evidence and pose errors of all variants."""
-    use = study.use
+    use, scales = study.use, study.error_scales
     failed = [name for name in study.ranking if name not in study.compared]
     groups = [*study.group(study.ranking), *([failed] if failed else [])]
-    behind: dict[tuple[str, str], float] = {}
-    for setting in study.settings:
-        sound = [name for name in study.ranking if study.is_compared(name, setting)]
-        best = max((study.evidence(name, setting) for name in sound), default=math.nan)
-        behind |= {(name, setting): math.nan for name in study.ranking}
-        behind |= {(name, setting): best - study.evidence(name, setting) for name in sound}
-    zero = "zero" in study.settings
-    with_error = " with model error" if zero else ""
-    without = " Right: log-evidence without model error, below the best of those." if zero else ""
-    bands = " A shared band joins variants that fit equally well." if len(groups) > 1 else ""
-    caption = (
-        f"Left: how far each variant's log-evidence{with_error} lies below the best one, logarithmic beyond 1 nat. "
-        f"{'Middle' if zero else 'Right'}: errors of the posterior mean prediction on the {use} poses; full bar: mean, "
-        f"pale bar: largest, both as numbers.{without}{bands} Position error is the distance between measured and "
-        "predicted origin of the platform, orientation error the angle between measured and predicted platform."
-    )
-    errors = study.table("pose_errors")
-    chosen = errors[errors["use"] == use]
-    draw = partial(_draw, groups, behind, chosen, study.error_scales, use, assign_styles(study))
-    return Figure("errors", caption, draw)
+    best = max((study.evidence(name) for name in study.compared), default=math.nan)
+    behind = {name: best - study.evidence(name) if name in study.compared else math.nan for name in study.ranking}
+    caption = "How far each variant's log-evidence lies below the best one, logarithmic beyond 1 nat."
+    if scales:
+        caption = (
+            f"Left: {caption[0].lower()}{caption[1:]} Right: errors of the posterior mean prediction on the {use} "
+            "poses; full bar: mean, pale bar: largest, both as numbers. Position error is the distance between "
+            "measured and predicted position, orientation error the angle between measured and predicted orientation."
+        )
+    if len(groups) > 1:
+        caption += " A shared band joins variants that fit equally well."
+    errors = {(name, scale.what): scale.read_both(study.fit(name)[use]) for name in study.ranking for scale in scales}
+    return Figure("errors", caption, partial(_draw, groups, behind, errors, scales, use, assign_styles(study)))
 
 
 def _draw(
     groups: Sequence[Sequence[str]],
-    behind: Mapping[tuple[str, str], float],
-    predictions: pd.DataFrame,
+    behind: Mapping[str, float],
+    errors: Mapping[tuple[str, str], tuple[float, float]],
     scales: Sequence[ErrorScale],
     use: str,
     styles: Styles,
 ) -> Drawing:
     """Return panels with a row per variant: evidence, position error, orientation error where it was measured.
 
-    Variants of a group, which fit equally well, share a band; ``behind`` is their log-evidence below the best, nats, by
-    variant and setting of the model error; NaN of one that did not converge.
+    Variants of a group, which fit equally well, share a band; ``behind`` is their log-evidence below the best, nats,
+    NaN of one that did not converge; ``errors`` are mean and largest one of each kind, NaN where none was measured.
     """
     names = [name for group in groups for name in group]
     rows, colours = range(len(names)), [styles[name].colour for name in names]
     figure = Drawing(figsize=(9.4, 0.75 + 0.265 * len(names)))
-    has_zero = (names[0], "zero") in behind
-    widths = [1.0] * (1 + len(scales)) + [0.8] * has_zero
-    axes = figure.subplots(1, len(widths), sharey=True, width_ratios=widths, squeeze=False)[0]
+    axes = figure.subplots(1, 1 + len(scales), sharey=True, squeeze=False)[0]
     for panel in axes:
         top = -0.5
         for k, group in enumerate(groups):
@@ -281,21 +234,17 @@ def _draw(
             top += len(group)
         panel.grid(axis="x")
         panel.tick_params(axis="y", length=0)
-    free = [behind[name, "free"] for name in names]
-    axes[0].barh(rows, np.nan_to_num(free), height=THICKNESS, color=colours, linewidth=0)
-    _label_evidence(axes[0], free, "Log-evidence below\nthe best (nat)")
-    for panel, scale in zip(axes[1 : 1 + len(scales)], scales, strict=True):
-        errors = scale.factor * predictions.groupby(["variant", "model_error"])[scale.column].agg(["mean", "max"])
-        mean, largest = ([float(errors[which][name, "free"]) for name in names] for which in ("mean", "max"))
+    apart = [behind[name] for name in names]
+    axes[0].barh(rows, np.nan_to_num(apart), height=THICKNESS, color=colours, linewidth=0)
+    _label_evidence(axes[0], apart, "Log-evidence below\nthe best (nat)")
+    for panel, scale in zip(axes[1:], scales, strict=True):
+        both = [errors[name, scale.what] for name in names]
+        mean, largest = (np.nan_to_num(one) for one in zip(*both, strict=True))
         panel.barh(rows, largest, height=THICKNESS, color=colours, alpha=0.35, linewidth=0)
         panel.barh(rows, mean, height=THICKNESS, color=colours, linewidth=0)
-        _write_at(panel, largest, [format_pair(*both, 2) for both in zip(mean, largest, strict=True)])
-        panel.set_xlim(0, 1.45 * max(largest) or 1.0)
+        _write_at(panel, largest.tolist(), [format_pair(*one, 2) for one in both])
+        panel.set_xlim(0, 1.45 * float(largest.max()) or 1.0)
         panel.set_xlabel(f"{scale.label},\n{use}")
-    if has_zero:
-        zero = [behind[name, "zero"] for name in names]
-        axes[-1].plot(zero, rows, "D", markersize=4, color="white", markeredgecolor=INK, markeredgewidth=0.8)
-        _label_evidence(axes[-1], zero, "The same without model error,\nbelow the best of those")
     axes[0].set_yticks(rows, [styles[name].label for name in names])
     axes[0].set_ylim(len(names) - 0.5, -0.5)
     return figure

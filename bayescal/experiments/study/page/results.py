@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -19,7 +19,6 @@ from bayescal.experiments.frame.results import NUMBER, SUMMARY_FILE, Kinds, Resu
 from bayescal.experiments.shared.headline import Candidate, choose_best, group_candidates, label_title, list_candidates
 from bayescal.experiments.shared.study_schema import stem_of
 from bayescal.experiments.shared.trees import name_file
-from bayescal.numerics.geometry import matrix_from_rotation_vector, rotation_vector_of_turn
 from bayescal.report.blocks import Column
 from bayescal.report.numbers import MICROMETRES, format_pair, join_words
 from bayescal.report.symbols import OF_FUNCTIONS, Asked, describe_deformation, scale_of, shown_in, split_name
@@ -28,8 +27,6 @@ if TYPE_CHECKING:
     from bayescal.numerics.geometry import Array
 
 VARIANT = Column("Variant", kind="name")
-SETTINGS = {"free": "with model error", "zero": "without model error"}
-SHORT_SETTINGS = {"free": "free", "zero": "none"}
 INDEPENDENT, TOGETHER = "independent", "together"
 TERMS = (INDEPENDENT, "linear", "own", "smooth", "drift")
 """Of a model error; all but the first are systematic, and together they have a size, too."""
@@ -57,12 +54,15 @@ ROW_KEYS: dict[str, Kinds] = {
 }
 COLUMNS: dict[str, dict[str, tuple[str, ...]]] = {
     "parameters": {
-        "texts": ("variant", "model_error", "parameter", "unit", "verdict"),
+        "texts": ("variant", "parameter", "unit", "verdict"),
         "numbers": ("nominal", "prior_sd", "mean", "sd", "q05", "q95", "contraction"),
     },
-    "poses": {"texts": ("variant", "model_error", "pose", "use"), "numbers": ("elpd_loo", "pareto_k", "refitted")},
+    "poses": {
+        "texts": ("variant", "pose"),
+        "numbers": ("elpd_loo", "pareto_k", "refitted", "equations", "square", "trust", "contradicting"),
+    },
     "pose_errors": {
-        "texts": ("variant", "model_error", "pose", "use"),
+        "texts": ("variant", "pose", "use"),
         "numbers": (
             *("position_error_mm", "position_bound_95_mm"),
             *("orientation_error_deg", "orientation_bound_95_deg"),
@@ -72,7 +72,7 @@ COLUMNS: dict[str, dict[str, tuple[str, ...]]] = {
     "not_predicted": {"texts": ("variant", "pose", "channel", "why"), "numbers": ()},
     "tool_predictions": {"texts": ("variant", "pose", "channel"), "numbers": ("inside",)},
     "sensitivity": {"texts": ("variant",), "numbers": ("factor", "log_evidence", "pareto_k")},
-    "tau_scale": {"texts": ("variant",), "numbers": ("tau_scale_um", "log_evidence", "pareto_k")},
+    "tau_scale": {"texts": ("variant",), "numbers": ("own_um", "tau_scale_um", "log_evidence", "pareto_k")},
     "least_squares": {
         "texts": ("variant", "parameter", "unit"),
         "numbers": ("leg", "offset", "published_offset", "difference", "leg_residual_rms_um", "converged"),
@@ -107,10 +107,11 @@ REQUIRED = ("parameters", "poses")
 
 
 class ErrorScale(NamedTuple):
-    """How errors of poses are shown: in words, their column, and factor and name of their unit."""
+    """How errors of poses are shown: in words, columns of them and of their bounds, factor and name of their unit."""
 
     what: str
     column: str
+    bound: str
     factor: float
     unit: str
 
@@ -118,9 +119,13 @@ class ErrorScale(NamedTuple):
         """Return the ``mean`` or ``max`` of a use's errors in that unit; NaN without."""
         return self.factor * get_number(errors[self.column], which) if errors else math.nan
 
+    def read_both(self, errors: Mapping[str, Any] | None) -> tuple[float, float]:
+        """Return the mean and the largest one."""
+        return self.read(errors, "mean"), self.read(errors, "max")
+
     def format_both(self, errors: Mapping[str, Any] | None) -> str:
-        """Return a use's mean and largest error as a table shows them."""
-        return format_pair(self.read(errors, "mean"), self.read(errors, "max"), 2)
+        """Return both as a table shows them."""
+        return format_pair(*self.read_both(errors), 2)
 
     @property
     def title(self) -> str:
@@ -131,6 +136,9 @@ class ErrorScale(NamedTuple):
     def label(self) -> str:
         """What an axis says."""
         return f"{self.title} ({self.unit})"
+
+
+POSITION = ErrorScale("position", "position_error_mm", "position_bound_95_mm", MICROMETRES, "µm")
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,10 +152,7 @@ class StudyResults:
     tables : mapping of str to DataFrame
         Those that have rows, by name.
     draws : dict
-        For each variant whose posterior file is there, the draws (S,) of each parameter, with model error.
-    replicates : ndarray or None, shape (S, P, 6)
-        Measured minus replicated calibration poses of the best variant with model error, mm and rad; None where its
-        posterior file is not there.
+        For each variant whose posterior file is there, the draws (S,) of each parameter.
     n_chains : int
         Of the draws, in which they are laid end to end.
     """
@@ -156,7 +161,6 @@ class StudyResults:
     config: dict[str, Any]
     tables: Mapping[str, pd.DataFrame]
     draws: dict[str, dict[str, Array]] = field(default_factory=dict)
-    replicates: Array | None = None
     n_chains: int = 1
 
     @classmethod
@@ -179,12 +183,11 @@ class StudyResults:
         found = cls(results.summary, results.config, tables)
         if results.folder is None:
             return found
-        read = {name: _read_posterior(folder, name, _read_draws) for name in found.ranking}
+        read = {name: _read_draws(folder, name) for name in found.ranking}
         chains = {name: own for name, own in read.items() if own is not None}
         return replace(
             found,
             draws={name: {one: x.ravel() for one, x in own.items()} for name, own in chains.items()},
-            replicates=_read_posterior(folder, found.best_name, _read_replicates) if found.has("pose_errors") else None,
             n_chains=next((len(x) for own in chains.values() for x in own.values()), 1),
         )
 
@@ -229,9 +232,9 @@ class StudyResults:
         """Those of the ranking that converged, as only they are compared."""
         return [name for name in self.ranking if self.is_compared(name)]
 
-    def is_compared(self, name: str, setting: str = "free") -> bool:
+    def is_compared(self, name: str) -> bool:
         """Whether a variant's posterior converged."""
-        return bool(self.fit(name, setting)["converged"])
+        return bool(self.fit(name)["converged"])
 
     @property
     def best_name(self) -> str:
@@ -243,21 +246,15 @@ class StudyResults:
         """The variant to use."""
         return choose_best(self.summary)
 
+    def fit(self, variant: str) -> dict[str, Any]:
+        """Return a variant's row of the summary."""
+        found: dict[str, Any] = self.summary["variants"][variant]
+        return found
+
     @property
-    def settings(self) -> list[str]:
-        """Settings of the model error that were computed."""
-        return [one for one in SETTINGS if one == "free" or "without_model_error" in self.fit(self.best_name)]
-
-    def fit(self, variant: str, setting: str = "free") -> dict[str, Any]:
-        """Return a posterior's row of the summary."""
-        free: dict[str, Any] = self.summary["variants"][variant]
-        return free if setting == "free" else dict(free["without_model_error"])
-
-    def fits(self) -> Iterator[tuple[str, str, dict[str, Any]]]:
-        """Yield variant, setting and row of all posteriors, first with model error."""
-        for setting in self.settings:
-            for variant in self.names:
-                yield variant, setting, self.fit(variant, setting)
+    def fits(self) -> dict[str, dict[str, Any]]:
+        """The rows of all variants, those of one set of data together, the best first."""
+        return {name: self.fit(name) for name in self.names}
 
     def split(self, name: str) -> tuple[str, str]:
         """Return a variant's model and deformation; its name says them unless it has one of its own."""
@@ -319,45 +316,37 @@ class StudyResults:
 
     # --- what their evidence says ----------------------------------------------------------------------------------
 
-    def evidence(self, name: str, setting: str = "free") -> float:
+    def evidence(self, name: str) -> float:
         """Return a variant's log-evidence, nats."""
-        return float(self.fit(name, setting)["log_evidence"])
-
-    def gain(self, name: str) -> float:
-        """Return what the model error adds to a variant's log-evidence, nats."""
-        return self.evidence(name) - self.evidence(name, "zero")
+        return float(self.fit(name)["log_evidence"])
 
     def list_terms(self, name: str) -> list[str]:
-        """Return the terms of a variant's model error whose sizes were found; none where τ alone is a parameter."""
+        """Return the terms of a variant's model error."""
         there = {str(row["term"]) for row in self.rows("model_error", name)}
         return [term for term in TERMS if term in there]
 
-    def has_functions(self, name: str) -> bool:
-        """Whether a variant's model error has systematic parts, functions of the pose or of time."""
-        return any(term != INDEPENDENT for term in self.list_terms(name))
-
-    def spread(self, names: Sequence[str], setting: str = "free") -> float:
+    def spread(self, names: Sequence[str]) -> float:
         """Return the largest difference of log-evidence among variants, nats."""
-        values = [self.evidence(name, setting) for name in names]
+        values = [self.evidence(name) for name in names]
         return max(values) - min(values)
 
-    def candidates(self, setting: str = "free") -> list[Candidate]:
+    def candidates(self) -> list[Candidate]:
         """Return the variants of the most data as the headline compares them, in the order of the study."""
-        return list_candidates(self.summary, setting)
+        return list_candidates(self.summary)
 
     def distinguishes(self, one: str, other: str) -> bool:
         """Whether the evidence distinguishes two variants."""
         first, second = (candidate for candidate in self.candidates() if candidate.name in (one, other))
         return first.is_distinguishable(second)
 
-    def group(self, names: Sequence[str], setting: str = "free") -> list[list[str]]:
+    def group(self, names: Sequence[str]) -> list[list[str]]:
         """Return variants in groups by evidence, the best group first; within a group the simplest first."""
-        groups = group_candidates([one for one in self.candidates(setting) if one.name in names])
+        groups = group_candidates([one for one in self.candidates() if one.name in names])
         return [[one.name for one in group] for group in groups]
 
-    def find_leaders(self, setting: str = "free") -> list[str]:
+    def find_leaders(self) -> list[str]:
         """Return the variants that fit as well as the best one, the simplest first; one alone where none converged."""
-        return next(iter(self.group(self.ranking, setting)), [self.best_name])
+        return next(iter(self.group(self.ranking)), [self.best_name])
 
     @cached_property
     def sensitivity_grid(self) -> pd.DataFrame:
@@ -396,10 +385,22 @@ class StudyResults:
     def error_scales(self) -> tuple[ErrorScale, ...]:
         """The errors of poses that were measured, each with its unit on the page."""
         factor, unit = self.shown_in("rad")
-        position = ErrorScale("position", "position_error_mm", MICROMETRES, "µm")
-        scales = (position, ErrorScale("orientation", "orientation_error_deg", math.radians(factor), unit))
+        columns = "orientation_error_deg", "orientation_bound_95_deg"
+        orientation = ErrorScale("orientation", *columns, math.radians(factor), unit)
         errors = self.table("pose_errors")
-        return tuple(one for one in scales if errors[one.column].notna().any())
+        return tuple(one for one in (POSITION, orientation) if errors[one.column].notna().any())
+
+    @property
+    def member(self) -> str:
+        """What the index of a parameter counts: leg, strut, line."""
+        return str(self.summary.get("member", "leg"))
+
+    @cached_property
+    def has_members(self) -> bool:
+        """Whether most of what the variant to use found belongs to one leg, strut or line each, and not to a joint."""
+        known = "models" in self.summary or self.has("joints") or self.member != "leg"
+        rows = self.geometry[self.geometry["variant"] == self.chosen]
+        return known and float((rows["leg"] > 0).mean()) > 0.5
 
     @property
     def has_struts(self) -> bool:
@@ -418,14 +419,14 @@ class StudyResults:
 
     @property
     def instrument(self) -> dict[str, Any] | None:
-        """What instrument measured, and what it read; None for photogrammetry."""
+        """What an instrument read that sees a platform on legs; None for photogrammetry and tables of readings."""
         return self.summary.get("instrument")
 
     @property
     def tau_scale(self) -> float | None:
-        """Scale of the model error's prior, µm; None where nothing is known of it."""
-        scale = self.summary.get("tau_scale_um", self.config.get("model_error", {}).get("scale_um"))
-        return None if scale is None else float(scale)
+        """Scale of the prior of the variant to use's τ, µm; None where it has no τ."""
+        own = self.table("tau_scale", self.chosen)["own_um"]
+        return float(own.iloc[0]) if len(own) else None
 
     # --- parameters ----------------------------------------------------------------------------------------------
 
@@ -435,9 +436,9 @@ class StudyResults:
         return self.all_parameters[~self._of_frames & ~self.all_parameters["symbol"].isin(OF_FUNCTIONS)]
 
     @property
-    def free(self) -> pd.DataFrame:
-        """The same of the posteriors whose model error is free."""
-        return self.parameters[self.parameters["model_error"] == "free"]
+    def geometry(self) -> pd.DataFrame:
+        """The same of what was found of the machine itself, without noise and errors."""
+        return self.parameters[self.parameters["verdict"] != NOISE]
 
     @property
     def frames(self) -> pd.DataFrame:
@@ -456,45 +457,34 @@ class StudyResults:
         return table.assign(symbol=[symbol for symbol, _ in split], leg=[leg for _, leg in split])
 
 
-def _read_posterior[Found](folder: Path, variant: str, read: Callable[[h5py.File], Found]) -> Found | None:
-    """Return what a variant's file says; None without one. Letters that no file may have stand there as others."""
+def _read_draws(folder: Path, variant: str) -> dict[str, Array] | None:
+    """Return the draws (E, S) of each parameter by chains, from the posterior group of a variant's ArviZ file.
+
+    None without the file. Letters that no file may have stand in its name as others.
+    """
     own = folder / "posterior" / f"{stem_of(variant)}.nc"
     path = own if own.is_file() else folder / name_file(variant)
     if not path.is_file():
         return None
+    draws: dict[str, Array] = {}
     try:
         with h5py.File(path, "r") as file:
-            return read(file)
+            for symbol, values in file["posterior"].items():
+                if values.ndim < 2 or symbol in OF_FUNCTIONS:
+                    continue  # coordinates; scale and length of an error, not of the machine
+                every = np.asarray(values, dtype=np.float64).reshape(*values.shape[:2], -1)
+                draws |= {name: every[..., k] for k, name in enumerate(_name_entries(symbol, values))}
     except (OSError, KeyError) as error:
         raise InputError(f"{path}: cannot be read as a posterior ({error})") from error
-
-
-def _read_draws(file: h5py.File) -> dict[str, Array]:
-    """Return the draws (E, S) of each parameter by chains, from the posterior group of an ArviZ file."""
-    draws: dict[str, Array] = {}
-    for symbol, values in file["posterior"].items():
-        if values.ndim < 2 or symbol in OF_FUNCTIONS:
-            continue  # coordinates; scale and length of an error, not of the machine
-        every = np.asarray(values, dtype=np.float64).reshape(*values.shape[:2], -1)
-        names = [symbol]
-        if values.ndim > 2:  # entries are called as the file calls them, else by numbers from one
-            entries = values.dims[2][0][()] if len(values.dims[2]) else range(1, values.shape[2] + 1)
-            names = [f"{symbol}[{one.decode() if isinstance(one, bytes) else one}]" for one in entries]
-        draws |= {name: every[..., k] for k, name in enumerate(names)}
     return draws
 
 
-def _read_replicates(file: h5py.File) -> Array | None:
-    """Return measured less replicated poses (S, P, 6), mm and rad; None of an earlier version."""
-    if "observed_data/readings" not in file:
-        return None
-    measured, made = (file[f"{group}/readings"][()] for group in ("observed_data", "posterior_predictive"))
-    measured = np.broadcast_to(measured, made.shape)
-    known = np.isfinite(measured[..., 3:]).all(axis=-1, keepdims=True)
-    turned, seen = (matrix_from_rotation_vector(np.nan_to_num(one[..., 3:])) for one in (made, measured))
-    turn = rotation_vector_of_turn(seen @ np.swapaxes(turned, -1, -2))
-    misfit = np.concatenate([measured[..., :3] - made[..., :3], np.where(known, turn, np.nan)], axis=-1)
-    return misfit.reshape(-1, *misfit.shape[2:])
+def _name_entries(symbol: str, values: h5py.Dataset) -> list[str]:
+    """Return the names of a symbol's entries, which are called as the file calls them, else by numbers from one."""
+    if values.ndim < 3:
+        return [symbol]
+    entries = values.dims[2][0][()] if len(values.dims[2]) else range(1, values.shape[2] + 1)
+    return [f"{symbol}[{one.decode() if isinstance(one, bytes) else one}]" for one in entries]
 
 
 def _check_tables(tables: Mapping[str, pd.DataFrame], results: Path) -> None:
@@ -534,8 +524,6 @@ def _check_summary(summary: dict[str, Any], path: Path) -> None:
     for name, row in summary["variants"].items():
         check_keys(summary["variants"], {name: dict}, path, "variants.")
         check_keys(row, ROW_KEYS, path, f"variants.{name}.")
-        if "without_model_error" in row:
-            check_keys(row["without_model_error"], ROW_KEYS, path, f"variants.{name}.without_model_error.")
     if "publication" in summary:
         check_keys(summary, {"publication": dict}, path, "")
         check_keys(summary["publication"], PUBLICATION_KEYS, path, "publication.")

@@ -22,19 +22,19 @@ if TYPE_CHECKING:
     from bayescal.numerics.geometry import Array
 
 SHOWN_PAIRS = 3
-NO_PAIRS = "Correlations within a leg."
+NO_PAIRS = "Correlations within a {}."
 RETAINED, REMOVED = 0.5, 0.01  # share of the prior variance of a combination that is hardly, or well, measured
 SHOWN_DRAWS = 1500
 FEW = 10  # parameters of which the correlations are written as numbers
 
 
 def show_ridges(study: StudyResults) -> Section | None:
-    """Return undetermined combinations, or the most correlated parameters of legs; None without either."""
-    if not study.has("pose_errors"):
-        return next(iter(knowledge_page.show_ridges(study.tables, study.chosen)), None)
-    if not study.draws:
+    """Return undetermined combinations, and the most correlated parameters; None without either."""
+    blocks: list[Block] = [*knowledge_page.state_ridges(study.tables, study.chosen), *state_ridges(study)]
+    if study.has_members:
+        blocks.append(_illustrate(study))
+    if not blocks:
         return None
-    blocks: list[Block] = [*state_ridges(study), _illustrate(study)]
     rows = []
     for name in study.ranking:
         if name in study.draws:
@@ -43,8 +43,8 @@ def show_ridges(study: StudyResults) -> Section | None:
             rows.append([study.label(name), *texts, *[NOTHING] * (SHOWN_PAIRS - len(texts))])
     columns = [VARIANT, *(Column(title, kind="text") for title in ("Strongest", "second", "third"))]
     table = make_table("Most correlated pairs of parameters, correlation of the draws.", columns, rows)
-    blocks.append(Fold("The most correlated pairs of every variant", (table,)))
-    return Section("Correlations of parameters", tuple(blocks), anchor="ridges", short="Ridges")
+    blocks += [Fold("The most correlated pairs of every variant", (table,))] if rows else []
+    return Section("Undetermined combinations", tuple(blocks), anchor="ridges", short="Ridges")
 
 
 def rank_pairs(draws: dict[str, Array]) -> list[tuple[str, str, float]]:
@@ -68,12 +68,14 @@ def state_ridges(study: StudyResults) -> list[Statement]:
     if best not in study.draws:
         return []
     pairs = rank_pairs(study.draws[best])
+    if not pairs:
+        return []
     strong = [p for p in pairs if abs(p[2]) > 0.9]
     named = [
         f"{name_parameter(a)} with {name_parameter(b)} ({format_fixed(r, 2, sign=True)})"
         for a, b, r in pairs[:SHOWN_PAIRS]
     ]
-    text = f"In {study.label(best)} the most correlated pairs are {join_words(named)}." if named else ""
+    text = f"In {study.label(best)} the most correlated pairs are {join_words(named)}."
     if strong:
         kinds = dict.fromkeys(" with ".join(write_symbol(split_name(x)[0]) for x in p[:2]) for p in strong)
         text += (
@@ -106,20 +108,21 @@ def _state_combinations(study: StudyResults, variant: str) -> list[Statement]:
 
 def _illustrate(study: StudyResults) -> Figure:
     """Return the correlations within a leg of the best variant."""
-    best, name = study.best_name, "ridges"
+    best, name, nothing = study.best_name, "ridges", NO_PAIRS.format(study.member)
     if best not in study.draws:
-        return Figure(name, NO_PAIRS, None, study.say_missing())
+        return Figure(name, nothing, None, study.say_missing())
     draws = {name: x for name, x in study.draws[best].items() if not FRAME.fullmatch(name)}
     leg, pairs = choose_leg(rank_pairs(draws))
     if not pairs:
-        return Figure(name, NO_PAIRS, None, "no leg has two parameters")
+        return Figure(name, nothing, None, f"no {study.member} has two parameters")
     table = pd.DataFrame({split_name(n)[0]: x for n, x in draws.items() if split_name(n)[1] == leg})
     if len(table.columns.drop(MODEL_ERROR, errors="ignore")) < 2:
-        return Figure(name, NO_PAIRS, None, "each leg has one parameter of its geometry")
-    one = study.free[(study.free["variant"] == best) & (study.free["leg"] == leg)].set_index("symbol")
+        return Figure(name, nothing, None, f"each {study.member} has one parameter of its geometry")
+    rows = study.parameters
+    one = rows[(rows["variant"] == best) & (rows["leg"] == leg)].set_index("symbol")
     nominal = one["nominal"].where(one.index != MODEL_ERROR, 0.0)
     caption = (
-        f"{study.label(best)}, leg {leg} (the one with the most correlated pair): correlation of its "
+        f"{study.label(best)}, {study.member} {leg} (the one with the most correlated pair): correlation of its "
         "parameters (red +1, blue −1), and the draws of its most correlated pairs as offsets from nominal. A thin "
         "slanting cloud is a ridge: the measurements fix only what lies across it."
     )

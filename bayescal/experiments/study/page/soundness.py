@@ -9,12 +9,11 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
 from scipy import stats
 
 from bayescal.experiments.shared.chi_square import ChiSquare, format_chance
 from bayescal.experiments.shared.slips import state_slip
-from bayescal.experiments.study.page.results import NOISE, SETTINGS, StudyResults, get_number
+from bayescal.experiments.study.page.results import NOISE, StudyResults, get_number
 from bayescal.limits import AGREEMENT, ESS_BULK_LIMIT, RHAT_LIMIT
 from bayescal.report.blocks import Level, Statement
 from bayescal.report.numbers import format_fixed, format_percent, format_significant, join_words
@@ -80,30 +79,20 @@ def _state_targets(study: StudyResults) -> list[Statement]:
 
 def _state_misfit(study: StudyResults) -> list[Statement]:
     """Say where the best variant's residuals are larger or smaller than the stated noise."""
-    one = study.fit(study.best_name, study.settings[-1])  # without model error where computed: of the noise alone
+    one = study.fit(study.best_name)
     found = ChiSquare(float(one["misfit_chi2"]), float(one["misfit_dof"]))
     if not found.is_off:
         return []
-    level, without = _rate(found.factor), ""
     why = "the noise is stated too small, or every variant lacks something real."
-    if "zero" in study.settings:
-        without = " without model error"
-        if study.has_functions(study.best_name):
-            level, why = "warning", f"{why} The model error takes this up, and the intervals with it allow for it."
-        else:
-            why += (
-                " Model error τ covers errors that differ from pose to pose at random. What repeats with the pose (a "
-                "lead, coupled actuators, joints) goes into the parameters, whose intervals are then too narrow with "
-                "τ, too: leave out `terms` of [model_error], and all five terms are taken."
-            )
     if found.factor < 1:
         why = "the noise is stated too large, and all intervals are wider than they need be."
+    error = " and its model error" if study.list_terms(study.best_name) else ""
     text = (
         f"{study.label(study.best_name)} leaves residuals {format_significant(found.factor, 2)} times as large as the "
-        f"stated noise (χ² per degree of freedom {format_significant(found.value / found.dof, 3)}{without}, "
+        f"stated noise{error} (χ² per degree of freedom {format_significant(found.value / found.dof, 3)}, "
         f"{format_fixed(found.dof, 0)} degrees, {format_chance(found.chance)}): {why}"
     )
-    return [Statement(text, level, "Noise")]
+    return [Statement(text, _rate(found.factor), "Noise")]
 
 
 # --- tolerances ------------------------------------------------------------------------------------------------------
@@ -118,7 +107,7 @@ def _state_tolerances(study: StudyResults) -> list[Statement]:
     found = ChiSquare(float(fit["pulls_chi2"]), float(fit["pulls_dof"]))
     if not found.is_off:
         return []
-    rows = [row for row in study.rows("parameters", best) if row["model_error"] == "free" and row["verdict"] != NOISE]
+    rows = [row for row in study.rows("parameters", best) if row["verdict"] != NOISE]
     pulls = {str(row["parameter"]): (row["mean"] - row["nominal"]) / row["prior_sd"] for row in rows}
     far = max(pulls, key=lambda key: abs(pulls[key]), default=None)
     text = (
@@ -140,20 +129,18 @@ def _state_tolerances(study: StudyResults) -> list[Statement]:
 # --- bounds and coverage ---------------------------------------------------------------------------------------------
 
 
-def _count_beyond(study: StudyResults) -> tuple[str, int, int]:
-    """Return of the best variant a setting, how many errors of unseen poses lie beyond their 95 % bounds, of how many.
+def _count_beyond(study: StudyResults) -> tuple[int, int]:
+    """Return how many errors of the best variant's poses lie beyond their 95 % bounds, of how many.
 
-    The setting of the model error is what the evidence prefers, where all converged: one that is not needed widens all
-    bounds. Calibration poses are left out for it: a posterior that has seen a pose fits it too well.
+    Of poses that were held back where there are any.
     """
-    best = study.best_name
-    compared = all(study.is_compared(best, one) for one in study.settings)
-    setting = max(study.settings if compared else ["free"], key=lambda setting: study.evidence(best, setting))
-    table = study.table("poses", study.best_name)
-    chosen = table[table["model_error"] == setting]
-    pits = chosen[["position_pit", "orientation_pit"]].to_numpy(dtype=float).ravel()
-    known = pits[np.isfinite(pits)]
-    return setting, int((known > BOUND).sum()), len(known)
+    rows = study.table("pose_errors", study.best_name)
+    rows = rows[rows["use"] == study.use]
+    beyond, known = 0, 0
+    for scale in study.error_scales:
+        known += int(rows[scale.column].notna().sum())
+        beyond += int((rows[scale.column] > rows[scale.bound]).sum())
+    return beyond, known
 
 
 def judge_bounds(beyond: int, total: int) -> float:
@@ -164,26 +151,27 @@ def judge_bounds(beyond: int, total: int) -> float:
     return float(stats.binomtest(beyond, total, 1 - BOUND, "less" if few else "greater").pvalue)
 
 
-def _describe_bounds(study: StudyResults) -> str:
+def _describe_bounds(study: StudyResults, beyond: int, total: int) -> str:
     """Return how many errors lie beyond their bounds, how many are expected, and with what probability."""
-    setting, beyond, total = _count_beyond(study)
-    of_setting = f" {SETTINGS[setting]}" if len(study.settings) > 1 else ""
+    held = "held back" if study.n_verification else "that were fitted"
     return (
-        f"{study.label(study.best_name)}{of_setting}: {beyond} of {total} position and orientation errors of "
-        f"poses left out or held back lie beyond their 95 % bounds, where {format_fixed((1 - BOUND) * total, 1)} are "
-        f"expected ({format_chance(judge_bounds(beyond, total))})"
+        f"{study.label(study.best_name)}: {beyond} of {total} position and orientation errors of poses {held} lie "
+        f"beyond their 95 % bounds, where {format_fixed((1 - BOUND) * total, 1)} are expected "
+        f"({format_chance(judge_bounds(beyond, total))})"
     )
 
 
 def _state_bounds(study: StudyResults) -> list[Statement]:
-    """Say where too few or too many errors of the best variant lie beyond their bounds."""
-    if not study.has("pose_errors"):
+    """Say where too few or too many errors of the best variant lie beyond their bounds.
+
+    Of poses that were fitted too few say nothing: a posterior that has seen a pose lies nearer to it.
+    """
+    beyond, total = _count_beyond(study)
+    too_few = beyond < (1 - BOUND) * total
+    if judge_bounds(beyond, total) >= RARE_BOUND or (too_few and not study.n_verification):
         return []
-    _, beyond, total = _count_beyond(study)
-    if judge_bounds(beyond, total) >= RARE_BOUND:
-        return []
-    text = _describe_bounds(study)
-    if beyond < (1 - BOUND) * total:
+    text = _describe_bounds(study, beyond, total)
+    if too_few:
         text += (
             ": the bounds are too wide, as from a noise stated too large, or from errors that poses share, as those "
             "of a measured K, where they count at each pose anew."
@@ -194,25 +182,23 @@ def _state_bounds(study: StudyResults) -> list[Statement]:
 
 
 def state_coverage(study: StudyResults) -> list[Statement]:
-    """Say how often the 90 % predictive intervals hold the measurements, in both settings."""
-    if not study.has("pose_errors"):
+    """Say how often 90 % predictive intervals and 95 % bounds hold the poses that an instrument saw."""
+    fits = {name: fit for name in study.ranking if (fit := study.fit(name))["calibration"]}
+    if not fits:
         return []
-    statements = []
     n_poses = study.summary["n_poses"]["calibration"]
-    for setting in study.settings:
-        fits = {name: study.fit(name, setting) for name in study.ranking}
-        coverage = {name: fit["calibration"]["interval_90_coverage"] for name, fit in fits.items()}
-        narrow = [name for name, share in coverage.items() if is_too_narrow(share, n_poses)]
-        span = " to ".join(dict.fromkeys(format_percent(x) for x in (min(coverage.values()), max(coverage.values()))))
-        words = f"{SETTINGS[setting][0].upper()}{SETTINGS[setting][1:]}, the" if len(study.settings) > 1 else "The"
-        text = f"{words} 90 % predictive intervals hold {span} of the calibration measurements"
-        if narrow:
-            shares = [f"{study.label(name)} ({_cover_both(fits[name])})" for name in narrow]
-            text += f": intervals too narrow for {name_or_count(shares, len(coverage))}"
-        statements.append(Statement(f"{text}.", "warning" if narrow else "plain", "Coverage"))
-    if _state_bounds(study):
-        return statements
-    return [*statements, Statement(f"{_describe_bounds(study)}.", lead="Coverage")]
+    coverage = {name: fit["calibration"]["interval_90_coverage"] for name, fit in fits.items()}
+    narrow = [name for name, share in coverage.items() if is_too_narrow(share, n_poses)]
+    span = " to ".join(dict.fromkeys(format_percent(x) for x in (min(coverage.values()), max(coverage.values()))))
+    text = f"The 90 % predictive intervals hold {span} of the calibration measurements"
+    if narrow:
+        shares = [f"{study.label(name)} ({_cover_both(fits[name])})" for name in narrow]
+        text += f": intervals too narrow for {name_or_count(shares, len(coverage))}"
+    statements = [Statement(f"{text}.", "warning" if narrow else "plain", "Coverage")]
+    beyond, total = _count_beyond(study)
+    if total and not _state_bounds(study):
+        statements.append(Statement(f"{_describe_bounds(study, beyond, total)}.", lead="Coverage"))
+    return statements
 
 
 def _cover_both(fit: Mapping[str, Any]) -> str:
@@ -238,26 +224,14 @@ def name_or_count(words: list[str], total: int) -> str:
 def list_failures(study: StudyResults) -> list[Statement]:
     """Return everything that speaks against relying on the numbers, posterior by posterior."""
     failures = []
-    for variant, setting, fit in study.fits():
-        where = study.label(variant)
-        where += f", {SETTINGS[setting]}" if len(study.settings) > 1 else ""
+    for variant, fit in study.fits.items():
         problems = [one for one in fit["problems"].split("; ") if one]
         if not problems and measure_gap(fit) > AGREEMENT:
             problems = [f"the two log-evidences differ by {format_fixed(measure_gap(fit), 2)} nat, limit {AGREEMENT}"]
         if not problems and not fit["converged"]:
             problems = ["not converged"]
-        failures += [Statement(f"{where}: {problem}", "bad") for problem in problems]
+        failures += [Statement(f"{study.label(variant)}: {problem}", "bad") for problem in problems]
     return failures
-
-
-def title_failures(study: StudyResults) -> str:
-    """Return how far the failures reach: to the ranking, or only to posteriors without model error."""
-    if len(study.settings) > 1 and all(_passed(fit) for _, setting, fit in study.fits() if setting == "free"):
-        return (
-            "Do not rely yet on the posteriors listed here, all without model error; the ranking with model error does "
-            "not use them."
-        )
-    return "Do not rely on these numbers yet. What speaks against them:"
 
 
 def _passed(fit: Mapping[str, Any]) -> bool:
@@ -271,7 +245,7 @@ def measure_gap(fit: Mapping[str, Any]) -> float:
 
 def state_convergence(study: StudyResults) -> list[Statement]:
     """Say whether all posteriors passed their checks, and by what margin."""
-    fits = [fit for _, _, fit in study.fits()]
+    fits = study.fits.values()
     failed = sum(not _passed(fit) for fit in fits)
     if failed:
         text = f"{failed} of {len(fits)} posteriors did not pass their checks (listed above)."

@@ -1,4 +1,4 @@
-"""How variants are drawn: one colour per deformation, one marker per model; one of its own for a name of its own."""
+"""How variants are drawn: of models of legs a colour per deformation and a marker per model, else each its own."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from bayescal.experiments.study.page.results import StudyResults
-from bayescal.report.style import INK, MARKERS, OTHER_COLOURS
+from bayescal.report.style import INK, LEG_COLOURS, MARKERS, OTHER_COLOURS
 from bayescal.report.symbols import quote
 
 DEFORMATION_COLOURS = {"none": "#D55E00", "linear": "#0072B2", "matrix": "#009E73"}
@@ -22,7 +22,10 @@ LONG, FEW_COLUMNS = 20, 4  # letters of a variant's own name from which on a lin
 
 @dataclass(frozen=True)
 class VariantStyle:
-    """How a variant is drawn: colour by deformation, marker by ``model``, a model's title or a variant's own name."""
+    """How a variant is drawn: colour by deformation, marker by ``model``, a model's title or a variant's own name.
+
+    Where variants are no models of legs, each has a colour and a marker of its own, and no deformation.
+    """
 
     colour: str
     marker: str
@@ -37,6 +40,10 @@ type Styles = Mapping[str, VariantStyle]
 
 def assign_styles(study: StudyResults) -> dict[str, VariantStyle]:
     """Return the style of each variant of a study, the same in all figures."""
+    if "models" not in study.summary:
+        labels = {name: quote(study.label(name)) for name in study.summary["variants"]}
+        marks = zip(labels.items(), cycle(LEG_COLOURS), cycle(MARKERS), strict=False)
+        return {name: VariantStyle(colour, marker, label, label, "", True) for (name, label), colour, marker in marks}
     pairs = {name: study.split(name) for name in study.summary["variants"]}
     own = study.own_names
     kinds = {name: name if name in own else study.label_model(model) for name, (model, _) in pairs.items()}
@@ -69,7 +76,7 @@ def add_legend(
 def list_keys(styles: Styles, linewidth: float = 0.0) -> list[Line2D]:
     """Return legend entries: a few variants one by one, many as colours of deformations and markers of models."""
     shape: dict[str, Any] = {"markersize": 5, "linewidth": linewidth, "linestyle": "-" if linewidth else "none"}
-    if len(styles) <= FEW:
+    if len(styles) <= FEW or not any(style.deformation for style in styles.values()):
         return [Line2D([], [], color=s.colour, marker=s.marker, label=s.label, **shape) for s in styles.values()]
     colours = {s.deformation: s.colour for s in styles.values()}
     markers = {s.model: s.marker for s in styles.values()}

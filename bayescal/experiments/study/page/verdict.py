@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from itertools import combinations, product
+from itertools import combinations
 
 import numpy as np
 import pandas as pd
@@ -25,7 +25,7 @@ from bayescal.experiments.shared.headline import (
 from bayescal.experiments.study.page.data import state_claims, state_comparison, state_data
 from bayescal.experiments.study.page.errors import state_held_back, state_outliers
 from bayescal.experiments.study.page.functions import state_functions
-from bayescal.experiments.study.page.model_error import LEAD, find_cause, state_terms
+from bayescal.experiments.study.page.model_error import LEAD, state_terms
 from bayescal.experiments.study.page.parameters import state_undetermined
 from bayescal.experiments.study.page.results import StudyResults, get_number
 from bayescal.experiments.study.page.soundness import (
@@ -50,11 +50,6 @@ from bayescal.report.symbols import describe_deformation, format_amount
 BEYOND_BELIEF = 15.0  # nats from which odds rest on the assumptions, no longer on the data
 CLEAR = 2.0  # standard errors of a difference of elpd from which on it says something
 SEVERITY = ("good", "plain", "warning", "bad")
-NOTHING_GAINED = 0.1  # difference of log-evidences, nats, that is no reason for anything
-SCORES = {
-    "calibration": ("Leave-one-out cross-validation (elpd LOO)", "agrees"),
-    "verification": ("The poses held back for verification (elpd, all together)", "agree"),
-}
 
 
 # --- the headline ----------------------------------------------------------------------------------------------------
@@ -67,22 +62,7 @@ def state_headline(study: StudyResults) -> str:
     label = f"{study.label_model(model)} {describe_deformation(deformation)}" if named else ""
     choice = say_choice(study.candidates(), label, has_warnings(study))
     required = f"{say_requirements({})}; to judge them run an audit of this study"
-    accuracy = _say_uncertainty(study) if study.has("accuracy") else _say_errors(study)
-    return write_headline([f"{choice}; {accuracy}", required])
-
-
-def _say_errors(study: StudyResults) -> str:
-    """Return errors of measured poses and the measurement's noise."""
-    n, held = int(study.summary["n_poses"][study.use]), study.n_verification > 0
-    scale = next((one for one in study.error_scales if one.what == "position"), None)
-    poses = f"{n} {'held-back' if held else 'fitted'} pose{'s' if n != 1 else ''}"
-    if scale is None:
-        return f"no position was measured whole on its {poses}"
-    errors = study.fit(study.chosen)[study.use]
-    largest, mean = (format_significant(scale.read(errors, which), 2) for which in ("max", "mean"))
-    noise = study.summary.get("measurement_noise_um", {}).get(study.use)
-    measured = "" if noise is None else f"; the measurement's own noise is {format_significant(noise, 2)} µm rms"
-    return f"largest error on {poses} {largest} {scale.unit}, mean {mean} {scale.unit}{measured}"
+    return write_headline([f"{choice}; {_say_uncertainty(study)}", required])
 
 
 def _say_uncertainty(study: StudyResults) -> str:
@@ -130,7 +110,7 @@ def state_verdict(study: StudyResults) -> list[Statement]:
         *state_comparison(study),
         *knowledge_page.state_next(study.tables, study.chosen, study.units),
     ]
-    return _tell_model_error([*state_terms(study), *_state_model_error(study)], found, len(state_soundness(study)))
+    return _tell_model_error(state_terms(study), found, len(state_soundness(study)))
 
 
 def _tell_model_error(own: list[Statement], others: list[Statement], place: int) -> list[Statement]:
@@ -146,20 +126,22 @@ def _tell_model_error(own: list[Statement], others: list[Statement], place: int)
 
 def _state_accuracy(study: StudyResults) -> list[Statement]:
     """Say how large the errors of measured poses are, of all variants that fit equally well."""
-    leaders, use = study.find_leaders(), study.use
-    errors = []
+    use = study.use
+    seen, errors = [name for name in study.find_leaders() if study.fit(name)[use]], list[str]()
     for scale in study.error_scales:
         sizes = {}
         for which in ("mean", "max"):
-            values = [scale.read(study.fit(name)[use], which) for name in leaders]
+            values = [scale.read(study.fit(name)[use], which) for name in seen]
             sizes[which] = " to ".join(dict.fromkeys(format_significant(x, 2) for x in (min(values), max(values))))
         mean, largest = (f"{sizes[which]} {scale.unit}".replace(" °", "°") for which in ("mean", "max"))
         errors.append(f"{mean} mean and {largest} largest {scale.what} error")
-    if not errors:
+    if not seen or not errors:
         return []
+    noise = study.summary.get("measurement_noise_um", {}).get(use)
+    measured = "" if noise is None else f"; the measurement's own noise is {format_significant(noise, 2)} µm rms"
     held = "held back from the fit" if study.n_verification else "used in the fit; none were held back"
     n = study.summary["n_poses"][use]
-    text = f"{study.name_variants(leaders)}: {', '.join(errors)} on the {n} {use} poses ({held})."
+    text = f"{study.name_variants(seen)}: {', '.join(errors)} on the {n} {use} poses ({held}){measured}."
     return [Statement(text, lead="Accuracy")]
 
 
@@ -300,42 +282,33 @@ def _state_odds(study: StudyResults) -> list[Statement]:
     return [Statement(text, lead="Odds")]
 
 
-# --- prediction: poses left out one by one, or held back from the fit ------------------------------------------------
+# --- prediction: poses left out one by one ---------------------------------------------------------------------------
 
 
-def _read_elpd(study: StudyResults, name: str, use: str) -> float:
-    """Return the elpd of a variant: of all calibration poses left out in turn, or of the verification poses jointly."""
-    return get_number(study.fit(name), "elpd_loo" if use == "calibration" else "elpd")
-
-
-def measure_error(study: StudyResults, one: str, other: str, use: str) -> float:
-    """Return the standard error of the difference of two variants' elpd, from the differences pose by pose."""
-    table = study.table("poses")
-    chosen = table[(table["model_error"] == "free") & (table["use"] == use)]
-    pointwise = chosen.pivot(index="pose", columns="variant", values="elpd_loo")
-    difference = (pointwise[one] - pointwise[other]).to_numpy()
+def measure_error(study: StudyResults, one: str, other: str) -> float:
+    """Return the standard error of the difference of two variants' elpd LOO, from the differences pose by pose."""
+    pointwise = study.table("poses").pivot(index="pose", columns="variant", values="elpd_loo")
+    difference = (pointwise[one] - pointwise[other]).dropna().to_numpy()
     return float(np.sqrt(len(difference) * np.var(difference)))
 
 
-def _compare(study: StudyResults, one: str, other: str, use: str) -> tuple[str, bool]:
-    """Return how far one variant's elpd lies above another's, with the standard error, and whether that is clear."""
-    gap = _read_elpd(study, one, use) - _read_elpd(study, other, use)
-    error = measure_error(study, one, other, use)
+def _compare(study: StudyResults, one: str, other: str) -> tuple[str, bool]:
+    """Return how far a variant's elpd LOO lies above another's, with its standard error, and whether that is clear."""
+    gap = get_number(study.fit(one), "elpd_loo") - get_number(study.fit(other), "elpd_loo")
+    error = measure_error(study, one, other)
     return format_estimate(gap, error, 1), bool(gap > CLEAR * error)
 
 
 def state_prediction(study: StudyResults) -> list[Statement]:
-    """Say whether cross-validation and the poses held back name the same variants as the evidence."""
+    """Say whether cross-validation and what was held back name the same variants as the evidence."""
     if len(study.compared) < 2:
         return []
-    by_pose = study.n_verification and study.has("pose_errors")
-    statements = [_compare_order(study, use) for use in SCORES if use == "calibration" or by_pose]
-    if not by_pose:
-        elpd = {name: get_number(study.fit(name), "elpd") for name in study.compared}
-        first = max((name for name in elpd if math.isfinite(elpd[name])), key=lambda name: elpd[name], default=None)
-        if first is not None and first not in study.find_leaders():
-            text = f"Held-back readings are predicted best by {study.label(first)}, which the evidence ranks lower."
-            statements.append(Statement(text, "warning", "Prediction"))
+    statements = [_compare_order(study)]
+    elpd = {name: get_number(study.fit(name), "elpd") for name in study.compared}
+    first = max((name for name in elpd if math.isfinite(elpd[name])), key=lambda name: elpd[name], default=None)
+    if first is not None and first not in study.find_leaders():
+        text = f"Held-back readings are predicted best by {study.label(first)}, which the evidence ranks lower."
+        statements.append(Statement(text, "warning", "Prediction"))
     refitted = sum(int(study.fit(name)["loo_refitted"]) for name in study.compared)
     bad = {name: int(study.fit(name)["loo_unreliable"]) for name in study.compared}
     unreliable = [f"{study.label(name)} ({n} {'pose' if n == 1 else 'poses'})" for name, n in bad.items() if n]
@@ -350,40 +323,39 @@ def state_prediction(study: StudyResults) -> list[Statement]:
     return statements
 
 
-def _compare_order(study: StudyResults, use: str) -> Statement:
-    name, verb = SCORES[use]
-    values = {variant: _read_elpd(study, variant, use) for variant in study.compared}
+def _compare_order(study: StudyResults) -> Statement:
+    name = "Leave-one-out cross-validation (elpd LOO)"
+    values = {variant: get_number(study.fit(variant), "elpd_loo") for variant in study.compared}
     order = sorted(values, key=lambda variant: -values[variant] if values[variant] == values[variant] else math.inf)
     leaders = study.find_leaders()
     others = [variant for variant in order if variant not in leaders]
     first = order[0]
     if not others or first not in leaders:
         rival = order[1] if first in leaders else max(leaders, key=values.__getitem__)
-        gap, clear = _compare(study, first, rival, use)
+        gap, clear = _compare(study, first, rival)
         lead = f"{study.label(first)} first, {gap} nat ahead of {study.label(rival)}"
     else:
         last = min(leaders, key=values.__getitem__)
-        gap, clear = _compare(study, last, others[0], use)
+        gap, clear = _compare(study, last, others[0])
         among = f"{study.label(first)} first"
         if len(leaders) > 1:
             spread = format_fixed(max(values.values()) - values[last], 1)
             among = f"the same {len(leaders)} lead with {spread} nat between them"
         lead = f"{among}, {gap} nat ahead of {study.label(others[0])}"
-        lead += _describe_rest(study, use) if clear else ""
+        lead += _describe_rest(study) if clear else ""
     if not clear:
-        word = "separates" if verb == "agrees" else "separate"
-        return Statement(f"{name} hardly {word} the best: {lead}.", lead="Prediction")
+        return Statement(f"{name} hardly separates the best: {lead}.", lead="Prediction")
     if first not in leaders:
-        return Statement(f"{name} dis{verb}: {lead}.", "bad", "Prediction")
-    return Statement(f"{name} {verb}: {lead}.", "good", "Prediction")
+        return Statement(f"{name} disagrees: {lead}.", "bad", "Prediction")
+    return Statement(f"{name} agrees: {lead}.", "good", "Prediction")
 
 
-def _describe_rest(study: StudyResults, use: str) -> str:
+def _describe_rest(study: StudyResults) -> str:
     """Say whether the order further down contradicts the evidence by more than two standard errors."""
     if len(study.compared) < 3:
         return ""
     pairs = [(low, high) for high, low in combinations(study.compared, 2) if study.distinguishes(low, high)]
-    n = sum(_compare(study, low, high, use)[1] for low, high in pairs)
+    n = sum(_compare(study, low, high)[1] for low, high in pairs)
     if not n:
         return "; no pair that the evidence distinguishes is reversed by more than two standard errors"
     return f"; further down {n} {'pair comes' if n == 1 else 'pairs come'} clearly in the other order"
@@ -453,74 +425,3 @@ def _describe_reversals(study: StudyResults, wide: pd.DataFrame) -> str:
         return "the whole order stays"
     words = [f"{study.label(name)} passes {join_words(where)}" for name, where in passes.items()]
     return f"further down the order changes ({name_or_count(words, len(wide.columns))})"
-
-
-# --- model error -----------------------------------------------------------------------------------------------------
-
-
-def _state_model_error(study: StudyResults) -> list[Statement]:
-    """Say which variants the data want a model error for, and who leads without it."""
-    leaders = study.find_leaders()
-    if "zero" not in study.settings or not all(study.is_compared(*one) for one in product(leaders, study.settings)):
-        return []
-    gain = {name: study.gain(name) for name in study.compared if study.is_compared(name, "zero")}
-    names, gains = study.name_variants(leaders), [gain[name] for name in leaders]
-    functions = all(study.has_functions(name) for name in leaders)
-    error = "model error" if functions else "model error τ"
-    change = format_span([abs(one) for one in gains])
-    need, their = ("needs", "its") if len(leaders) == 1 else ("need", "their")
-    if all(abs(one) < NOTHING_GAINED for one in gains):
-        text = (
-            f"To {names} the {error} makes no difference: without it "
-            f"log-evidence changes by less than {format_fixed(NOTHING_GAINED, 1)} nat"
-        )
-    elif all(one < 0 for one in gains) and functions and (cause := find_cause(study, leaders[0])):
-        text = (
-            f"All sorts of model error together lower {their} log-evidence by {change} nat, one alone does not: {cause}"
-        )
-    elif all(one < 0 for one in gains) and functions:
-        text = (
-            f"The data show no model error of {names}: without one {their} log-evidence is {change} nat higher; "
-            "the intervals allow for errors that leave no trace all the same"
-        )
-    elif all(one < 0 for one in gains):
-        text = f"{names} {need} no model error τ: setting it to zero raises {their} log-evidence by {change} nat"
-    elif all(one >= 0 for one in gains):
-        text = f"{names} {need} the {error}: without it {their} log-evidence falls by {change} nat"
-    else:
-        wanting = study.name_variants([name for name in leaders if gain[name] >= 0])
-        text = f"Of {names} only {wanting} would do worse without the {error}"
-    others = [name for name in gain if name not in leaders]
-    needing = [name for name in others if gain[name] >= NOTHING_GAINED]
-    if needing:
-        least = format_fixed(min(gain[name] for name in needing), 1)
-        which = [study.label(name) for name in needing]
-        if len(needing) == 1:
-            text += f"; {which[0]} falls by {least} nat"
-        else:
-            all_others = len(needing) == len(others)
-            some = "the other variants" if all_others else name_or_count(which, len(others))
-            text += f"; without it {some} fall by {least} nat or more"
-    return [_compare_without(study, leaders, text)]
-
-
-def _compare_without(study: StudyResults, leaders: list[str], text: str) -> Statement:
-    """Add who leads with the model error set to zero; a warning where it is another variant."""
-    if len(study.compared) < 2:
-        return Statement(f"{text}.", lead=LEAD)
-    without = study.find_leaders("zero")
-    compared = [name for name in study.compared if study.is_compared(name, "zero")]
-    others = [study.evidence(name, "zero") for name in compared if name not in without]
-    lead = ""
-    if others:
-        least = min(study.evidence(name, "zero") for name in without)
-        lead = f" by {format_fixed(least - max(others), 1)} nat"
-    if set(without) == set(leaders) and len(leaders) > 1:
-        spread = format_fixed(study.spread(without, "zero"), 1)
-        text = f"{text}. Without model error the same {len(leaders)} lead{lead}, within {spread} nat."
-        return Statement(text, lead=LEAD)
-    verb = "leads" if len(without) == 1 else "lead"
-    text = f"{text}. Without model error {study.name_variants(without)} {verb}{lead}"
-    if not set(without) & set(leaders):
-        return Statement(f"{text}: not the variant that leads with model error.", "warning", LEAD)
-    return Statement(f"{text}.", lead=LEAD)
