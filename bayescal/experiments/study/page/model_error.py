@@ -15,6 +15,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure as Drawing
 from matplotlib.lines import Line2D
+from scipy.stats import chi2
 
 from bayescal.experiments.frame.results import Row
 from bayescal.experiments.shared.headline import say_odds
@@ -166,7 +167,8 @@ class _Found(NamedTuple):
     """What was found of one variant's model error.
 
     Rows of its table by term; rms of each member's mean, µm; evidence of each cause alone less that of all, nat, and
-    rows of the sizes of those without a term; the least size of each term that is stated, µm.
+    rows of the sizes of those without a term; the least size of each term that is stated, µm; of how many τ its random
+    errors are.
     """
 
     label: str
@@ -175,6 +177,7 @@ class _Found(NamedTuple):
     alone: dict[str, float]
     directions: dict[str, Row]
     floors: dict[str, float]
+    n_taus: int
 
     @property
     def functions(self) -> dict[str, Row]:
@@ -208,7 +211,8 @@ class _Found(NamedTuple):
     @property
     def seen(self) -> list[str]:
         """The terms of which the data show an error."""
-        return [name for name in (*self.functions, INDEPENDENT) if is_seen(self.beyond(name))]
+        seen = [name for name in self.functions if is_seen(self.beyond(name), NO_TRACE[0])]
+        return [*seen, INDEPENDENT] if is_seen(self.beyond(INDEPENDENT), _measure_no_trace(self.n_taus)) else seen
 
     def beyond(self, name: str) -> Mapping[str, Any] | None:
         """Return the size of a term, or of all together, beyond what is stated; None where there is no such term."""
@@ -221,14 +225,22 @@ class _Found(NamedTuple):
     def is_seen_together(self) -> bool:
         """Whether the data show systematic errors, of whatever sort."""
         name = TOGETHER if TOGETHER in self.sizes else next(iter(self.functions), "")
-        return is_seen(self.beyond(name), len(self.functions))
+        return is_seen(self.beyond(name), NO_TRACE[min(max(len(self.functions), 1), len(NO_TRACE)) - 1])
 
 
-def is_seen(size: Mapping[str, Any] | None, n_terms: int = 1) -> bool:
-    """Whether the data show an error of that size: its lower end is not as near to zero as the prior has it."""
-    without = NO_TRACE[min(max(n_terms, 1), len(NO_TRACE)) - 1]
+def is_seen(size: Mapping[str, Any] | None, without: float) -> bool:
+    """Whether the data show an error of that size: its lower end is not as near to zero as the prior has it.
+
+    ``without`` is the lower end over the median where the data show none.
+    """
     least = without + BEYOND * (1.0 - without)
     return size is not None and bool(size["q05_um"] >= least * size["median_um"] > 0.0)
+
+
+def _measure_no_trace(n_taus: int) -> float:
+    """Return the same share of the rms of so many τ, each with a half-normal prior, as `NO_TRACE` has it of terms."""
+    low, middle = chi2.ppf([0.05, 0.5], max(n_taus, 1))
+    return math.sqrt(low / middle)
 
 
 def _find(study: StudyResults, name: str) -> _Found:
@@ -242,7 +254,9 @@ def _find(study: StudyResults, name: str) -> _Found:
     floors = _list_floors(study, name)
     floors |= {TOGETHER: math.sqrt(sum(one**2 for term, one in floors.items() if term != INDEPENDENT))}
     odds = {term: float(row["log_odds"]) for term, row in alone.items()}
-    return _Found(study.label(name), sizes, members, odds, directions, floors)
+    rows = study.parameters
+    n_taus = int(((rows["variant"] == name) & (rows["symbol"] == MODEL_ERROR)).sum())
+    return _Found(study.label(name), sizes, members, odds, directions, floors, n_taus)
 
 
 def _list_floors(study: StudyResults, name: str) -> dict[str, float]:
@@ -380,7 +394,7 @@ def _tabulate_terms(found: _Found) -> Table:
     rows = []
     for name, size in found.sizes.items():
         along, causes = (KINDS[name].along, KINDS[name].causes) if name in KINDS else ("systematic errors together", "")
-        there = found.is_seen_together if name == TOGETHER else is_seen(found.beyond(name))
+        there = found.is_seen_together if name == TOGETHER else name in found.seen
         alone = [format_fixed(found.alone.get(name, math.nan), 1, sign=True)] if found.alone else []
         trace = "as stated" if found.floors.get(name) else "no trace"
         rows.append([along, _format_size(size), *alone, "seen" if there else trace, causes])

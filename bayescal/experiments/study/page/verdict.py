@@ -78,7 +78,7 @@ def _say_uncertainty(study: StudyResults) -> str:
     if "worst" not in worst:
         return said
     largest = format_amount(worst["worst"], worst["unit"], 2, study.units)
-    return f"{said}; largest {worst['coordinate']} {largest}, at {worst['worst_at']}"
+    return f"{said}; largest {worst['coordinate']} {largest}"
 
 
 # --- the verdict -----------------------------------------------------------------------------------------------------
