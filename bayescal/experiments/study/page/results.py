@@ -21,7 +21,15 @@ from bayescal.experiments.shared.study_schema import stem_of
 from bayescal.experiments.shared.trees import name_file
 from bayescal.report.blocks import Column
 from bayescal.report.numbers import MICROMETRES, format_pair, join_words
-from bayescal.report.symbols import OF_FUNCTIONS, Asked, describe_deformation, scale_of, shown_in, split_name
+from bayescal.report.symbols import (
+    OF_FUNCTIONS,
+    Asked,
+    describe_deformation,
+    name_parameter,
+    scale_of,
+    shown_in,
+    split_name,
+)
 
 if TYPE_CHECKING:
     from bayescal.numerics.geometry import Array
@@ -401,6 +409,10 @@ class StudyResults:
         known = "models" in self.summary or self.has("joints") or self.member != "leg"
         rows = self.geometry[self.geometry["variant"] == self.chosen]
         return known and float((rows["leg"] > 0).mean()) > 0.5
+
+    def name_parameter(self, name: str) -> str:
+        """Return a parameter's name as sentences have it: in words where it is one of a leg, strut or line."""
+        return name_parameter(name, self.member) if self.has_members else name
 
     @property
     def has_struts(self) -> bool:
