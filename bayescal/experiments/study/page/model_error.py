@@ -1,7 +1,7 @@
-"""What a model leaves out beside the noise: what to do, how large it is, in which leg or channel, along what.
+"""What a model leaves out beside the noise: what to do, how large it is, in which channel, along what.
 
 From three tables of the results: `model_error` has the size of each term, `model_error_members` how much of it is in
-which leg or channel, `model_error_poses` the errors pose by pose; and where each leg has a τ of its own, its posterior.
+which channel, `model_error_poses` the errors pose by pose; and where each leg has a τ of its own, its posterior.
 """
 
 from __future__ import annotations
@@ -81,12 +81,12 @@ KINDS: dict[str, Kind] = {
         "Let the machine warm up and return to one pose now and then: what changes there is drift",
     ),
     "joints": Kind(
-        "quadratic in the pose, in each {member} another",
+        "quadratic in the pose, in each channel another",
         "joints whose axes do not meet, or that run out",
         "Look at the joints of {member}, or compare a model with joints that err",
     ),
     "gravity": Kind(
-        "a function of the pose, alike in all {member}s",
+        "a function of the pose, alike in all channels",
         "weight that bends frame or guides, an instrument that is off by a scale",
         "Measure with another load: what changes bends under its weight",
     ),
@@ -106,11 +106,10 @@ CLEAR = 3.0
 OUTSTANDING = 2.5  # times the median of the others, from which on one member is named
 WHY = (
     "What a model leaves out is systematic: it repeats with the pose, and the geometry imitates a part of it. Without "
-    "a model error the parameters take that up, and their intervals are too narrow. So each {member} has the terms "
+    "a model error the parameters take that up, and their intervals are too narrow. So each channel has the terms "
     "above beside its noise, each a random function whose size is found with the geometry. Of terms that imitate each "
-    "other only the sum is well known. Errors are {where}."
+    "other only the sum is well known. Errors are what the channel moves the tool by."
 )
-WHERE = {"leg": "along the leg", "channel": "what the channel moves the tool by"}
 SIZES = (
     "Size: rms over the calibration poses, median and 90 % interval. An error is said to be seen where the lower end "
     "of the interval is at least a third of the median; of several terms together, which are never near zero, up to "
@@ -131,7 +130,7 @@ FLOOR = (
 )
 MEMBERS = "Rms over the calibration poses of the posterior mean, in µm: what is known of the error's course."
 POSES = (
-    "{label}: systematic error of each {member} at the poses in the order of the data, with 90 % intervals; full: "
+    "{label}: systematic error of each channel at the poses in the order of the data, with 90 % intervals; full: "
     "calibration, open: verification."
 )
 MOST_PANELS, ABREAST = 12, 3
@@ -189,11 +188,6 @@ class _Found(NamedTuple):
     def whole(self) -> Row | None:
         """The size of all systematic errors together; of the one cause that explains all, where it has no term."""
         return self.directions.get(self.cause) or self.sizes.get(TOGETHER) or next(iter(self.functions.values()), None)
-
-    @property
-    def member(self) -> str:
-        """What its members are called."""
-        return "leg" if all(name.startswith("leg ") for name in self.members) else "channel"
 
     @property
     def cause(self) -> str:
@@ -275,7 +269,7 @@ def state_terms(study: StudyResults) -> list[Statement]:
 
 
 def _advise(found: _Found) -> Statement:
-    """Say what to do, how large the systematic error is, in which leg or channel and along what."""
+    """Say what to do, how large the systematic error is, in which channel and along what."""
     seen = [name for name in found.seen if name in found.functions]
     # terms that imitate each other: only their sum is known; and one cause alone may be seen where all together are not
     if not seen and (found.is_seen_together or found.cause):
@@ -285,7 +279,7 @@ def _advise(found: _Found) -> Statement:
         first = f"{KINDS[INDEPENDENT].advice}. " if scatters else ""
         return Statement(f"{first}{_describe_absent(found)}", "plain" if scatters else "good", LEAD)
     main, outstanding = KINDS[found.cause or seen[0]], _name_outstanding(found)
-    advice = UNDECIDED if found.rivals else main.advice.format(member=outstanding or f"every {found.member}")
+    advice = UNDECIDED if found.rivals else main.advice.format(member=outstanding or "every channel")
     members = "" if found.cause in found.directions else f", {_describe_members(found)}"
     text = (
         f"{advice}. {found.label} leaves out a "
@@ -299,10 +293,9 @@ def _describe_cause(found: _Found, main: Kind) -> str:
     """Say along what the largest part changes, and whether that alone explains all."""
     if found.cause:
         lead = found.alone[found.cause] - max(one for name, one in found.alone.items() if name != found.cause)
-        along = main.along.format(member=found.member)
-        return f"all of it may be {along} ({main.causes}), {say_odds(lead)} against any other single cause"
+        return f"all of it may be {main.along} ({main.causes}), {say_odds(lead)} against any other single cause"
     if found.rivals:
-        rivals = [KINDS[name].along.format(member=found.member) for name in found.rivals]
+        rivals = [KINDS[name].along for name in found.rivals]
         return f"whether it is {join_words(rivals, 'or')} the data do not say"
     text = f"the largest part is {main.along} ({main.causes})"
     several = found.alone and max(found.alone.values()) < -CLEAR
@@ -315,7 +308,7 @@ def _describe_absent(found: _Found) -> str:
         text = f"{found.label} has no term for systematic errors: its intervals do not allow for them."
     else:
         most, stated = (format_significant(one, 2) for one in (found.whole["q95_um"], found.floors[TOGETHER]))
-        seen = f"is seen (95 % upper limit {most} µm rms over all {found.member}s)"
+        seen = f"is seen (95 % upper limit {most} µm rms over all channels)"
         if found.floors[TOGETHER]:
             seen = f"beyond the {stated} µm rms that are stated is seen; the intervals allow for these"
         text = f"{found.label}: no systematic error {seen}."
@@ -334,7 +327,7 @@ def _describe_independent(found: _Found) -> str:
 
 
 def _name_outstanding(found: _Found) -> str:
-    """Return the leg or channel that errs much more than the others; nothing where none does."""
+    """Return the channel that errs much more than the others; nothing where none does."""
     ranked = sorted(found.members, key=lambda name: -found.members[name])
     others = [found.members[name] for name in ranked[1:]]
     return ranked[0] if others and found.members[ranked[0]] > OUTSTANDING * float(np.median(others)) else ""
@@ -348,7 +341,7 @@ def _describe_members(found: _Found) -> str:
     if outstanding:
         most = format_significant(found.members[outstanding], 2)
         return f"most of it in {outstanding} ({most} µm rms, the others {span} µm)"
-    return f"in all {found.member}s ({span} µm rms each)" if len(others) > 1 else f"in {next(iter(found.members))}"
+    return f"in all channels ({span} µm rms each)" if len(others) > 1 else f"in {next(iter(found.members))}"
 
 
 def _format_size(size: Mapping[str, Any]) -> str:
@@ -366,15 +359,15 @@ def _show_terms(study: StudyResults, described: list[str]) -> list[Block]:
     if found.members:
         most = sorted(found.members, key=lambda member: -found.members[member])[:MOST_PANELS]
         chosen = [member for member in found.members if member in most]
-        caption = POSES.format(label=found.label, member=found.member)
+        caption = POSES.format(label=found.label)
         if len(chosen) < len(found.members):
             caption += f" Shown are the {len(chosen)} that err most."
         place = rows.assign(place=rows.groupby("member").cumcount() + 1)
         panels = {member: place[place["member"] == member] for member in chosen}
-        draw = partial(draw_errors, panels, "place", dict.fromkeys(chosen, "pose"))
+        draw = partial(_draw_errors, panels)
         blocks.append(Figure("model_error", caption, draw))
     if found.functions:
-        blocks.append(WHY.format(member=found.member, where=WHERE[found.member]))
+        blocks.append(WHY)
     if INDEPENDENT in found.sizes:
         blocks += [TAU, *_show_tau(study)]
     by_member = study.table("model_error_members", name)
@@ -399,7 +392,7 @@ def _tabulate_terms(found: _Found) -> Table:
         trace = "as stated" if found.floors.get(name) else "no trace"
         rows.append([along, _format_size(size), *alone, "seen" if there else trace, causes])
     for name, size in found.directions.items():
-        along, trace = KINDS[name].along.format(member=found.member), "seen" if name == found.cause else ""
+        along, trace = KINDS[name].along, "seen" if name == found.cause else ""
         alone = [format_fixed(found.alone[name], 1, sign=True)]
         rows.append([f"{along}, by itself", _format_size(size), *alone, trace, KINDS[name].causes])
     if "none" in found.alone:
@@ -421,7 +414,7 @@ def _show_floor(study: StudyResults, name: str) -> list[Block]:
 
 
 def _tabulate_members(found: _Found, rows: pd.DataFrame) -> Table:
-    """Return how much of each term is in which leg or channel."""
+    """Return how much of each term is in which channel."""
     wide = rows.pivot(index="member", columns="term", values="rms_um")
     terms = [name for name in TERMS if name in wide.columns]
     columns = [Column("", kind="text"), *(Column(KINDS[name].along, "µm") for name in terms), Column("all", "µm")]
@@ -429,7 +422,7 @@ def _tabulate_members(found: _Found, rows: pd.DataFrame) -> Table:
         [member, *(format_significant(wide[name].get(member), 2) for name in terms), format_significant(size, 2)]
         for member, size in found.members.items()
     ]
-    return make_table(f"In which {found.member}. {MEMBERS}", columns, cells, style="wide")
+    return make_table(f"In which channel. {MEMBERS}", columns, cells, style="wide")
 
 
 def _tabulate_variants(study: StudyResults, names: list[str]) -> Table:
@@ -444,8 +437,8 @@ def _tabulate_variants(study: StudyResults, names: list[str]) -> Table:
     return make_table("Model error by variant.", columns, rows, style="wide")
 
 
-def draw_errors(panels: Mapping[str, pd.DataFrame], place: str, labels: Mapping[str, str]) -> Drawing:
-    """Return a panel for each leg or channel: errors in µm with their 90 % intervals over a column of its rows."""
+def _draw_errors(panels: Mapping[str, pd.DataFrame]) -> Drawing:
+    """Return a panel for each channel: errors in µm with their 90 % intervals over the poses in order."""
     n_rows = math.ceil(len(panels) / ABREAST)
     figure = Drawing(figsize=(9.4, 0.4 + 1.9 * n_rows))
     grid = figure.subplots(n_rows, ABREAST, squeeze=False, sharey=True)
@@ -454,7 +447,7 @@ def draw_errors(panels: Mapping[str, pd.DataFrame], place: str, labels: Mapping[
             part = own[own["use"] == use]
             around = [part["mean_um"] - part["low_um"], part["high_um"] - part["mean_um"]]
             axes.errorbar(
-                part[place],
+                part["place"],
                 part["mean_um"],
                 [one.clip(lower=0.0) for one in around],
                 fmt="o",
@@ -466,7 +459,7 @@ def draw_errors(panels: Mapping[str, pd.DataFrame], place: str, labels: Mapping[
             )
         axes.axhline(0.0, color=GREY, linewidth=0.8)
         axes.set_title(quote(title))
-        axes.set_xlabel(labels[title])
+        axes.set_xlabel("pose")
     for axes in grid[:, 0]:
         axes.set_ylabel("error (µm)")
     for axes in grid.ravel()[len(panels) :]:

@@ -14,11 +14,11 @@ from bayescal.experiments.study.page.verdict import state_verdict
 from bayescal.report.blocks import Figure, Fold, Statement, Table
 
 SEEN, UNSEEN = (12.0, 8.0, 17.0), (1.2, 0.1, 4.0)  # median and 90 % interval, µm: with a trace in the data, without
-LEGS = {"leg 1": 2.0, "leg 2": 9.0, "leg 3": 2.5}
+CHANNELS = {"rho[1]": 2.0, "rho[2]": 9.0, "rho[3]": 2.5}
 FUNCTIONS = ("linear", "own", "smooth", "drift", "together")
 
 
-def tabulate(sizes, members=LEGS, variants=TWO):
+def tabulate(sizes, members=CHANNELS, variants=TWO):
     """Return the three tables of variants that err alike: sizes by term, rms of each member's error by its name."""
     uses = [*["calibration"] * 4, *["verification"] * 2]
     size = pd.DataFrame([(name, term, *one) for name in variants for term, one in sizes.items()])
@@ -42,7 +42,7 @@ def all_unseen(**seen):
     return dict.fromkeys(("independent", *FUNCTIONS), UNSEEN) | seen
 
 
-def read(make_results, sizes, members=LEGS, change=None, **more):
+def read(make_results, sizes, members=CHANNELS, change=None, **more):
     return read_study(make_results(change, more=tabulate(sizes, members), draws=False, **more))
 
 
@@ -53,8 +53,8 @@ def test_says_what_to_do_then_how_large_it_is_and_where(make_results):
     study = read(make_results, all_unseen(own=SEEN, together=(13.0, 9.0, 18.0)))
     (statement,) = state_terms(study)
     assert statement.text == (
-        "Check lead and encoder scale of leg 2, or free them as parameters. pus/linear leaves out a "
-        "systematic error of 13 [9, 18] µm rms (90 % interval), most of it in leg 2 (9.0 µm rms, the others 2.0 to "
+        "Check lead and encoder scale of rho[2], or free them as parameters. pus/linear leaves out a "
+        "systematic error of 13 [9, 18] µm rms (90 % interval), most of it in rho[2] (9.0 µm rms, the others 2.0 to "
         "2.5 µm); the largest part is linear in the own position (a lead error, the scale of an encoder). The "
         "intervals allow for it. No random error from pose to pose is seen beyond the noise (τ: 95 % upper "
         "limit 4.0 µm)."
@@ -68,24 +68,29 @@ def test_says_what_to_do_then_how_large_it_is_and_where(make_results):
     [
         (
             all_unseen(),
-            LEGS,
+            CHANNELS,
             "good",
-            "no systematic error is seen (95 % upper limit 4.0 µm rms over all legs)",
+            "no systematic error is seen (95 % upper limit 4.0 µm rms over all channels)",
         ),
-        (all_unseen(independent=SEEN), LEGS, "plain", "Measure one pose several times … τ = 12 [8, 17] µm"),
-        (all_unseen(linear=SEEN, together=SEEN), LEGS, "plain", "Look for a coupling … linear in the positions of all"),
-        (all_unseen(drift=SEEN, together=SEEN), LEGS, "plain", "Let the machine warm up … temperature"),
+        (all_unseen(independent=SEEN), CHANNELS, "plain", "Measure one pose several times … τ = 12 [8, 17] µm"),
+        (
+            all_unseen(linear=SEEN, together=SEEN),
+            CHANNELS,
+            "plain",
+            "Look for a coupling … linear in the positions of all",
+        ),
+        (all_unseen(drift=SEEN, together=SEEN), CHANNELS, "plain", "Let the machine warm up … temperature"),
         (  # two that imitate each other: neither is seen, their sum is
             all_unseen(linear=(5.0, 0.5, 12.0), own=(6.0, 0.6, 12.0), together=(12.0, 9.0, 17.0)),
-            LEGS,
+            CHANNELS,
             "plain",
-            "Check lead and encoder scale of leg 2 … 12 [9, 17] µm rms",
+            "Check lead and encoder scale of rho[2] … 12 [9, 17] µm rms",
         ),
         (  # of four without any trace of them the sum is no nearer to zero
             all_unseen(together=(4.0, 2.2, 8.0)),
-            LEGS,
+            CHANNELS,
             "good",
-            "no systematic error is seen (95 % upper limit 8.0 µm rms over all legs)",
+            "no systematic error is seen (95 % upper limit 8.0 µm rms over all channels)",
         ),
         (
             all_unseen(own=SEEN, together=SEEN),
@@ -125,7 +130,7 @@ def tabulate_alone(alone):
         (ALONE | {"own": 1.0, "none": 3.0}, "Check lead … the largest part is linear in the own position"),
         (
             ALONE | {"joints": 80.0, "gravity": -60.0},
-            "Look at the joints of … all of it may be quadratic in the pose, in each leg another … against any other",
+            "Look at the joints of … all of it may be quadratic in the pose, in each channel another … against any",
         ),
         (
             ALONE | {"joints": -60.0, "gravity": 5.0},
@@ -134,7 +139,7 @@ def tabulate_alone(alone):
     ],
 )
 def test_one_cause_is_named_where_it_is_better_than_any_other(make_results, alone, said):
-    more = tabulate(all_unseen(own=SEEN, linear=(4.0, 0.4, 8.0), together=SEEN), LEGS)
+    more = tabulate(all_unseen(own=SEEN, linear=(4.0, 0.4, 8.0), together=SEEN), CHANNELS)
     more["model_error_alone"] = tabulate_alone(alone)
     study = read_study(make_results(None, more=more, draws=False))
     (statement,) = state_terms(study)
@@ -144,17 +149,17 @@ def test_one_cause_is_named_where_it_is_better_than_any_other(make_results, alon
     shown = {row[0].text: row[2].text for row in table.rows}
     assert shown["with time, in measuring order"] == "−68.0"
     assert shown["no systematic error"].startswith("−60" if alone["none"] < 0.0 else "+3")
-    assert ("a function of the pose, alike in all legs, by itself" in shown) == ("gravity" in alone)
+    assert ("a function of the pose, alike in all channels, by itself" in shown) == ("gravity" in alone)
 
 
 def test_a_cause_that_has_no_term_is_said_where_all_terms_together_are_not_seen(make_results):
-    more = tabulate(all_unseen(), LEGS)
+    more = tabulate(all_unseen(), CHANNELS)
     more["model_error_alone"] = tabulate_alone({"none": 6.0, "linear": 4.0, "gravity": 19.0})
     study = read_study(make_results(None, more=more, draws=False))
     (statement,) = state_terms(study)
     assert statement.text.startswith("Measure with another load")
     assert "a systematic error of 14 [9, 21] µm rms (90 % interval); all" in statement.text  # its own size
-    assert "all of it may be a function of the pose, alike in all legs" in statement.text
+    assert "all of it may be a function of the pose, alike in all channels" in statement.text
 
 
 def test_each_term_has_its_size_and_whether_the_data_show_it(make_results):
