@@ -101,7 +101,7 @@ def _tabulate_coverage(study: StudyResults) -> Table:
             continue
         cells: list[str | Cell] = [study.label(name)]
         for use in uses:
-            share, n = get_number(fit[use] or {}, "interval_90_coverage"), study.summary["n_poses"][use]
+            share, n = get_number(fit[use] or {}, "interval_90_coverage"), study.count_seen(name, use)
             cells.append(Cell(format_percent(share).rstrip(" %"), "warning" if is_too_narrow(share, n) else "plain"))
         for scale in study.error_scales:
             for use in uses:

@@ -424,6 +424,11 @@ class StudyResults:
         """How many poses were held back."""
         return int(self.summary["n_poses"]["verification"])
 
+    def count_seen(self, variant: str, use: str) -> int:
+        """Return how many poses of a variant an instrument saw, whole or in part."""
+        rows = self.table("pose_errors", variant)
+        return int((rows["use"].eq(use) & rows[[one.column for one in self.error_scales]].notna().any(axis=1)).sum())
+
     @property
     def use(self) -> str:
         """The poses by which errors are judged: those held back where there are any."""

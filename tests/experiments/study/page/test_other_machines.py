@@ -70,6 +70,17 @@ def test_orientations_that_nobody_measured_have_no_panel(make_results):
     assert not any("orientation error" in one.text for one in page.verdict if one.lead == "Accuracy")
 
 
+def test_only_poses_that_an_instrument_saw_are_counted(make_results):
+    def hide(table):
+        columns = ["position_error_mm", "position_bound_95_mm", "orientation_error_deg", "orientation_bound_95_deg"]
+        table.loc[table["pose"] == "V0", columns] = np.nan
+
+    page = read_page(make_results(edits={"pose_errors": hide}))
+    said = {one.lead: one.text for one in page.verdict}
+    assert "on the 1 verification pose (held" in said["Accuracy"]
+    assert "0 of 2 position and orientation errors" in said["Coverage"]
+
+
 def test_a_variant_whose_poses_nobody_saw_is_left_out_of_the_errors_alone(make_results):
     def hide(summary):
         summary["variants"]["pus/none"] |= {"calibration": None, "verification": None}
