@@ -230,7 +230,7 @@ class Interpolated:
 
 @dataclass(frozen=True, eq=False)
 class LowRankComponents:
-    """`Components` whose E_t are of few columns: rows see N functions of the pose, each made of a basis.
+    """Covariances whose E_t are of few columns: rows see N functions of the pose, each made of a basis.
 
     Attributes
     ----------
@@ -396,56 +396,6 @@ class LowRankComponents:
         square = np.einsum("pib,pib->b", turned, weighed) - told
         return np.asarray(-self._half_log_det_of_noise(v) - half_log_det - 0.5 * square)
 
-    def leave_out(self, variances: Array, rows: Array) -> tuple[Array, Array]:
-        """Return by how much each pose's rows deviate from what all others predict, (B, P, n), and their precision."""
-        found = [leave_out_by(self.factorise(one), row) for one, row in zip(variances, rows, strict=True)]
-        return np.stack([one for one, _ in found]), np.stack([one for _, one in found])
-
-    # --- derivatives -------------------------------------------------------------------------------------------------
-
-    def act(self, alpha: Array) -> Array:
-        """Return B_g α and E_t α, (M,) to (G + C, M)."""
-        shape, (n, _, a) = self.known.shape[:2], self.basis.shape
-        rows = alpha.reshape(*shape, 1)
-        told = project(self.shown, self.basis, rows).reshape(n, a)
-        found, beside = [(self.blocks @ rows).reshape(-1, self.size)], (self._every @ rows)[..., 0]
-        for sort, left in enumerate(self.left):
-            values = np.einsum("ipa,ia->pi", self.basis, told * (self.sorts == sort))
-            own = np.einsum("pki,pi->pk", self.shown, values) + left * beside
-            found.append(own.reshape(1, -1))
-        return np.concatenate(found)
-
-    def traces(self, variances: Array) -> tuple[Array, Array]:
-        """Return tr S⁻¹ E_k of all K = G + C parts, B_g and E_t, and tr S⁻¹ E_k S⁻¹ E_l, shapes (K,) and (K, K)."""
-        white, c = self.factorise(variances), len(self.left)
-        g = len(self.blocks) + 1  # F Fᵀ behind the blocks
-        of_sort = (np.tile(self.sorts, len(self.basis))[:, None] == np.arange(c)).astype(float)  # (R, C)
-        first, second = np.zeros(g + c), np.zeros((g + c, g + c))
-        covariance = white.root @ white.root.T
-        reduced = np.eye(self.n_columns) - covariance @ white.gram  # S⁻¹Φ = D⁻¹Φ times it
-        through = white.gram @ reduced
-        first[g:] = np.diag(through) @ of_sort
-        second[g:, g:] = of_sort.T @ through**2 @ of_sort
-        blocks = np.concatenate([self.blocks, self._every[None]])
-        own = white.turn @ blocks @ np.swapaxes(white.turn, -1, -2)  # B_g where D is one
-        first[:g] = np.einsum("pij,gpji->g", white.precision(), blocks, optimize=True)
-        seen_by = own @ white.seen
-        grams = np.stack([find_gram(self.basis, np.swapaxes(white.seen, -1, -2) @ one) for one in seen_by])
-        second[:g, g:] = np.einsum("ri,gru,ui->gi", reduced, grams, reduced, optimize=True) @ of_sort
-        second[g:, :g] = second[:g, g:].T
-        pulled = grams @ covariance
-        second[:g, :g] = np.einsum("gpij,hpji->gh", own, own, optimize=True)
-        second[:g, :g] += np.einsum("gij,hji->gh", pulled, pulled, optimize=True)
-        for i in range(g):
-            for j in range(i + 1):
-                weights = np.swapaxes(seen_by[i], -1, -2) @ seen_by[j]
-                gram = find_gram(self.basis, 0.5 * (weights + np.swapaxes(weights, -1, -2)))
-                second[i, j] -= 2.0 * np.sum(gram * covariance)
-                second[j, i] = second[i, j]
-        change = np.delete(np.eye(g + c), g - 1, axis=0)
-        change[g - 1 :, g - 1] = self.left
-        return change @ first, change @ second @ change.T
-
 
 def weigh_by(white: Factorised, row: Array) -> float:
     """Return the log-density of rows (M,) but for 2 π."""
@@ -453,7 +403,7 @@ def weigh_by(white: Factorised, row: Array) -> float:
 
 
 def leave_out_by(white: Thin, row: Array) -> tuple[Array, Array]:
-    """Return what `leave_out` finds of rows (M,), shapes (P, n) and (P, n, n)."""
+    """Return by how much each pose's rows deviate from what all others predict, (P, n), and their precision."""
     precision = white.precision()
     alpha = white.solve(row).reshape(precision.shape[:2])
     return np.linalg.solve(precision, alpha[..., None])[..., 0], precision

@@ -72,10 +72,6 @@ class Outliers:
         """Return the log-density of residuals, (..., P)."""
         return np.asarray(-0.5 * square - 0.5 * spare * np.log(2.0 * np.pi))
 
-    def exceed(self, square: Array, spare: np.ndarray) -> Array:
-        """Return by how much the log-density exceeds the normal one."""
-        return self.weigh(square, spare) - Outliers.weigh(self, square, spare)
-
     def penalise(self, square: Array, spare: np.ndarray) -> Array:
         """Return minus twice the log-density but for constants."""
         del spare

@@ -1,72 +1,104 @@
-"""Rows with variance components, and geometry given the variances, against plain normal densities."""
+"""Rows whose covariance is a sum of matrices times variances, whole and of few columns, against plain normal densities.
+
+Functions that rows see are made of few columns, and what these leave out is independent from row to row.
+"""
+
+import tracemalloc
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from bayescal.density.components import Components, LinearGeometry, LinearRows
+from bayescal.density.components import LinearGeometry, LinearRows, White, factorise, leave_out, weigh, weigh_left_out
+from bayescal.density.few_columns import Interpolated, LowRankComponents, leave_out_by, weigh_by
+from bayescal.density.sorts import SORTS, Place, PoseFunctions
+from bayescal.errors import InputError
 
-P, N, M_GEOMETRY = 5, 3, 4
-VARIANCES = np.array([0.3, 2.0, 0.7])
+P, N, LEGS, A = 7, 3, 2, 4
+EQUAL, UNEQUAL = np.array([0.4, 0.4, 2.0, 0.3]), np.array([0.4, 1.1, 2.0, 0.3])
+TWO_PI = 0.5 * N * np.log(2 * np.pi)
 
 
 @pytest.fixture(scope="module")
-def components():
+def few():
+    """Return rows of few columns."""
     rng = np.random.default_rng(1)
-    roots, wholes = rng.standard_normal((2, P, N, N)), rng.standard_normal((2, P * N, 4))
-    known = np.eye(N) + roots[0] @ np.swapaxes(roots[0], -1, -2)
-    return Components(known, (roots[1] @ np.swapaxes(roots[1], -1, -2))[None], wholes @ np.swapaxes(wholes, -1, -2))
+    shown, basis = rng.standard_normal((P, N, LEGS)), rng.standard_normal((LEGS, P, A))
+    known = rng.standard_normal((P, N, N))
+    known = np.eye(N) + known @ np.swapaxes(known, -1, -2)
+    blocks = np.einsum("pki,pli->ipkl", shown, shown)
+    return LowRankComponents(known, blocks, shown, basis, np.array([0, 1, 1, 1]), np.array([0.0, 0.3]))
 
 
-def plain(components, variances):
-    total = sum(v * one for v, one in zip(variances[1:], components.parts, strict=True)).reshape(P, N, P, N).copy()
+def plain(few, variances):
+    """Return the covariance of all rows."""
+    total = np.zeros((P, N, P, N))
     for p in range(P):
-        total[p, :, p] += components.known[p] + variances[0] * components.blocks[0, p]
-    return total.reshape(P * N, P * N)
+        total[p, :, p] += few.known[p] + np.tensordot(variances[:LEGS], few.blocks[:, p], 1)
+    for t, variance in enumerate(variances[LEGS:]):
+        some = few.basis[..., few.sorts == t]
+        kernel = some @ np.swapaxes(some, -1, -2) + few.left[t] * np.eye(P)
+        total += variance * np.einsum("pki,ipq,qli->pkql", few.shown, kernel, few.shown)
+    return total.reshape(P * N, -1)
 
 
-def test_density_of_rows_is_normal(components):
+@pytest.mark.parametrize("variances", [EQUAL, UNEQUAL])
+def test_rows_have_the_normal_density_of_the_sum(few, variances):
     rng = np.random.default_rng(2)
-    rows, variances = 3.0 * rng.standard_normal((4, P * N)), rng.uniform(0.0, 3.0, (4, 3))
-    expected = [
-        multivariate_normal.logpdf(row, cov=plain(components, one)) + 0.5 * P * N * np.log(2 * np.pi)
-        for row, one in zip(rows, variances, strict=True)
-    ]
-    assert components.weigh(variances, rows) == pytest.approx(expected, rel=1e-10)
+    rows, slopes = rng.standard_normal((3, P * N)), rng.standard_normal((P * N, 5))
+    several = np.stack([variances, 0.0 * variances, 30.0 * variances])
+    every = np.stack([plain(few, one) for one in several])
+    expected = [multivariate_normal.logpdf(row, cov=one) + P * TWO_PI for row, one in zip(rows, every, strict=True)]
+    close = {"rel": 1e-9, "abs": 1e-10}
+    assert weigh(every.copy(), rows) == pytest.approx(expected, **close)
+    assert few.weigh(several, rows) == pytest.approx(expected, **close)
+    thin, white = few.factorise(variances), White(factorise(every[0].copy()))
+    for one in (thin, white):
+        assert weigh_by(one, rows[0]) == pytest.approx(expected[0], **close)
+        assert one.solve(slopes) == pytest.approx(np.linalg.solve(every[0], slopes), **close)
+        square = slopes.T @ np.linalg.solve(every[0], slopes)
+        assert one.square(slopes) == pytest.approx(square, **close)
+        assert one.rows(slopes).T @ one.rows(slopes) == pytest.approx(square, **close)
+    found, half_log_det = few.square(slopes)(variances)
+    assert found == pytest.approx(square, **close)
+    assert half_log_det == pytest.approx(0.5 * np.linalg.slogdet(every[0])[1], **close)
 
 
-def test_each_pose_given_all_others(components):
-    rows, whole = np.random.default_rng(3).standard_normal((1, P * N)), plain(components, VARIANCES)
-    density, square = components.weigh_each(VARIANCES[None], rows)
-    for pose in range(P):
-        mine, rest = np.split(np.roll(np.arange(P * N), -pose * N), [N])
-        given = whole[np.ix_(mine, rest)] @ np.linalg.inv(whole[np.ix_(rest, rest)])
-        left, off = whole[np.ix_(mine, mine)] - given @ whole[np.ix_(rest, mine)], rows[0, mine] - given @ rows[0, rest]
-        assert square[0, pose] == pytest.approx(off @ np.linalg.solve(left, off), rel=1e-9)
-        expected = multivariate_normal.logpdf(off, cov=left) + 0.5 * N * np.log(2 * np.pi)
-        assert density[0, pose] == pytest.approx(expected, rel=1e-9)
+def test_each_pose_given_all_others(few):
+    whole, row = plain(few, UNEQUAL), np.random.default_rng(3).standard_normal(P * N)
+    by_columns = leave_out_by(few.factorise(UNEQUAL), row)
+    ways = [leave_out(whole[None].copy(), row[None], P), tuple(one[None] for one in by_columns)]
+    for density, square in (weigh_left_out(*one) for one in ways):
+        for pose in range(P):
+            mine, rest = np.split(np.roll(np.arange(P * N), -pose * N), [N])
+            given = whole[np.ix_(mine, rest)] @ np.linalg.inv(whole[np.ix_(rest, rest)])
+            left, off = whole[np.ix_(mine, mine)] - given @ whole[np.ix_(rest, mine)], row[mine] - given @ row[rest]
+            assert square[0, pose] == pytest.approx(off @ np.linalg.solve(left, off), rel=1e-9)
+            expected = multivariate_normal.logpdf(off, cov=left) + TWO_PI
+            assert density[0, pose] == pytest.approx(expected, rel=1e-9)
 
 
-def test_what_a_variance_adds_is_the_slope_of_the_covariance(components):
-    vector, inverse = np.random.default_rng(4).standard_normal(P * N), np.linalg.inv(plain(components, VARIANCES))
-    slopes = [plain(components, VARIANCES + step) - plain(components, VARIANCES) for step in np.eye(3)]
-    assert components.act(vector) == pytest.approx(np.stack(slopes) @ vector, rel=1e-9, abs=1e-9)
-    first, second = components.traces(VARIANCES)
-    both = inverse @ np.stack(slopes)
-    assert first == pytest.approx([np.trace(one) for one in both], rel=1e-9)
-    assert second == pytest.approx(np.array([[np.trace(one @ other) for other in both] for one in both]), rel=1e-9)
+def test_coefficients_given_rows_are_those_of_the_joint_normal(few):
+    row, sd = np.random.default_rng(3).standard_normal(P * N), np.sqrt(EQUAL[2:][few.sorts])
+    columns = np.einsum("pki,ipa->pkia", few.shown, few.basis * sd).reshape(P * N, -1)
+    across = np.tile(sd, LEGS)[:, None] * np.linalg.solve(plain(few, EQUAL), columns).T
+    thin = few.factorise(EQUAL)
+    assert thin.expect(row[:, None])[:, 0] == pytest.approx(across @ row, rel=1e-9, abs=1e-12)
+    expected = np.diag(np.tile(sd**2, LEGS)) - across @ columns * np.tile(sd, LEGS)
+    assert thin.root @ thin.root.T == pytest.approx(expected, rel=1e-9, abs=1e-12)
 
 
-def test_geometry_given_the_errors_is_that_of_the_joint_normal(components):
+def test_geometry_given_the_errors_is_that_of_the_joint_normal(few):
     rng = np.random.default_rng(5)
-    residual, slope, centre = rng.standard_normal(P * N), rng.standard_normal((P * N, M_GEOMETRY)), np.arange(4.0)
-    square = components.square(np.column_stack([slope, residual]))
-    rows = LinearRows(np.zeros((4, 4)), np.zeros(4), lambda zeta: square(np.exp(zeta) * VARIANCES))
+    residual, slope, centre = rng.standard_normal(P * N), rng.standard_normal((P * N, 4)), np.arange(4.0)
+    square = few.square(np.column_stack([slope, residual]))
+    rows = LinearRows(np.zeros((4, 4)), np.zeros(4), lambda zeta: square(np.exp(zeta) * UNEQUAL))
     # a standard normal prior about zero
     linear = LinearGeometry(centre, rows, np.eye(4), -centre, lambda zeta: float(-0.5 * zeta @ zeta), np.exp)
     masses, expected = [], []
-    for zeta in (np.zeros(3), np.array([0.5, -1.0, 0.2])):
-        given, noise = linear.given(zeta), plain(components, np.exp(zeta) * VARIANCES)
+    for zeta in (np.zeros(4), np.array([0.5, -1.0, 0.2, 0.3])):
+        given, noise = linear.given(zeta), plain(few, np.exp(zeta) * UNEQUAL)
         measured = slope @ centre - residual  # rows e = J (y - centre) + residual vanish where J y reads this
         gain = slope.T @ np.linalg.inv(slope @ slope.T + noise)
         assert given.mean == pytest.approx(gain @ measured, rel=1e-8, abs=1e-10)
@@ -74,3 +106,54 @@ def test_geometry_given_the_errors_is_that_of_the_joint_normal(components):
         masses.append(given.log_mass)
         expected.append(multivariate_normal.logpdf(measured, cov=noise + slope @ slope.T) - 0.5 * zeta @ zeta)
     assert np.diff(masses) == pytest.approx(np.diff(expected), rel=1e-9)
+
+
+# --- few columns -----------------------------------------------------------------------------------------------------
+
+
+def test_sums_over_rows_are_interpolated_without_loss():
+    rng = np.random.default_rng(4)
+    values, weights = 10.0 ** rng.uniform(-4.0, 3.0, (40, 1)), rng.uniform(0.5, 2.0, (40, 3))
+    sums = Interpolated(values, lambda one: one[:, 0] @ weights)
+    v = np.concatenate([[0.0], 10.0 ** np.linspace(-12.0, 8.0, 301)])
+    expected = (1.0 / (1.0 + v[:, None] * values[:, 0])) @ weights
+    assert np.abs(sums(v) / expected - 1.0).max() < 3e-12
+
+
+def spread_places(n, seed=5):
+    rng = np.random.default_rng(seed)
+    return Place(rng.uniform(-0.5, 0.5, (n, 6)), np.arange(n) / n)
+
+
+def test_few_columns_leave_little_out():
+    place, other = spread_places(400), spread_places(30, 6)
+    exact = PoseFunctions(tuple(SORTS), place)
+    few = replace(exact, of_few=place)
+    sizes = [one.shape[-1] for one in few.list_bases(other)]
+    assert sizes == [6, 1, 30, 12]
+    assert few.left[:2] == pytest.approx(0.0, abs=1e-12)
+    assert 0.01 < few.left[2] < 0.03
+    assert few.left[3] == pytest.approx(1.0 / (np.pi**2 * 11) / 0.52, rel=0.1)  # tail of Σ 1 / ω² over the mean of k
+    for name, whole, made in zip(SORTS, exact.between(other, place), few.between(other, place), strict=True):
+        off = np.abs(whole - made).max()
+        assert off < (1e-12 if name in ("linear", "own") else 0.15), name
+
+
+def test_norms_take_no_matrix_of_all_poses():
+    place = spread_places(40_000)
+    tracemalloc.start()
+    norms = PoseFunctions(tuple(SORTS), place).norms
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 3e7
+    some = Place(place.travel[:2000], place.time[::20])
+    kernels = [SORTS[name].between(some, some) for name in SORTS]
+    expected = [np.diagonal(one, axis1=1, axis2=2).mean() for one in kernels]
+    assert norms == pytest.approx(expected, rel=0.03)
+
+
+def test_poses_at_home_have_no_functions():
+    place = spread_places(5)
+    functions = PoseFunctions(("linear",), place._replace(travel=0.0 * place.travel))
+    with pytest.raises(InputError, match="at home"):
+        functions.between(place, place)

@@ -1,25 +1,12 @@
-"""Coefficients common to all rows, integrated out: exact without outliers, by Laplace's method with them.
-
-Some poses at a time, and many legs without a matrix of all of them: the numbers are those of all at once.
-"""
+"""Coefficients common to all rows, integrated out: exact without outliers, by Laplace's method with them."""
 
 import numpy as np
 import pytest
-from eliminated_legs import eliminate_legs, evaluate_legs
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
-from bayescal.data.measured_poses import MeasuredPoses
-from bayescal.density import pose_likelihood as likelihood_module
-from bayescal.density.exact import ExactDensity
-from bayescal.density.low_rank import factor_by_columns, find_coefficients, find_low_rank
+from bayescal.density.low_rank import factor_by_columns, find_coefficients
 from bayescal.density.outliers import NORMAL, StudentT
-from bayescal.density.pose_likelihood import PoseLikelihood
-from bayescal.machines.deformations import NoDeformation
-from bayescal.machines.kinematics import Machine, solve_inverse_kinematics
-from bayescal.machines.models.six_ups import SixUps
-from bayescal.machines.read import load_mechanism
-from bayescal.numerics.geometry import matrix_from_rotation_vector
 from bayescal.numerics.scratch import Scratch
 
 M = 4  # rows of each pose
@@ -114,93 +101,41 @@ def test_machines_are_worked_on_by_themselves_and_those_that_cannot_stand_left_o
         assert found.penalty[k] == pytest.approx(alone.penalty[0], abs=1e-12)
 
 
-NOISE = 2e-3
-POSE_NOISE = np.diag([1e-2, 1e-2, 1e-2, 1e-5, 1e-5, 1e-5]) ** 2
-
-
-@pytest.fixture(scope="module")
-def machine(tmp_path_factory):
-    """Return a machine on twelve struts."""
-    k = np.arange(12)
-    low, high = (2 * np.pi * (k // 2 * 2 + np.where(k % 2, one, 1.0 - one)) / 12 for one in (0.7, 0.15))
-    base = np.stack([900 * np.cos(low), 900 * np.sin(low), 20.0 * np.cos(3.0 * k)], axis=1)
-    platform = np.stack([600 * np.cos(high), 600 * np.sin(high), 15.0 * np.sin(2.0 * k)], axis=1)
-    path = tmp_path_factory.mktemp("machine") / "machine.toml"
-    path.write_text(
-        f'name = "struts"\n[base]\npoints_mm = {base.tolist()}\n[platform]\npoints_mm = {platform.tolist()}\n'
-        '[home]\nposition_mm = [0.0, 0.0, 700.0]\n[legs]\ndrive = "strut"\nactuator_range_mm = 50.0\n'
+def test_columns_that_are_taken_away_make_a_dense_normal_of_correlated_noise(rng):
+    """k ~ N(0, 1) in columns A, and noise with the covariance G with k: (A + G)(A + G)ᵀ - G Gᵀ beside that of noise."""
+    n, k = 6, 3
+    design, across = rng.standard_normal((n * M, k)), 0.15 * rng.standard_normal((n * M, k))
+    covariance = np.eye(n * M) + design @ design.T + design @ across.T + across @ design.T
+    error = np.linalg.cholesky(covariance) @ rng.standard_normal(n * M)
+    columns = np.concatenate([design + across, across], axis=1).reshape(1, n, M, -1)
+    signs, spare = np.repeat([1.0, -1.0], k), np.full(n, M)
+    found = find_coefficients(error.reshape(1, n, M), columns, NORMAL, spare, signs)
+    expected = multivariate_normal(np.zeros(n * M), covariance)
+    log_density = NORMAL.weigh(found.square, spare).sum() + found.penalty[0]
+    assert log_density == pytest.approx(expected.logpdf(error), rel=1e-10)
+    assert (
+        abs(
+            log_density
+            - multivariate_normal(np.zeros(n * M), covariance - design @ across.T - across @ design.T).logpdf(error)
+        )
+        > 0.1
     )
-    return Machine(load_mechanism(path), SixUps(), NoDeformation())
+    # k and the rows are normal together, with covariance A + G
+    told = (design + across).T @ np.linalg.inv(covariance)
+    draws = np.concatenate([found.draw(error.reshape(1, n, M), rng) for _ in range(4000)])[:, :k]
+    spread = np.eye(k) - told @ (design + across)
+    assert np.abs(draws.mean(axis=0) - told @ error).max() < 4.5 * np.sqrt(np.diag(spread).max() / 4000)
+    np.testing.assert_allclose(np.cov(draws.T), spread, atol=0.1 * np.diag(spread).max())
 
 
-def measure(machine, n_poses):
-    """Return the density of poses that are off by some noise."""
-    rng = np.random.default_rng(n_poses)
-    move = rng.uniform(-20.0, 20.0, (n_poses, 6))
-    move[:, 3:] *= 1e-3
-    position = machine.mechanism.home_position + move[:, :3]
-    rotation = matrix_from_rotation_vector(move[:, 3:])
-    actuators = solve_inverse_kinematics(machine, machine.layout.nominal, position, rotation).actuators
-    seen = position + 0.01 * rng.standard_normal(position.shape)
-    names = tuple(f"p{k}" for k in range(n_poses))
-    covariance = np.broadcast_to(POSE_NOISE, (n_poses, 6, 6))
-    return PoseLikelihood(machine, MeasuredPoses(names, seen, rotation, covariance, actuators), NOISE)
-
-
-@pytest.fixture(scope="module")
-def density(machine):
-    return measure(machine, 21)
-
-
-@pytest.fixture(scope="module")
-def theta(machine):
-    nominal = machine.layout.nominal
-    return nominal + 0.02 * np.random.default_rng(5).standard_normal((4, len(nominal)))
-
-
-def test_low_rank_is_the_density_of_all_legs(density, theta):
-    tau = np.random.default_rng(1).uniform(0.0, 0.02, (4, 12))
-    errors = density.errors(theta).transpose(2, 1, 0)
-
-    def add(leg):
-        return density.actuator_weight[:, leg, None] * tau.T[leg] ** 2
-
-    expected, square = factor_by_columns(density.legs_known, add, errors, Scratch())
-    found, other = density._low_rank.evaluate(add, errors, Scratch())
-    np.testing.assert_allclose(found, expected, rtol=1e-10)
-    np.testing.assert_allclose(other, square, rtol=1e-9)
-
-
-def test_no_low_rank_where_digits_would_be_lost_or_legs_see_each_other(density):
-    pose, known, few = density._pose_jacobian, density.legs_known, POSE_NOISE[None]
-    assert find_low_rank(pose, few, known) is not None
-    without = pose @ few @ np.swapaxes(pose, -1, -2)
-    assert find_low_rank(pose, few, without + 1e-12 * np.eye(12)) is None
-    assert find_low_rank(pose, few, known + 1e-5 * np.ones((12, 12))) is None
-    assert find_low_rank(pose[:, :6], few, known[:, :6, :6]) is None
-
-
-@pytest.mark.parametrize("kind", ["all legs alike", "each leg"])
-def test_parts_are_the_whole(density, theta, monkeypatch, kind):
-    tau = np.full(12, 0.01) if kind == "all legs alike" else np.random.default_rng(2).uniform(0.0, 0.02, (4, 12))
-    whole = density.pointwise(theta, tau), density.errors(theta), density.evaluate(theta, tau)[1]
-    exact = ExactDensity(density, NOISE)(theta, tau)
-    monkeypatch.setattr(likelihood_module, "POSES", 16)  # eight poses of twelve legs
-    parted = measure(density.machine, 21)
-    assert len(parted.parts()) == 3
-    found = parted.pointwise(theta, tau), parted.errors(theta), parted.evaluate(theta, tau)[1]
-    for one, other in zip(found, whole, strict=True):
-        np.testing.assert_allclose(one, other, rtol=1e-11, atol=1e-12)
-    np.testing.assert_allclose(ExactDensity(parted, NOISE)(theta, tau), exact, rtol=1e-11)
-    apart = np.concatenate([part.pointwise(theta, tau) for _, part in parted.parts()], axis=1)
-    np.testing.assert_array_equal(apart, found[0])
-
-
-def test_more_legs_than_six_have_the_density_of_the_general_route(machine):
-    """Commanded positions lie on a surface of six dimensions among twelve; struts' closures are in their units."""
-    density, rng = measure(machine, 6), np.random.default_rng(8)
-    theta = machine.layout.nominal + 0.003 * rng.standard_normal((3, machine.layout.size))
-    tau = rng.uniform(0.0, 0.02, (3, 12))
-    general = eliminate_legs(machine, density.poses, NOISE, machine.layout.nominal)
-    found = evaluate_legs(general, theta, tau).sum(axis=1)
-    np.testing.assert_allclose(found, ExactDensity(density, NOISE)(theta, tau), atol=0.02)
+def test_factors_by_columns_are_those_of_each_matrix(rng):
+    """Of all poses and machines together, with model errors that add to the diagonal."""
+    known, tau, errors = rng.standard_normal((5, M, M)), rng.uniform(0.0, 2.0, (M, 3)), rng.standard_normal((M, 5, 3))
+    known = np.eye(M) + known @ np.swapaxes(known, -1, -2)
+    density, square = factor_by_columns(known, lambda j: tau[j] ** 2, errors, Scratch())
+    for p in range(5):
+        for b in range(3):
+            expected = multivariate_normal(np.zeros(M), known[p] + np.diag(tau[:, b] ** 2)).logpdf(errors[:, p, b])
+            assert density[p, b] == pytest.approx(expected + 0.5 * M * np.log(2 * np.pi), rel=1e-10)
+            own = np.linalg.solve(known[p] + np.diag(tau[:, b] ** 2), errors[:, p, b])
+            assert square[p, b] == pytest.approx(errors[:, p, b] @ own, rel=1e-10)

@@ -1,6 +1,6 @@
 """Densities of rows that may be wrong: what they promise of each other, against differences and quadrature.
 
-Poses that may be blunders: the density against SciPy, its gradient against differences, planted blunders found.
+Poses that may be outliers: planted ones are found, and do no harm.
 """
 
 from dataclasses import replace
@@ -10,11 +10,10 @@ import pytest
 import telescope_machines as machines
 from scipy import integrate, stats
 
-from bayescal.density.errors import ModelError
-from bayescal.density.outliers import FREEDOM, NORMAL, SHARE, WIDER, Contaminated, StudentT
-from bayescal.density.pose_likelihood import PoseLikelihood
+from bayescal.density.outliers import FREEDOM, NORMAL, WIDER, Contaminated, StudentT
 from bayescal.density.priors import SharePrior
 from bayescal.inference.mode import find_modes
+from bayescal.machines.kinematics import solve_forward_kinematics
 
 FAMILY = {
     "normal": NORMAL,
@@ -25,6 +24,7 @@ FAMILY = {
 ZETA = np.array([[-0.4], [0.7]])
 SPARE = np.array([1, 3, 6])
 SQUARE = np.array([[0.3, 4.0, 20.0], [2.0, 9.0, 40.0]])
+PRIOR = SharePrior(0.02)
 STEP = 1e-5
 SCALES = np.arange(0.7, 1.2, 0.005)
 
@@ -67,7 +67,6 @@ def test_trust_and_curvature_are_those_of_the_density(rows):
     )
     rest = rows.penalise(SQUARE, SPARE) + 2.0 * rows.weigh(SQUARE, SPARE)
     np.testing.assert_allclose(rest, 2.0 * rows.weigh(np.zeros_like(SQUARE), SPARE), rtol=1e-9)
-    np.testing.assert_allclose(rows.exceed(SQUARE, SPARE), rows.weigh(SQUARE, SPARE) - NORMAL.weigh(SQUARE, SPARE))
 
 
 def test_slopes_by_what_is_unknown_are_those_of_differences(outliers, rows):
@@ -141,11 +140,26 @@ def test_widths_given_a_row_have_the_mean_precision_that_counts(rows, rng):
     assert np.mean(1.0 / width) == pytest.approx(rows.trust(square, spare)[0, 0], rel=0.02)
 
 
-PRIOR = SharePrior(0.02)
-ERRORS = {"none": ModelError(None), "per leg": ModelError(0.01), "shared": ModelError(0.01, shared=True)}
+def test_wrong_rows_are_t_distributed(rng):
+    spread = rng.standard_normal((6, 6))
+    covariance = spread @ spread.T + np.eye(6)
+    errors = 10.0 * rng.standard_normal((20, 6))
+    square = np.einsum("bi,ij,bj->b", errors, np.linalg.inv(covariance), errors)
+    wrong = stats.multivariate_t(np.zeros(6), WIDER**2 * covariance, FREEDOM).logpdf(errors)
+    normal = stats.multivariate_normal(np.zeros(6), covariance).logpdf(errors)
+    zeta = np.array([[0.3]])
+    share = PRIOR.value(zeta[0])
+    np.testing.assert_allclose(
+        Contaminated(PRIOR).at(zeta).weigh(square[None], 6)[0] - NORMAL.weigh(square, 6),
+        np.logaddexp(np.log1p(-share) + normal, np.log(share) + wrong) - normal,
+        rtol=1e-9,
+        atol=1e-9,
+    )
+
+
+# --- what it is for --------------------------------------------------------------------------------------------------
+
 SMALLEST, LARGEST = 0.05, 1.0  # mm
-
-
 MACHINE = machines.build_machine("matrix")
 TRUTH = machines.telescope_truth(MACHINE)
 
@@ -154,12 +168,6 @@ def simulate(seed):
     """Return 40 simulated poses of the telescope, with a model error of 1 µm."""
     rng = np.random.default_rng(seed)
     return machines.simulate_poses(MACHINE, TRUTH, machines.table_3_actuators(), np.full(6, 1e-3), rng)
-
-
-@pytest.fixture(scope="module")
-def twin():
-    """Return one such data set."""
-    return simulate(4)
 
 
 def spoil(poses, rng):
@@ -172,117 +180,58 @@ def spoil(poses, rng):
     return replace(poses, position=position), set(which.tolist())
 
 
-def build(poses, model_error=ERRORS["per leg"], share=PRIOR):
-    plain = machines.build_posterior("matrix", poses, model_error)
-    return replace(plain, errors=replace(plain.errors, outliers=Contaminated(share)))
+def build(poses, outliers=NORMAL):
+    return machines.build_posterior("matrix", poses, machines.let_err(outliers=outliers)).anchored()
 
 
-def draw(posterior, mode, n, rng):
-    """Return draws of Laplace's approximation."""
-    return mode.y + rng.standard_normal((n, len(mode.y))) @ np.linalg.cholesky(mode.covariance).T
-
-
-def suspect(posterior, rng):
-    """Return how probable it is that each calibration pose is a blunder."""
-    y = draw(posterior, find_modes(posterior)[0], 200, rng)
-    return posterior.likelihood.outlier_probabilities(posterior.theta(y), posterior.errors, posterior.zeta(y)).mean(
-        axis=0
-    )
-
-
-# --- density ---------------------------------------------------------------------------------------------------------
-
-
-def test_blunders_are_t_distributed(rng):
-    spread = rng.standard_normal((6, 6))
-    covariance = spread @ spread.T + np.eye(6)
-    errors = 10.0 * rng.standard_normal((20, 6))
-    square = np.einsum("bi,ij,bj->b", errors, np.linalg.inv(covariance), errors)
-    blunder = stats.multivariate_t(np.zeros(6), WIDER**2 * covariance, FREEDOM).logpdf(errors)
-    normal = stats.multivariate_normal(np.zeros(6), covariance).logpdf(errors)
-    np.testing.assert_allclose(
-        StudentT(FREEDOM).weigh(square / WIDER**2, 6) - 6 * np.log(WIDER) - NORMAL.weigh(square, 6),
-        blunder - normal,
-        rtol=1e-9,
-        atol=1e-9,
-    )
-
-
-@pytest.mark.parametrize("model_error", ERRORS.values(), ids=ERRORS.keys())
-def test_density_is_the_mixture(twin, model_error, rng):
-    posterior = build(spoil(twin, rng)[0], model_error)
-    y = 0.3 * rng.standard_normal((3, posterior.n_parameters))
-    theta, tau, share = posterior.theta(y), posterior.errors.tau(posterior.zeta(y)), posterior.natural(y)[:, -1]
-    errors = posterior.likelihood.pose_errors(theta)
-    expected = posterior.log_prior(y)
-    for b in range(3):
-        covariance = posterior.likelihood.pose_covariance(tau if tau.ndim == 1 else tau[b])
-        for error, c in zip(errors[b], covariance, strict=True):
-            clean = stats.multivariate_normal(np.zeros(6), c, allow_singular=False).logpdf(error)
-            blunder = stats.multivariate_t(np.zeros(6), WIDER**2 * c, FREEDOM).logpdf(error)
-            expected[b] += np.logaddexp(np.log1p(-share[b]) + clean, np.log(share[b]) + blunder)
-    np.testing.assert_allclose(posterior.log_density(y), expected, rtol=1e-8)
-    assert posterior.names[-1] == SHARE
-    assert posterior.natural(y).shape == y.shape
-    np.testing.assert_allclose(posterior.natural(y)[:, -1], share)
-    assert list(posterior.all_priors()) == list(posterior.names)
-
-
-def test_without_blunders_nothing_but_the_share_is_lost(twin, rng):
-    """With hardly a blunder expected the density is the plain one."""
-    plain, robust = machines.build_posterior("matrix", twin, ModelError(0.01)), build(twin, share=SharePrior(1e-9))
-    y = plain.polish(plain.approach()) + 0.001 * rng.standard_normal((4, plain.n_parameters))
-    zero = np.zeros((4, 1))
-    found = robust.log_density(np.concatenate([y, zero], axis=1)) - stats.norm.logpdf(0.0)
-    np.testing.assert_allclose(found, plain.log_density(y), atol=1e-5)
-
-
-# --- what it is for --------------------------------------------------------------------------------------------------
+def suspect(poses, rng):
+    """Return how probable it is that each calibration pose is an outlier, by draws of Laplace's approximation."""
+    posterior = build(poses, Contaminated(PRIOR))
+    mode = find_modes(posterior)[0]
+    y = mode.y + rng.standard_normal((100, len(mode.y))) @ np.linalg.cholesky(mode.covariance).T
+    theta, errors, zeta = posterior.at(y)
+    square = posterior.likelihood.explain(theta, errors, zeta)[1].square
+    return errors.tails(zeta).suspect(square, posterior.likelihood.n_spare).mean(axis=0)
 
 
 def find_planted(seeds):
-    """Return how many of the planted blunders were found, of how many, and false alarms of how many clean poses."""
+    """Return how many of the planted outliers were found, of how many, and false alarms of how many clean poses."""
     found, false, n = 0, 0, 0
     for seed in seeds:
         rng = np.random.default_rng(seed)
         poses, planted = spoil(simulate(seed), rng)
-        named = set(np.flatnonzero(suspect(build(poses), rng) > 0.5).tolist())
+        named = set(np.flatnonzero(suspect(poses, rng) > 0.5).tolist())
         found, false, n = found + len(named & planted), false + len(named - planted), n + poses.n_poses - 2
     return found, 2 * len(seeds), false, n
 
 
-def test_planted_blunders_are_found():
+def test_planted_outliers_are_found():
     found, planted, false, _ = find_planted(range(3))
     assert found == planted
     assert false == 0
 
 
 @pytest.mark.slow
-def test_planted_blunders_of_many_twins_are_found():
+def test_planted_outliers_of_many_twins_are_found():
     found, planted, false, n = find_planted(range(100, 200))
     assert found >= 0.95 * planted
     assert false < 0.01 * n
 
 
-def test_a_clean_plan_has_no_blunders(twin, rng):
-    assert suspect(build(twin), rng).max() < 0.5
-
-
 def measure_error(posterior, poses):
     """Return the rms error, mm, of the positions that a posterior's mode predicts at poses, seen by the truth."""
-    mode = find_modes(posterior)[0]
-    seen = PoseLikelihood(posterior.likelihood.machine, poses, machines.ACTUATOR_NOISE)
-    error = seen.pose_errors(posterior.theta(mode.y[None])) - seen.pose_errors(TRUTH[None])
-    return float(np.sqrt(np.mean(error[0, :, :3] ** 2)))
+    theta = posterior.theta(find_modes(posterior)[0].y[None])[0]
+    found, expected = (solve_forward_kinematics(MACHINE, one, poses.actuators).position for one in (theta, TRUTH))
+    return float(np.sqrt(np.mean((found - expected) ** 2)))
 
 
-def test_one_pose_a_millimetre_off_does_no_harm(twin):
+def test_one_pose_a_millimetre_off_does_no_harm():
     """Its error enters a plain posterior's predictions, whether τ takes it or not."""
+    twin = simulate(4)
     position = twin.position.copy()
     position[7, 0] += 1.0
     poses = replace(twin, position=position)
-    clean = measure_error(machines.build_posterior("matrix", twin, ModelError(0.01)), twin)
-    plain = measure_error(machines.build_posterior("matrix", poses, ModelError(0.01)), twin)
-    robust = measure_error(build(poses), twin)
+    clean, plain = (measure_error(build(one), twin) for one in (twin, poses))
     assert plain > 3.0 * clean
-    assert robust < 1.2 * clean
+    assert measure_error(build(poses, Contaminated(PRIOR)), twin) < 1.2 * clean
+    assert suspect(twin, np.random.default_rng(1)).max() < 0.5
