@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import telescope_machines as machines
 
-from bayescal.density.errors import ModelError
 from bayescal.machines.rings import find_circles
 from bayescal.numerics.geometry import matrix_from_rotation_vector
 
@@ -51,7 +50,7 @@ def test_posterior_along_a_circle_is_that_of_the_prior(rng):
     machine = machines.build_machine("none")
     poses = machines.simulate_poses(machine, machine.layout.nominal, machines.table_3_actuators(), np.zeros(6), rng)
     symbols = ("a_x", "a_y", "a_z", "b_x", "b_y", "l", "u_x", "u_y")
-    posterior = machines.build_posterior("none", poses, ModelError(None), symbols)
+    posterior = machines.build_posterior("none", poses, machines.let_err(None), symbols)
     azimuth = posterior.names.index("u_y[2]")
     gain = posterior.names.index("u_x[2]")
 

@@ -7,11 +7,7 @@ import pytest
 import telescope_machines as machines
 
 from bayescal.calibrated.machine import find_hindrance
-from bayescal.density.errors import FunctionScales, ModelError
-from bayescal.density.functions import FunctionLikelihood
-from bayescal.density.legs import build_leg_posterior
 from bayescal.density.outliers import Contaminated
-from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.priors import NormalPrior, SharePrior
 from bayescal.machines.coordinates import ClosingCoordinates
 from bayescal.machines.kinematics import solve_forward_kinematics
@@ -65,7 +61,7 @@ def build_priors(likelihood):
 
 
 def test_derivatives_by_the_entries(likelihood):
-    plain = build_leg_posterior(likelihood, build_priors(likelihood), ModelError(0.01))
+    plain = build_leg_posterior(likelihood, build_priors(likelihood), machines.let_err(0.01))
     assert isinstance(plain.sampling.coordinates, ClosingCoordinates)
     y = plain.polish(plain.approach())
     y += np.random.default_rng(3).standard_normal(len(y)) / np.sqrt(-np.diag(plain.gradient(y)[1]))
@@ -84,22 +80,22 @@ def find_sds(posterior, y):
 def test_explicit_entries_leave_of_the_geometry_what_linear_errors_leave(likelihood):
     """The information on the geometry with the entries marginalised, against that of linear errors as large."""
     machine, priors = machines.build_machine("none"), build_priors(likelihood)
-    plain = build_leg_posterior(likelihood, priors, ModelError(0.01))
+    plain = build_leg_posterior(likelihood, priors, machines.let_err(0.01))
     y = plain.polish(plain.approach())
     poses = PoseLikelihood(machine, likelihood.poses, machines.ACTUATOR_NOISE)
     functions = FunctionLikelihood(poses, ("linear",), machines.ACTUATOR_RANGE, {})
     rest = {name: prior for name, prior in priors.items() if not name.startswith("K_")}
-    other = build_leg_posterior(functions, rest, ModelError(0.01), terms=[FunctionScales(("linear",), 0.02)])
+    other = build_leg_posterior(functions, rest, machines.let_err(0.01), terms=[FunctionScales(("linear",), 0.02)])
     size = 0.02 * np.sqrt(np.mean(np.sum(functions.place.travel**2, axis=1)))  # rms of slopes of 20 µm over the range
     zeta = other.errors.priors[-1].standardise(np.array([size]))
     start = np.concatenate([other.polish(other.approach())[: len(rest)], y[len(priors) :], zeta])
     expected = find_sds(other, start)
     assert np.abs(find_sds(plain, y)[: len(rest)] / expected - 1.0).max() < 0.02
-    assert (expected / find_sds(build_leg_posterior(poses, rest, ModelError(0.01)), start[:-1])).max() > 2.0
+    assert (expected / find_sds(build_leg_posterior(poses, rest, machines.let_err(0.01)), start[:-1])).max() > 2.0
 
 
 def test_stands_beside_blunders(likelihood):
-    plain = build_leg_posterior(likelihood, build_priors(likelihood), ModelError(0.01))
+    plain = build_leg_posterior(likelihood, build_priors(likelihood), machines.let_err(0.01))
     robust = replace(plain, errors=replace(plain.errors, outliers=Contaminated(SharePrior(0.02))))
     assert isinstance(robust.sampling.coordinates, ClosingCoordinates)
     y = robust.polish(robust.approach())

@@ -6,14 +6,11 @@ import numpy as np
 import pytest
 import telescope_machines as machines
 
-from bayescal.density.errors import ModelError
-from bayescal.density.legs import build_leg_posterior, check_machine
-from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.priors import NormalPrior, UniformPrior
 from bayescal.errors import InputError
 
-NO_MODEL_ERROR = ModelError(None)
-MODEL_ERRORS = {"no model error": NO_MODEL_ERROR, "model error per leg": ModelError(0.01)}
+NO_MODEL_ERROR = machines.let_err(None)
+MODEL_ERRORS = {"no model error": NO_MODEL_ERROR, "model error per leg": machines.let_err(0.01)}
 
 
 @pytest.fixture(params=machines.model_names())
@@ -31,7 +28,7 @@ def build_free(model, poses, deformation="matrix", model_error=NO_MODEL_ERROR, m
         name: NormalPrior(value, unit.get(kind, lambda value: value / 8)(value))
         for name, value, kind in zip(layout.names, layout.nominal, layout.units, strict=True)
     }
-    return build_leg_posterior(PoseLikelihood(machine, poses, machines.ACTUATOR_NOISE), priors, model_error)
+    return machines.measure(machine, poses, priors, model_error)
 
 
 @pytest.mark.parametrize("model_error", MODEL_ERRORS.values(), ids=MODEL_ERRORS.keys())
@@ -157,9 +154,7 @@ def test_no_home_pose_has_no_density(free, rng):
 def posterior_of(model, poses, priors, fixed=None):
     """Return the posterior of given priors and fixed values."""
     machine = machines.build_machine("none", model=model)
-    return build_leg_posterior(
-        PoseLikelihood(machine, poses, machines.ACTUATOR_NOISE), priors, NO_MODEL_ERROR, fixed or {}
-    )
+    return machines.measure(machine, poses, priors, NO_MODEL_ERROR, fixed or {})
 
 
 @pytest.mark.parametrize(

@@ -12,10 +12,7 @@ import telescope_machines as machines
 from scipy.optimize import root
 from scipy.spatial.transform import Rotation
 
-from bayescal.density.errors import ModelError
 from bayescal.density.least_squares import identify
-from bayescal.density.legs import build_leg_posterior, check_machine
-from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.priors import NormalPrior, UniformPrior
 from bayescal.errors import InputError
 from bayescal.inference.mode import find_modes
@@ -35,7 +32,7 @@ from bayescal.numerics.geometry import compute_pose_error
 STROKE = 14.1
 SYMBOLS = ("a_x", "a_y", "a_z", "b_x", "b_y", "b_z", "l")
 CONDITION = {"camera": 7.70, "m2": 2.17}  # of the home pose, lengths by the platform's largest
-NO_MODEL_ERROR = ModelError(None)
+NO_MODEL_ERROR = machines.let_err(None)
 
 
 @pytest.fixture(params=hexapods.LIMITS)
@@ -214,7 +211,7 @@ def test_gradient_with_everything_free(machine, rng):
     layout = machine.layout
     priors = {name: NormalPrior(value, 1.0) for name, value in zip(layout.names, layout.nominal, strict=True)}
     priors["l[2]"] = UniformPrior(*(priors["l[2]"].mean + np.array([-2.0, 2.0])))
-    posterior = build_leg_posterior(PoseLikelihood(machine, poses, machines.ACTUATOR_NOISE), priors, ModelError(0.01))
+    posterior = machines.measure(machine, poses, priors, machines.let_err(0.01))
     check_machine(posterior)
     y = 1e-3 * rng.standard_normal(posterior.n_parameters)
     theta = posterior.theta(y[None])
@@ -229,7 +226,7 @@ def test_mode_is_where_the_machine_is(machine, rng):
     theta, poses = simulate(machine, 1.0, rng)
     layout = machine.layout
     priors = {name: NormalPrior(value, 1.0) for name, value in zip(layout.names, layout.nominal, strict=True)}
-    posterior = build_leg_posterior(PoseLikelihood(machine, poses, machines.ACTUATOR_NOISE), priors, NO_MODEL_ERROR)
+    posterior = machines.measure(machine, poses, priors, NO_MODEL_ERROR)
     (mode,) = find_modes(posterior)
     assert mode.converged
     off = mode.y - posterior.sampling.y_from_theta(theta)
