@@ -101,7 +101,7 @@ class OwnChannels:
             Comparison(tuple(model.channels[k] for k in places)),
             places,
             home[places],
-            2.0 * reach[places],
+            np.array([model.travels.get(model.channels[k].name, 2.0 * reach[k]) for k in places]),
             _find_levers(model, data.pick(used), pose[used], places, reach[places], noise[places]),
             data.order,
             int(data.order.max()) + 1,

@@ -116,8 +116,7 @@ def _read_study(config: TableConfig, path: Path) -> ReadingInputs:
     name = config.variant or (names[0] if len(names) == 1 else "")
     if name not in names:
         raise InputError(f"{path}: variant: found {name or 'none'!r}, expected one of {', '.join(names)}")
-    chosen = [one for one in found.variants if one.name == name]
-    return read_inputs(found.model_copy(update={"variants": chosen}), path.parent)
+    return read_inputs(found, path.parent, [name])
 
 
 def _check_reference(config: TableConfig, variant: Variant) -> dict[str, float]:

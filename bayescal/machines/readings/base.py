@@ -390,6 +390,11 @@ class ReadingModel(ABC):
         """Smallest and largest value of each of them, shape (C, 2); infinite where the machine says nothing."""
         return np.tile([-np.inf, np.inf], (len(self.commanded), 1))
 
+    @property
+    def travels(self) -> Mapping[str, float]:
+        """By channel, in what its travel is counted, such as the largest from home; of others their whole range."""
+        return {}
+
     def find_beyond(self, values: Array) -> np.ndarray:
         """Return which readings (..., K) of commanded channels lie beyond their range, shape (..., C)."""
         read, limits = values[..., self.select(self.commanded)], self.command_range

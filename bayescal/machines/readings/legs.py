@@ -124,6 +124,11 @@ class Legs(ReadingModel):
         own = [one.name in self.commanded for one in self.sensors[: self.n_legs]]
         return np.stack([start - reach, start + reach], axis=1)[own]
 
+    @property
+    def travels(self) -> dict[str, float]:
+        """How far the actuators go from home."""
+        return dict.fromkeys(self.commanded, self.machine.mechanism.actuator_range)
+
     @cached_property
     def home_pose(self) -> Array:
         """The nominal pose at the initial actuator positions, shape (6,), mm and rad."""

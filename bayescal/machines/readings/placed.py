@@ -255,6 +255,7 @@ class Placed(ReadingModel):
     given = hand_on("whole.given")
     commanded = hand_on("whole.commanded")
     command_range = hand_on("whole.command_range")
+    travels = hand_on("whole.travels")
     member = hand_on("whole.member")
     pose_channels = hand_on("whole.pose_channels")
     tool_channels = hand_on("whole.tool_channels")
