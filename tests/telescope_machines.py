@@ -298,7 +298,8 @@ def measure(
     noise: float = ACTUATOR_NOISE,
 ) -> CalibrationPosterior:
     """Return the posterior of a machine on legs by poses measured of it."""
-    return place_legs(Legs(machine), poses, noise, priors, errors, fixed or {}).posterior
+    found = place_legs(Legs(machine), poses, noise, priors, errors, fixed or {}).posterior
+    return replace(found, likelihood=replace(found.likelihood, straight=True))
 
 
 def list_priors(machine: Machine, symbols: tuple[str, ...]) -> dict[str, Prior]:
