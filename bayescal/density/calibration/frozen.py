@@ -281,10 +281,15 @@ class FrozenRows:
 
     def _find_rows(self, likelihood: CalibrationLikelihood, theta: Array) -> tuple[Array, Array]:
         """Return rows (B, M), and what log-densities have beside theirs, (B, P); -inf where there is no machine."""
-        white = self.white.repeat(len(theta))
-        at = likelihood.stand(theta, white)
-        rows = self._take(np.swapaxes(np.swapaxes(at.error, 0, 1) @ self.left, 0, 1).reshape(len(theta), -1))
-        rest = likelihood.offset(white, at) - 0.5 * np.log(2.0 * np.pi) * likelihood.n_spare
+        if likelihood.lone is not None:
+            bound, rest = likelihood.lone.find_white(theta)
+            rows = self._take(bound.reshape(len(theta), -1))
+        else:
+            white = self.white.repeat(len(theta))
+            at = likelihood.stand(theta, white)
+            rows = self._take(np.swapaxes(np.swapaxes(at.error, 0, 1) @ self.left, 0, 1).reshape(len(theta), -1))
+            rest = likelihood.offset(white, at)
+        rest = rest - 0.5 * np.log(2.0 * np.pi) * likelihood.n_spare
         good = np.isfinite(rows).all(axis=1) & np.isfinite(rest).all(axis=1)
         return np.where(good[:, None], rows, 0.0), np.where(good[:, None], rest, -np.inf)
 

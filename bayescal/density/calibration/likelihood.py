@@ -85,7 +85,7 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
 
     def density(self, theta: Array, errors: Errors, zeta: Array) -> Array:
         """Return the log-likelihood, shape (B,); see `Elimination.density`."""
-        if self.lone is not None or not errors.has_columns:
+        if self._is_by_row(errors) or not errors.has_columns:
             return np.asarray(self.density_by_row(theta, errors, zeta).sum(axis=1))
         total = np.empty(len(theta))
         if self.frozen is not None:
@@ -99,6 +99,10 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
                 total[part][some] = weighed.sum(axis=1) + found.penalty
         return total
 
+    def _is_by_row(self, errors: Errors) -> bool:
+        """Whether each row counts by itself in the fast form."""
+        return self.lone is not None and (not errors.has_columns or errors.is_common_known)
+
     def density_by_row(self, theta: Array, errors: Errors, zeta: Array) -> Array:
         """Return the log-likelihood of each pose's readings given all others, shape (B, P)."""
         result = np.empty((len(theta), self.data.n_poses))
@@ -106,7 +110,7 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
             for part in self.batches(len(theta), MANY_ROWS):
                 result[part] = self.frozen.density_by_row(self, theta[part], errors, zeta[part])
             return result
-        if self.lone is not None:
+        if self.lone is not None and self._is_by_row(errors):
             for part in self.batches(len(theta), MANY_ROWS):
                 result[part] = self.lone.density_by_row(self, theta[part], errors, zeta[part])
             return result
@@ -166,7 +170,7 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
 
         That of rows by themselves is close enough to be explored; `whole` corrects what was found.
         """
-        return None if self.frozen is None else replace(self, frozen=None)
+        return None if self.frozen is None else replace(self, frozen=None, lone=None)
 
     @property
     def whole(self) -> Self:
@@ -263,7 +267,7 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
         Exact but for differences of logarithms of volumes, and of how H turns.
         """
         del newton
-        if self.lone is not None:
+        if self.lone is not None and self._is_by_row(errors):
             return self.lone.differentiate(self, theta, change, errors, zeta)
         with np.errstate(all="ignore"):
             white, at = self.explain(theta[None], errors, zeta[None])
@@ -405,7 +409,8 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
             error = near.density(every, alone, zeta) - exact.density(every, alone, zeta)
         found = near.limited(every, np.where(self.layout.inside(every), error, np.nan))
         frozen = FrozenRows.build(found, errors, theta)
-        return replace(found, frozen=frozen, lone=LoneRows.build(found, errors, theta))
+        lone = LoneRows.build(found, errors if errors.is_common_known else errors.without_columns(), theta)
+        return replace(found, frozen=frozen, lone=lone)
 
     def _draw_near(self, sampling: Sampling, y: Array, pose: Array, white: Whitening) -> Array:
         """Return coordinates (N, m) thrice as far off the best ones (m,) as the posterior's, always the same."""

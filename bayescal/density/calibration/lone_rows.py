@@ -66,6 +66,8 @@ class LoneRows:
         And of the poses' steps.
     loss : ndarray, shape (P, m, q)
         What steps make of the rows by these readings.
+    back : ndarray, shape (P, m, m)
+        From rows to white ones, Zᵀ e, as `bayescal.density.calibration.frozen` has them.
     known : ndarray, shape (P, m, m)
         Covariance of the rows by the stated noise.
     channels : ndarray of int, shape (m,)
@@ -89,6 +91,7 @@ class LoneRows:
     rest: Array
     step: Array
     loss: Array
+    back: Array
     known: Array
     channels: np.ndarray
     offset: Array
@@ -151,6 +154,7 @@ class LoneRows:
             (turn[..., other] @ error)[..., 0],
             (follow[..., other] @ error)[..., 0],
             turn[..., other] @ by_pose,
+            np.broadcast_to(seen, to_rows.shape),
             known,
             channels if errors.has_noise else channels[:0],
             likelihood.offset(white, at)[0] + np.linalg.slogdet(to_rows)[1],
@@ -225,6 +229,12 @@ class LoneRows:
         return np.asarray(self.loss @ step - self.turn @ (moved - by_pose @ step))
 
     # --- where machines stand ------------------------------------------------------------------------------------
+
+    def find_white(self, theta: Array) -> tuple[Array, Array]:
+        """Return white rows (B, P, m), and what log-densities of poses have beside those of the rows, (B, P)."""
+        rows = (self.back @ self._find_rows(theta).transpose(1, 0, 2)).transpose(2, 0, 1)
+        rest = self.offset + np.linalg.slogdet(self.back)[1] + (theta - self.anchor) @ self.drift
+        return rows, rest
 
     def stand(self, likelihood: CalibrationLikelihood, theta: Array, white: Whitening) -> Stand:
         """Return machines (B, D) where they explain the readings best, by a step from the poses that stay."""

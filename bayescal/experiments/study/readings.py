@@ -260,7 +260,7 @@ class ReadingSubject(Subject):
     def find_costly(self, exploration: Exploration) -> CostlyDensity | None:
         """Return the density that leaves nothing out, where a fast form of it for single rows was explored."""
         explored = cast("CalibrationPosterior", exploration.straight.posterior)
-        if explored.likelihood.lone is None:
+        if explored.likelihood.lone is None or explored.likelihood.frozen is not None:
             return None
         return weigh_beside(explored, exploration)
 

@@ -300,18 +300,15 @@ class Legs(ReadingModel):
         places = np.array(own)
         return BoundLegs.build(self.machine, self._own(theta), values[:, places], pose, places)
 
-    def straighten(self, known: Coordinates) -> Coordinates | None:
-        """Return coordinates that follow directions and hidden joints; see `bayescal.machines.coordinates`.
+    def straighten(self, known: Coordinates) -> Coordinates:
+        """Return coordinates that follow directions and joints; see `bayescal.machines.coordinates`.
 
-        Where a deformation leaves the joints hardly known, lengths follow these so that the legs close at home.
+        Lengths follow the joints so that the legs close at home: what errs with the pose leaves joints hardly known.
         """
-        machine, layout = self.machine, self.machine.layout
-        straight = replace(known, legs=compute_leg_lines(machine))
-        if machine.deformation.hides_joints:
-            home, start = self.home_pose, machine.mechanism.initial_actuator_positions
-            turn = matrix_from_rotation_vector(home[None, 3:])
-            return close_at_mean(straight, machine, home[None, :3], turn, start[None])
-        return straight if layout.direction_symbols else None
+        machine, home = self.machine, self.home_pose
+        straight, start = replace(known, legs=compute_leg_lines(machine)), machine.mechanism.initial_actuator_positions
+        turn = matrix_from_rotation_vector(home[None, 3:])
+        return close_at_mean(straight, machine, home[None, :3], turn, start[None])
 
     # --- commands --------------------------------------------------------------------------------------------------
 
