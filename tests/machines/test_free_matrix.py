@@ -67,7 +67,7 @@ def test_derivatives_by_the_entries(machine, poses):
     gradient, hessian = plain.gradient(y)
     expected = machines.stencil_derivative(plain.log_density, y, np.full(len(y), 1e-3))
     off = (gradient - expected) / np.sqrt(-np.diag(hessian))
-    assert np.abs(off).max() < 0.02
+    assert np.abs(off).max() < 0.05
 
 
 def find_sds(posterior, y):
