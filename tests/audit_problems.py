@@ -160,7 +160,7 @@ def read_plan(knowledge: Design, plan: Plan, frames: tuple[str, ...] = ()) -> Ca
     model = model.pick(there)
     names, noise = tuple(map(str, range(len(pose)))), np.concatenate([own, sd], axis=1)
     data = Measurements(names, model.read(layout.nominal, pose), noise, {}, correlation)
-    return Posterior(CalibrationLikelihood(model, data, 1.0, pose), priors, Errors())
+    return Posterior(CalibrationLikelihood(model, data, 1.0, pose).plain, priors, Errors())
 
 
 def read_machine(name: str) -> Machine:

@@ -1,4 +1,4 @@
-"""Calibrations with data of the exact density: simulated machines of the prior, and posteriors as a study leaves them.
+"""Calibrations of simulated machines of the prior, by the fast form of their density, and what corrects that.
 
 Noise moves the actuators, model errors each leg by itself, and the deformation matrix is known with an error that all
 poses share. The simulation goes through forward kinematics and the closure at the true machine.
@@ -7,36 +7,37 @@ poses share. The simulation goes through forward kinematics and the closure at t
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 
 import numpy as np
 import telescope_machines as machines
 
-from bayescal.density.errors import ModelError
-from bayescal.density.exact import CommonErrors, ExactDensity
-from bayescal.density.legs import LegPosterior, build_leg_posterior
-from bayescal.density.pose_likelihood import PoseLikelihood
-from bayescal.density.priors import NormalPrior
-from bayescal.experiments.study.fit import build_costly
+from bayescal.density.calibration.likelihood import CalibrationPosterior
+from bayescal.density.calibration.terms import Errors, KnownErrors
+from bayescal.experiments.shared.readings.pads import Pads
+from bayescal.experiments.study.readings import weigh_beside
 from bayescal.inference.correction import correct_evidence
 from bayescal.inference.exploration import explore
 from bayescal.inference.importance import resample
 from bayescal.machines.deformations import MatrixDeformation
 from bayescal.machines.kinematics import Machine, solve_forward_kinematics
+from bayescal.machines.readings import Legs
 from bayescal.numerics.geometry import matrix_from_rotation_vector
 
 SCALE = 0.01
 MATRIX_SD = 1.5e-4  # of the entries of K off its diagonal
 N_DRAWS, N_KEPT = 2000, 600
+OFF_DIAGONAL = ~np.eye(6, dtype=bool)
+REST = np.flatnonzero(OFF_DIAGONAL)
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """A simulated calibration: what was true, the posterior of the hot path and the exact density."""
+    """A simulated calibration: what was true, and the posterior about the machine that explains the readings."""
 
     theta: np.ndarray
     tau: np.ndarray
-    posterior: LegPosterior
-    exact: ExactDensity
+    posterior: CalibrationPosterior
 
 
 def list_free(deformation, small=False):
@@ -45,37 +46,35 @@ def list_free(deformation, small=False):
     return tuple(s for s in usual if s in ("l", "kappa", "u_x")) if small else usual
 
 
-def common_errors(machine, actuators):
-    """Return what all poses share of an uncertain K."""
-    n_legs = machine.mechanism.n_legs
-    rest = np.flatnonzero(~np.eye(n_legs, dtype=bool))
-    displacement = actuators - machine.mechanism.initial_actuator_positions
-    design = np.einsum("ij,pk->pijk", np.eye(n_legs), displacement).reshape(*displacement.shape, -1)[..., rest]
-    return CommonErrors(design, MATRIX_SD**2 * np.eye(len(rest)))
+def list_matrix_terms(machine, poses, covariance, with_poses) -> tuple[KnownErrors, ...]:
+    """Return what errors of K off its diagonal do, of covariances (30, 30), and (P, 30, 6) with those of the poses."""
+    whole, pairs = np.zeros((36, 36)), np.zeros((poses.n_poses, 36, 6))
+    whole[np.ix_(REST, REST)], pairs[:, REST] = covariance, with_poses
+    base = SimpleNamespace(base=SimpleNamespace(rotation=np.tile(np.eye(3), (poses.n_poses, 1, 1))))
+    pads = Pads(None, SimpleNamespace(covariance=whole, with_pose=pairs), None, base)
+    return pads.list_terms(Legs(machine), poses, np.zeros(poses.n_poses, dtype=bool))
 
 
-def draw_problem(model, deformation, symbols, rng, n_poses=40):
+def draw_problem(model, deformation, symbols, rng, n_poses=40, shared=False, matrix_sd=MATRIX_SD):
     """Return a calibration whose truth is drawn from the prior."""
     machine = machines.build_machine(deformation, model=model)
     layout, actuators = machine.layout, machines.table_3_actuators()[:n_poses]
-    theta, priors = layout.nominal.copy(), {}
-    for symbol in symbols:
-        index, sd = layout.index[symbol], machines.PRIOR_SD.get(symbol, 2.0)
-        priors |= {layout.names[k]: NormalPrior(layout.nominal[k], sd) for k in index}
-        theta[index] += sd * rng.standard_normal(len(index))
+    theta, priors = layout.nominal.copy(), machines.list_priors(machine, symbols)
+    for name, prior in priors.items():
+        theta[layout.names.index(name)] = prior.value(rng.standard_normal())
     tau = np.abs(SCALE * rng.standard_normal(6))
-    common = common_errors(machine, actuators) if deformation == "matrix" else None
-    poses = _simulate(machine, theta, actuators, tau, rng, common is not None)
-    likelihood = PoseLikelihood(machine, poses, machines.ACTUATOR_NOISE, None if common is None else common.variance)
-    exact = ExactDensity(likelihood, machines.ACTUATOR_NOISE, common)
-    return Problem(theta, tau, build_leg_posterior(likelihood, priors, ModelError(SCALE)), exact)
+    poses = _simulate(machine, theta, actuators, tau, matrix_sd, rng)
+    terms = machines.let_err(SCALE, shared).terms
+    if deformation == "matrix":
+        terms += list_matrix_terms(machine, poses, matrix_sd**2 * np.eye(30), np.zeros((n_poses, 30, 6)))
+    return Problem(theta, tau, machines.measure(machine, poses, priors, Errors(terms)).anchored())
 
 
-def _simulate(machine, theta, actuators, tau, rng, with_matrix):
-    """Return measured poses of a machine, of another K than the one that is known where ``with_matrix``."""
+def _simulate(machine, theta, actuators, tau, matrix_sd, rng):
+    """Return measured poses of a machine, of another K than the one that is known."""
     true = machine
-    if with_matrix:
-        change = MATRIX_SD * rng.standard_normal((6, 6)) * ~np.eye(6, dtype=bool)
+    if machine.deformation.uses_matrix:
+        change = matrix_sd * rng.standard_normal((6, 6)) * OFF_DIAGONAL
         true = Machine(machine.mechanism, machine.model, MatrixDeformation(machine.deformation.matrix + change))
     actual = actuators + machines.ACTUATOR_NOISE * rng.standard_normal(actuators.shape)
     at = solve_forward_kinematics(true, theta, actual)
@@ -97,7 +96,7 @@ def solve(problem, seed):
     found = explore(problem.posterior, explore_seed)
     rng = np.random.default_rng(draw_seed)
     draws = resample(found.straight.log_density, found.proposal, rng, N_DRAWS, N_KEPT).draws
-    correction = correct_evidence(build_costly(problem.exact, found), found, correct_seed)
+    correction = correct_evidence(weigh_beside(problem.posterior, found), found, correct_seed)
     to_y = found.straight.y_from_x
     return to_y(draws), to_y(correction.move(draws)), correction
 
@@ -105,7 +104,7 @@ def solve(problem, seed):
 def measure(problem, y):
     """Return quantities of draws (B, n): the parameters in their units, the model errors and Σ τ²."""
     natural = problem.posterior.natural(y)
-    return np.column_stack([natural, np.sum(problem.posterior.errors.tau(problem.posterior.zeta(y)) ** 2, axis=-1)])
+    return np.column_stack([natural, np.sum(natural[:, problem.posterior.n_geometry :] ** 2, axis=-1)])
 
 
 def measure_truth(problem):

@@ -13,8 +13,8 @@ import numpy as np
 
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.density.calibration.likelihood import CalibrationPosterior
-from bayescal.density.calibration.model_error import IndependentErrors
-from bayescal.density.calibration.terms import NO_ERRORS, Errors
+from bayescal.density.calibration.model_error import IndependentErrors, OwnChannels, build_model_error
+from bayescal.density.calibration.terms import NO_ERRORS, Errors, ErrorTerm
 from bayescal.density.outliers import NORMAL, Outliers
 from bayescal.density.priors import NormalPrior, Prior
 from bayescal.experiments.shared.leg_readings import place_legs
@@ -276,6 +276,19 @@ def let_err(scale: float | None = 0.01, shared: bool = False, outliers: Outliers
     return Errors(tuple(terms), outliers)
 
 
+def let_functions_err(
+    machine: Machine, poses: MeasuredPoses, sorts: tuple[str, ...], scale: float = 0.02, *, few: bool = False
+) -> tuple[ErrorTerm, ...]:
+    """Return errors of legs that are functions of the pose; travel is counted in the actuators' whole range."""
+    model, n = Legs(machine), machine.mechanism.n_legs
+    data = measure(machine, poses, {}).likelihood.data
+    home = np.append(machine.mechanism.initial_actuator_positions, np.zeros(6))
+    reach = np.append(np.full(n, machine.mechanism.actuator_range), np.zeros(6))
+    used = np.ones(poses.n_poses, dtype=bool)
+    own = OwnChannels.find(model, data, list_coordinates(poses), used, home, reach)
+    return build_model_error(own, n + 6, sorts, (0.01, scale), {}, each=False, few=few)
+
+
 def measure(
     machine: Machine,
     poses: MeasuredPoses,
@@ -285,7 +298,8 @@ def measure(
     noise: float = ACTUATOR_NOISE,
 ) -> CalibrationPosterior:
     """Return the posterior of a machine on legs by poses measured of it."""
-    return place_legs(Legs(machine), poses, noise, priors, errors, fixed or {}).posterior
+    found = place_legs(Legs(machine), poses, noise, priors, errors, fixed or {}).posterior
+    return replace(found, likelihood=replace(found.likelihood, straight=True))
 
 
 def list_priors(machine: Machine, symbols: tuple[str, ...]) -> dict[str, Prior]:

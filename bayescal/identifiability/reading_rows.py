@@ -7,7 +7,7 @@ is located by these channels errs by its own derivative less that which the esti
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -271,7 +271,12 @@ def name_tool(model: ReadingModel) -> tuple[tuple[str, ...], tuple[str, ...]]:
 
 
 def see(posterior: CalibrationPosterior, y: Array) -> Array:
-    """Return the white derivative of the readings by the parameters' coordinates, poses eliminated, (P, K, m)."""
+    """Return the white derivative of the readings by the parameters, poses eliminated, (P, K, m).
+
+    Each parameter is by itself, in units in which it is standard normal under the prior.
+    """
     white, stand = posterior.likelihood.explain(*posterior.at(y[None]))
-    _, slope, by_parameters = posterior.likelihood.rows(*posterior.around(y), white, stand.pose)
+    theta = posterior.theta(y[None])[0]
+    change = replace(posterior, likelihood=posterior.likelihood.plain).sampling.jacobian(theta)
+    _, slope, by_parameters = posterior.likelihood.rows(theta, change, white, stand.pose)
     return np.asarray(by_parameters - slope @ (np.linalg.pinv(slope) @ by_parameters))

@@ -65,7 +65,7 @@ CASES = {
     "legs, K, not anchored": Case(legs, {"deformation": "matrix", "anchored": False}, 2e-3),
     "legs, everything free": Case(legs, {"deformation": "matrix", "symbols": ALL_SYMBOLS, "errors": SHARED}, 5e-3),
     "legs, uniform": Case(legs, {"deformation": "matrix", "uniform": True}, 2e-3),
-    "legs, contaminated": Case(legs, {"deformation": "matrix", "outliers": SHARES}, 2e-3),
+    "legs, contaminated": Case(legs, {"deformation": "matrix", "outliers": SHARES}, 6e-3),
     "legs, t": Case(legs, {"deformation": "matrix", "outliers": StudentT(4.0), "errors": NONE}, 2e-3),
     **{
         f"lines, {name}": Case(

@@ -10,6 +10,7 @@ from bayescal.identifiability.found_sizes import expect_sizes
 from bayescal.identifiability.hidden import add, choose_unseen, hide
 from bayescal.identifiability.information import information_of_rows, marginalise
 
+SORTS = ("own", "smooth")
 SIZE, NOISE, N, P = 10e-3, 4e-3, 6, 20
 
 
@@ -17,7 +18,9 @@ def build_machine(rng, gain=0.5):
     """A linear machine: white rows by 10 parameters of unit prior and by columns of two sorts of errors."""
     travel = rng.uniform(-0.5, 0.5, (P, N))
     place = Place(travel, None)
-    basis, sorts = PoseFunctions(("own", "smooth"), place, place).join_bases(place)
+    bases = [np.broadcast_to(one, (N, *one.shape[1:])) for one in PoseFunctions(SORTS, place, place).list_bases(place)]
+    basis = np.concatenate(bases, axis=-1)
+    sorts = np.repeat(np.arange(len(SORTS)), [one.shape[-1] for one in bases])
     columns = np.zeros((P, N, N, basis.shape[-1]))
     for leg in range(N):
         columns[:, leg, leg] = basis[leg]

@@ -4,10 +4,7 @@ import numpy as np
 import pytest
 import telescope_machines as machines
 
-from bayescal.density.errors import FunctionScales, ModelError
-from bayescal.density.functions import FunctionLikelihood
-from bayescal.density.legs import build_leg_posterior
-from bayescal.density.pose_likelihood import PoseLikelihood
+from bayescal.density.calibration.terms import Errors
 from bayescal.density.priors import NormalPrior
 from bayescal.density.sorts import SORTS
 from bayescal.inference.exploration import explore
@@ -24,17 +21,15 @@ def posterior():
     theta, rng = machines.telescope_truth(machine), np.random.default_rng(1)
     actuators = machines.table_3_actuators()[:N_POSES]
     found = machines.simulate_poses(machine, theta, actuators, np.full(6, 5e-3), rng)
-    order = {name: k / N_POSES for k, name in enumerate(found.names)}
-    likelihood = FunctionLikelihood(
-        PoseLikelihood(machine, found, machines.ACTUATOR_NOISE), tuple(SORTS), machines.ACTUATOR_RANGE, order
-    )
     priors = {
         name: NormalPrior(value, 0.3)
         for name, value in zip(machine.layout.names, machine.layout.nominal, strict=True)
         if name.startswith(("b_x", "b_y", "l"))
     }
-    scales = FunctionScales(tuple(SORTS), 20e-3)
-    return build_leg_posterior(likelihood, priors, ModelError(10e-3, shared=True), None, [scales])
+    functions = machines.let_functions_err(machine, found, tuple(SORTS))
+    return machines.measure(
+        machine, found, priors, Errors((*machines.let_err(shared=True).terms, *functions))
+    ).anchored()
 
 
 @pytest.fixture(scope="module")

@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import studies
 
-from bayescal.density.pose_likelihood import PoseLikelihood
-from bayescal.experiments.frame.load import load_experiment
-from bayescal.experiments.study.inputs import load_inputs
 from bayescal.inference.correction import draw_to_correct
 from bayescal.inference.exploration import explore
 from bayescal.inference.importance import estimate_by_importance
@@ -28,15 +23,13 @@ POSE = 12  # the worst one of a variant that misfits
 
 
 @pytest.fixture(scope="module")
-def inputs(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("tiny")
-    studies.write_tiny_study(folder)
-    return load_inputs(load_experiment(folder / "study.toml"), folder)
+def variant(tmp_path_factory):
+    return studies.load_study(studies.write_tiny_study(tmp_path_factory.mktemp("tiny"))).variants["six_pus/none"]
 
 
 @pytest.fixture(scope="module")
-def posterior(inputs):
-    return inputs.posterior(inputs.variant("six_pus/none"), with_model_error=True)
+def posterior(variant):
+    return variant.posterior().anchored()
 
 
 @pytest.fixture(scope="module")
@@ -49,12 +42,11 @@ def log_evidence(posterior, exploration) -> float:
     return estimate_by_importance(exploration.straight.log_density, exploration.proposal, rng, 8000).log_evidence
 
 
-def test_a_run_without_a_pose_gives_the_difference_of_evidences(inputs, posterior, found):
+def test_a_run_without_a_pose_gives_the_difference_of_evidences(variant, posterior, found):
     """p(y_i | the others) = p(all) / p(the others), the latter from a likelihood that has never seen the pose."""
-    others = np.arange(posterior.likelihood.n_poses) != POSE
-    poses = inputs.poses(verification=False).select(others)
-    noise = 1e-3 * inputs.config.measured.actuator_noise_um
-    rest = replace(posterior, likelihood=PoseLikelihood(posterior.likelihood.machine, poses, noise))
+    others = ~variant.verification
+    others[np.flatnonzero(others)[POSE]] = False
+    rest = variant.posterior(others).anchored()
     expected = log_evidence(posterior, found) - log_evidence(rest, explore(rest, np.random.SeedSequence(5)))
     moved = move_without(POSE, posterior, found, *draw_to_correct(found, np.random.default_rng(7), 1024))
     assert -moved.log_ratio == pytest.approx(expected, abs=0.1)

@@ -6,18 +6,22 @@ import numpy as np
 import pytest
 import telescope_machines as machines
 
-from bayescal.density.errors import ModelError
-from bayescal.density.legs import build_leg_posterior
-from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior, UniformPrior
 from bayescal.errors import NumericalError
 from bayescal.inference.importance import estimate_by_importance
 from bayescal.inference.mode import _characterise, find_mode, find_modes, revisit_modes
 from bayescal.inference.peaks import Peak, proposal_from_peaks
+from bayescal.machines.kinematics import solve_forward_kinematics
 
 SIX = ("a_x", "a_y", "b_x", "b_y", "l")
-VARIANTS = [(name, error) for name in ("none", "linear", "matrix") for error in (ModelError(0.01), ModelError(None))]
+VARIANTS = [("none", 0.01), ("none", None), ("linear", None), ("matrix", None)]
+"""Where errors are not known whatever the geometry is: there a mode is that of both."""
+
+
+def build(deformation, poses, *errors, **options):
+    """Return a posterior of the telescope about the machine that explains the poses."""
+    return machines.build_posterior(deformation, poses, machines.let_err(*errors, **options)).anchored()
 
 
 def as_peak(mode):
@@ -25,10 +29,10 @@ def as_peak(mode):
     return Peak(mode.y, np.linalg.cholesky(mode.covariance), mode.log_density)
 
 
-@pytest.fixture(params=VARIANTS, ids=lambda v: f"{v[0]}, {'free' if v[1].scale else 'no'} model error")
+@pytest.fixture(params=VARIANTS, ids=lambda v: f"{v[0]}, {'free' if v[1] else 'no'} model error")
 def posterior(request, twin):
     """Return the posterior of a variant of the telescope."""
-    return machines.build_posterior(request.param[0], twin, request.param[1])
+    return build(request.param[0], twin, request.param[1])
 
 
 def test_mode_is_a_maximum(posterior, rng):
@@ -60,23 +64,40 @@ def test_covariance_is_the_inverse_curvature(posterior, rng):
     assert np.abs((ahead - behind) / (2 * step)).max() < 0.1
 
 
+@pytest.mark.parametrize("deformation", ["linear", "matrix"])
+def test_where_errors_are_known_whatever_the_geometry_is_they_are_best_by_themselves(deformation, twin, rng):
+    """And the geometry is the best one at them."""
+    posterior = build(deformation, twin)
+    mode, m = find_mode(posterior, np.zeros(posterior.n_parameters)), posterior.n_geometry
+    log_mass = posterior.linear_geometry(mode.y).log_mass
+    steps = 0.1 * np.concatenate([np.eye(6), -np.eye(6)])
+    assert min(log_mass(mode.y[m:]) - log_mass(mode.y[m:] + step) for step in steps) > 0.0
+    assert np.abs(posterior.gradient(mode.y)[0][m:]).max() > 0.1  # both together are larger elsewhere
+    directions = rng.standard_normal((50, m)) @ np.linalg.cholesky(mode.covariance[:m, :m]).T / np.sqrt(m)
+    for side in (0.3, -0.3):
+        around = np.concatenate([mode.y[:m] + side * directions, np.tile(mode.y[m:], (50, 1))], axis=1)
+        assert (mode.log_density - posterior.log_density(around)).min() > 0.0
+
+
 def test_exact_data_return_the_truth():
     """Without noise in the data, the mode predicts their poses and lies within the prior's pull of the truth."""
     machine = machines.build_machine("matrix")
     truth = machines.telescope_truth(machine)
     poses = machines.place_poses(machine, truth, machines.table_3_actuators(), np.zeros((40, 6)))
-    posterior = machines.build_posterior("matrix", poses, ModelError(None))
+    posterior = build("matrix", poses, None)
     mode = find_mode(posterior, np.zeros(posterior.n_parameters))
-    error = posterior.likelihood.pose_errors(posterior.theta(mode.y[None]))[0]
-    nominal = posterior.likelihood.pose_errors(machine.layout.nominal[None])[0]
-    assert np.abs(error[:, :3]).max() < 0.5e-3
-    assert np.abs(nominal[:, :3]).max() > 0.1
+    found, nominal = (
+        solve_forward_kinematics(machine, theta, poses.actuators).position - poses.position
+        for theta in (posterior.theta(mode.y[None])[0], machine.layout.nominal)
+    )
+    assert np.abs(found).max() < 0.5e-3
+    assert np.abs(nominal).max() > 0.1
     sd = np.sqrt(np.diag(mode.covariance))
     assert np.abs((posterior.sampling.y_from_theta(truth) - mode.y) / sd).max() < 1.0
 
 
 def test_laplace_is_close_to_the_evidence_of_a_normal_posterior(twin):
-    posterior = machines.build_posterior("matrix", twin, ModelError(None))
+    posterior = build("matrix", twin, None)
     modes = find_modes(posterior)
     assert len(modes) == 1
     proposal = proposal_from_peaks([as_peak(mode) for mode in modes], 50.0)
@@ -93,18 +114,18 @@ def mirrored():
     slope = machines.build_posterior(
         "none",
         machines.place_poses(machine, layout.nominal, machines.table_3_actuators(), np.zeros((40, 6))),
-        ModelError(None),
+        machines.let_err(None),
     ).sampling.coordinates.legs[:, 0]
     theta = layout.nominal.copy()
     theta[layout.index["u_x"]] = np.sin(np.arctan(slope)) + 0.03 * np.array([1, -1, 1, -1, 1, -1])
     rng = np.random.default_rng(5)
     poses = machines.simulate_poses(machine, theta, machines.table_3_actuators(), np.zeros(6), rng)
-    return machines.build_posterior("none", poses, ModelError(None))
+    return build("none", poses, None)
 
 
 def test_mirror_images_of_a_direction_are_found(mirrored):
     """With κ fixed the actuator gain u_z + s u_x has two solutions; seen from one of them, the other is found."""
-    posterior, layout = mirrored, mirrored.likelihood.machine.layout
+    posterior, layout = mirrored, mirrored.likelihood.layout
     slope = posterior.sampling.coordinates.legs[:, 0]
     modes = find_modes(posterior)
     assert len(modes) > 1
@@ -132,12 +153,12 @@ def test_no_mode_comes_twice(mirrored):
 
 
 def test_modes_of_no_weight_are_dropped(twin):
-    modes = find_modes(machines.build_posterior("none", twin, ModelError(None)))
+    modes = find_modes(build("none", twin, None))
     assert all(mode.log_evidence > modes[0].log_evidence - 12.0 for mode in modes)
 
 
 def test_start_without_a_machine_is_refused(twin):
-    posterior = machines.build_posterior("none", twin, ModelError(None))
+    posterior = build("none", twin, None)
     start = np.zeros(posterior.n_parameters)
     start[posterior.names.index("u_x[2]")] = 40.0
     assert posterior.log_density(start[None])[0] == -np.inf
@@ -152,7 +173,7 @@ def test_mirrors_of_two_legs_at_once_are_found():
     poses = machines.simulate_poses(machine, layout.nominal, machines.table_3_actuators()[:12], np.zeros(6), rng)
     priors = {f"{s}[{leg}]": NormalPrior(layout.nominal[layout.index[s][leg - 1]], 2.0) for s in SIX for leg in (1, 2)}
     priors |= {f"u_y[{leg}]": UniformPrior(-0.3, 0.3) for leg in (1, 2)}
-    posterior = build_leg_posterior(PoseLikelihood(machine, poses, machines.ACTUATOR_NOISE), priors, ModelError(None))
+    posterior = machines.measure(machine, poses, priors).anchored()
     modes = find_modes(posterior)
     assert len(modes) == 4
     best, *others = (layout.take(posterior.theta(mode.y[None])[0], "u_y")[:2] for mode in modes)
@@ -166,9 +187,7 @@ def test_a_mirror_beyond_the_bounds_is_no_start(twin):
     """A jump that leads out of a uniform prior is left out; the mode is found all the same."""
     machine = machines.build_machine("none")
     priors = {"u_y[1]": UniformPrior(-0.05, 0.05), "l[1]": NormalPrior(500.0, 2.0)}
-    posterior = build_leg_posterior(
-        PoseLikelihood(machine, twin, machines.ACTUATOR_NOISE), priors, ModelError(0.01, shared=True)
-    )
+    posterior = machines.measure(machine, twin, priors, machines.let_err(shared=True)).anchored()
     assert find_modes(posterior)[0].converged
 
 
@@ -179,7 +198,7 @@ def test_draws_of_the_prior_lead_to_modes_that_no_jump_knows(monkeypatch):
     poses = machines.simulate_poses(machine, layout.nominal, machines.table_3_actuators()[:12], np.zeros(6), rng)
     priors = {f"{s}[1]": NormalPrior(layout.nominal[layout.index[s][0]], 2.0) for s in SIX}
     priors |= {"u_y[1]": UniformPrior(-0.3, 0.3)}
-    posterior = build_leg_posterior(PoseLikelihood(machine, poses, machines.ACTUATOR_NOISE), priors, ModelError(None))
+    posterior = machines.measure(machine, poses, priors).anchored()
     both = find_modes(posterior)
     assert len(both) == 2
     monkeypatch.setattr(Posterior, "jumps", lambda self, y: [])
@@ -190,7 +209,7 @@ def test_draws_of_the_prior_lead_to_modes_that_no_jump_knows(monkeypatch):
 
 
 def test_draws_of_the_prior_that_lead_back_change_nothing(twin):
-    posterior = machines.build_posterior("linear", twin, ModelError(None))
+    posterior = build("linear", twin, None)
     plain, anew = find_modes(posterior), find_modes(posterior, np.random.default_rng(1))
     assert [mode.y.tolist() for mode in anew] == [mode.y.tolist() for mode in plain]
 
@@ -206,21 +225,8 @@ def test_known_modes_are_kept_beside_those_that_starts_lead_to(mirrored, monkeyp
     assert len(revisit_modes(mirrored, [], modes)) == len(modes)
 
 
-def test_a_climb_of_a_model_that_does_not_fit_takes_few_steps(twin, monkeypatch):
-    """Geometry and model errors depend on each other there; by Fisher alone it takes half as many again."""
-    posterior, counts = machines.build_posterior("none", twin, ModelError(0.002)), {}
-    start = np.full(posterior.n_parameters, 1.0)
-    own = Posterior.newton
-    for name, newton in (("newton", own), ("gradient", Posterior.gradient)):
-        calls = []
-        monkeypatch.setattr(Posterior, "newton", lambda self, y, n=newton, c=calls: (c.append(1), n(self, y))[1])
-        counts[name] = find_mode(posterior, start).log_density, len(calls)
-    assert counts["newton"][0] == pytest.approx(counts["gradient"][0], abs=1e-3)
-    assert 3 * counts["newton"][1] <= 2 * counts["gradient"][1], counts
-
-
 def test_a_climb_to_where_there_is_no_slope_is_refused(twin, monkeypatch):
-    posterior = machines.build_posterior("none", twin, ModelError(0.01))
+    posterior = build("none", twin, 0.01)
     n = posterior.n_parameters
     monkeypatch.setattr(Posterior, "newton", lambda self, y: (np.full(n, np.nan), np.eye(n)))
     with pytest.raises(NumericalError, match="no slope"):
@@ -229,7 +235,7 @@ def test_a_climb_to_where_there_is_no_slope_is_refused(twin, monkeypatch):
 
 def test_a_curvature_that_is_no_maximums_is_found_by_differences(twin):
     """With heavy tails the approximate Hessian may have the wrong sign where the density has a maximum."""
-    posterior = machines.build_posterior("none", twin, ModelError(0.01))
+    posterior = build("none", twin, 0.01)
     right = find_mode(posterior, np.zeros(posterior.n_parameters))
 
     class Wrong:
@@ -248,7 +254,7 @@ def test_a_curvature_that_is_no_maximums_is_found_by_differences(twin):
 
 
 def test_a_saddle_is_no_mode(twin):
-    posterior = machines.build_posterior("none", twin, ModelError(0.01))
+    posterior = build("none", twin, 0.01)
     right = find_mode(posterior, np.zeros(posterior.n_parameters))
 
     class Saddle:

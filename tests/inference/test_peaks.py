@@ -7,7 +7,6 @@ import pytest
 import telescope_machines as machines
 from scipy.stats import multivariate_normal, skewnorm
 
-from bayescal.density.errors import ModelError
 from bayescal.inference.bridge import estimate_by_bridge
 from bayescal.inference.ensemble import run_ensemble
 from bayescal.inference.exploration import explore
@@ -69,7 +68,7 @@ def ridge():
     truth[machine.layout.index["l"]] += rng.normal(0, 1.0, 6)
     poses = machines.simulate_poses(machine, truth, machines.table_3_actuators(), np.full(6, 5e-3), rng)
     symbols = ("a_x", "a_y", "a_z", "b_x", "b_y", "b_z", "l", "u_x", "u_y", "rho0")
-    return machines.build_posterior("none", poses, ModelError(1e-2), symbols)
+    return machines.build_posterior("none", poses, machines.let_err(), symbols).anchored()
 
 
 def test_ridge_needs_no_pilot(ridge):

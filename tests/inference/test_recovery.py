@@ -12,7 +12,6 @@ import pytest
 import telescope_machines as machines
 from scipy import stats
 
-from bayescal.density.errors import ModelError
 from bayescal.inference.exploration import explore
 from bayescal.inference.importance import evaluate_in_batches
 
@@ -51,7 +50,7 @@ def fit(theta, tau, seed):
     data_seed, explore_seed, draw_seed = sequence.spawn(3)
     machine, actuators = machines.build_machine("matrix"), machines.table_3_actuators()
     poses = machines.simulate_poses(machine, theta, actuators, tau, np.random.default_rng(data_seed))
-    posterior = machines.build_posterior("matrix", poses, ModelError(SCALE), machine=machine)
+    posterior = machines.build_posterior("matrix", poses, machines.let_err(SCALE), machine=machine).anchored()
     found, rng = explore(posterior, explore_seed), np.random.default_rng(draw_seed)
     x = found.proposal.draw(N_DRAWS, rng)
     density = evaluate_in_batches(found.straight.log_density, x)
@@ -62,7 +61,8 @@ def fit(theta, tau, seed):
     y = found.straight.y_from_x(x[chosen])
     truth = np.concatenate([theta[posterior.sampling.free], tau])
     likelihoods = evaluate_in_batches(posterior.log_density, y) - posterior.log_prior(y)
-    true_likelihood = posterior.likelihood(theta[None], tau)[0]
+    zeta = posterior.errors.priors[0].standardise(tau)
+    true_likelihood = posterior.likelihood.density(theta[None], posterior.errors, zeta[None])[0]
     rank = int(np.sum(likelihoods[:N_RANKS] < true_likelihood))
     return Fit(posterior.names, truth, posterior.natural(y), rank, 1 / (N_DRAWS * np.sum(weights**2)))
 

@@ -9,9 +9,6 @@ import guided_machines as guided
 import numpy as np
 import pytest
 import telescope_machines as machines
-from bayescal.density.errors import ModelError
-from bayescal.density.legs import build_leg_posterior
-from bayescal.density.pose_likelihood import PoseLikelihood
 
 from bayescal.density.priors import NormalPrior
 from bayescal.identifiability.information import information_of_rows
@@ -84,7 +81,7 @@ def fit(request):
     poses = measure(machine, theta, actuators, rng)
     nominal = dict(zip(layout.names, layout.nominal.tolist(), strict=True))
     priors = {name: NormalPrior(nominal[name], one) for name, one in sd.items()}
-    posterior = build_leg_posterior(PoseLikelihood(machine, poses, machines.ACTUATOR_NOISE), priors, ModelError(None))
+    posterior = machines.measure(machine, poses, priors).anchored()
     found = explore(posterior, np.random.SeedSequence(5))
     x = found.proposal.draw(N_DRAWS, rng)
     log_weights = evaluate_in_batches(found.straight.log_density, x) - found.proposal.log_density(x)

@@ -8,9 +8,9 @@ import calibrations
 import numpy as np
 import pandas as pd
 import pytest
+from bayescal.experiments.study.inputs import StudyInputs
 
 from bayescal.experiments.frame.load import load
-from bayescal.experiments.study.by_tables import ReadingStudy
 from bayescal.inference.causes import NONE, weigh_causes
 from bayescal.inference.mode import find_modes
 
@@ -32,7 +32,7 @@ def write(folder, error=None):
 
 
 def weigh(path, seed=1):
-    study = ReadingStudy.load(load(path)[1], path.parent)
+    study = StudyInputs.load(load(path)[1], path.parent)
     posterior = study.variants["all"].posterior().anchored()
     found = weigh_causes(posterior, find_modes(posterior)[0].y, np.random.default_rng(seed))
     return {name: one.log_odds for name, one in found.items()}, posterior
@@ -49,7 +49,7 @@ def test_the_cause_is_far_better_than_any_other_alone(tmp_path):
 def find_places(folder, s):
     """Return where the nominal delta's carriages (P, 3) hold its tool, from the middle of all, in half ranges."""
     path = folder / "own_machine" / "study.toml"
-    model = ReadingStudy.load(load(path)[1], path.parent).variants["all"].whole
+    model = StudyInputs.load(load(path)[1], path.parent).variants["all"].whole
     pose, found = model.locate(model.layout.nominal, s)
     assert found.all()
     return (pose - pose.mean(axis=0)) / (0.5 * np.ptp(pose, axis=0))

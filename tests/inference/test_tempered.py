@@ -10,9 +10,6 @@ import telescope_machines as machines
 from scipy import stats
 from scipy.special import logsumexp
 
-from bayescal.density.errors import ModelError
-from bayescal.density.legs import build_leg_posterior
-from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.priors import NormalPrior, UniformPrior
 from bayescal.errors import NumericalError
 from bayescal.inference.diagnostics import list_check_problems
@@ -56,7 +53,7 @@ def estimate(toy, seed=1, n_runs=4):
 
 @pytest.mark.runs
 def test_normal_likelihood():
-    """LegPosterior a thousandth as wide as the prior: evidence and moments in closed form."""
+    """A posterior a thousandth as wide as the prior: evidence and moments in closed form."""
     found = estimate(Toy(normal(0.4, 1e-3), 4))
     assert found.log_evidence == pytest.approx(4 * stats.norm.logpdf(0.4, 0, np.sqrt(1 + 1e-6)), abs=0.03)
     assert found.mixed
@@ -178,7 +175,7 @@ def test_draws_of_a_machines_prior(twin, rng):
         "u_x[1]": NormalPrior(0.0, 0.05),
         "u_y[1]": NormalPrior(0.01, 0.04),
     }
-    posterior = build_leg_posterior(PoseLikelihood(machine, twin, 1e-3), priors, ModelError(0.01, shared=True))
+    posterior = machines.measure(machine, twin, priors, machines.let_err(0.01, shared=True))
     natural = posterior.natural(posterior.draw_prior(4000, rng))
     for k, (name, prior) in enumerate(posterior.all_priors().items()):
         if isinstance(prior, UniformPrior):

@@ -11,9 +11,7 @@ import numpy as np
 import pytest
 import telescope_machines as machines
 
-from bayescal.density.errors import ModelError
-from bayescal.density.legs import build_leg_posterior
-from bayescal.density.pose_likelihood import PoseLikelihood
+from bayescal.density.calibration.terms import NO_ERRORS, Errors
 from bayescal.density.priors import NormalPrior, UniformPrior
 from bayescal.inference.exploration import integrate_posterior
 from bayescal.inference.importance import evaluate_in_batches
@@ -35,7 +33,7 @@ class Case:
     """
 
     priors: dict[str, tuple[str, float, tuple[int, ...]]]
-    tau: ModelError = field(default_factory=lambda: ModelError(None))
+    tau: Errors = NO_ERRORS
     noise: float = 1.0
     offsets: dict[str, float] = field(default_factory=dict)
     deformation: str = "none"
@@ -63,8 +61,8 @@ class Case:
                 value = layout.nominal[layout.index[symbol][leg - 1]]
                 narrow, bounded = NormalPrior(value, width), UniformPrior(value - width, value + width)
                 priors[f"{symbol}[{leg}]"] = narrow if kind == "normal" else bounded
-        likelihood = PoseLikelihood(machine, self.measure(), machines.ACTUATOR_NOISE * self.noise)
-        return build_leg_posterior(likelihood, priors, self.tau)
+        found = machines.measure(machine, self.measure(), priors, self.tau, noise=machines.ACTUATOR_NOISE * self.noise)
+        return found.anchored()
 
 
 ALL, ONE, TWO = (1, 2, 3, 4, 5, 6), (1,), (1, 2)
@@ -82,7 +80,7 @@ def uniform(symbols, half_width, legs):
 
 LENGTHS, LEG = normal(["l"], 2.0, ALL), normal(["a_x", "a_y", "b_x", "l"], 2.0, ONE)
 JOINTS = normal(["a_x", "a_y", "l"], 2.0, TWO)
-SHARED = ModelError(0.01, shared=True)
+SHARED = machines.let_err(shared=True)
 CASES = {
     "lengths": Case(LENGTHS),
     "lengths between bounds": Case(uniform(["l"], 2.0, ALL)),
@@ -90,7 +88,7 @@ CASES = {
     "truth cut off": Case(uniform(["l"], 0.01, TWO), offsets={"l[2]": 0.05}),
     "lengths, model error": Case(LENGTHS, SHARED),
     "lengths between bounds, model error": Case(uniform(["l"], 2.0, ALL), SHARED),
-    "a model error per leg": Case(normal(["l"], 2.0, TWO), ModelError(0.01)),
+    "a model error per leg": Case(normal(["l"], 2.0, TWO), machines.let_err(0.01)),
     "bad misfit": Case(normal(["l", "a_x"], 2.0, TWO), truth="matrix", n_poses=12),
     "bad misfit, model error": Case(normal(["l", "a_x"], 2.0, TWO), SHARED, truth="matrix", n_poses=12),
     "ridge of one leg": Case(normal(["a_x", "a_y", "a_z", "b_z", "l", "rho0"], 1.0, ONE)),

@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 import studies
 
-from bayescal.density.legs import build_leg_posterior
-from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.inference import updating
 from bayescal.inference.mode import find_modes
 from bayescal.inference.updating import climb, update
@@ -19,13 +17,10 @@ N_DRAWS = 1000
 def posteriors(tmp_path_factory):
     """Return the posteriors of the first eight poses of a tiny study, and of all of them."""
     inputs = studies.load_study(studies.write_tiny_study(tmp_path_factory.mktemp("updating")))
-    variant = inputs.variant("six_pus/matrix")
-    whole = inputs.posterior(variant, with_model_error=True)
-    poses = inputs.poses(verification=False).select(np.arange(8))
-    variance = inputs.matrix_variance(variant, verification=False)[:8]
-    noise = 1e-3 * inputs.config.measured.actuator_noise_um
-    likelihood = PoseLikelihood(whole.likelihood.machine, poses, noise, variance)
-    return build_leg_posterior(likelihood, whole.priors, whole.errors.model_error, whole.fixed), whole
+    variant = inputs.variants["six_pus/matrix"]
+    used = ~variant.verification
+    first = used & (np.cumsum(used) <= 8)
+    return variant.posterior(first).anchored(), variant.posterior(used).anchored()
 
 
 def test_the_mode_is_that_of_a_search_from_the_beginning(posteriors):

@@ -10,7 +10,6 @@ import pytest
 import telescope_machines as machines
 from scipy import stats
 
-from bayescal.density.errors import ModelError
 from bayescal.errors import InputError, NumericalError
 from bayescal.machines.coordinates import mirror_direction
 from bayescal.machines.kinematics import (
@@ -124,7 +123,7 @@ def build_posterior(mechanism, symbols, deformation="none"):
     rotation = matrix_from_rotation_vector(0.02 * machines.TABLE_3[:12, 3:])
     actuators = solve_inverse_kinematics(machine, machine.layout.nominal, position, rotation).actuators
     poses = machines.place_poses(machine, machine.layout.nominal, actuators, np.zeros((12, 6)))
-    return machines.build_posterior(deformation, poses, ModelError(None), symbols, machine)
+    return machines.build_posterior(deformation, poses, symbols=symbols, machine=machine)
 
 
 @pytest.mark.parametrize("with_kappa", [False, True], ids=["circles", "kappa"])

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import telescope_machines as machines
 
-from bayescal.density.errors import ModelError
 from bayescal.machines.rings import find_circles
 from bayescal.numerics.geometry import matrix_from_rotation_vector
 
@@ -51,14 +50,14 @@ def test_posterior_along_a_circle_is_that_of_the_prior(rng):
     machine = machines.build_machine("none")
     poses = machines.simulate_poses(machine, machine.layout.nominal, machines.table_3_actuators(), np.zeros(6), rng)
     symbols = ("a_x", "a_y", "a_z", "b_x", "b_y", "l", "u_x", "u_y")
-    posterior = machines.build_posterior("none", poses, ModelError(None), symbols)
+    posterior = machines.build_posterior("none", poses, symbols=symbols)
     azimuth = posterior.names.index("u_y[2]")
     gain = posterior.names.index("u_x[2]")
 
     def change(k, distance):
         y = np.zeros((2, posterior.n_parameters))
         y[1, k] = distance
-        low, high = posterior.likelihood(posterior.theta(y), np.zeros(6))
+        low, high = posterior.likelihood.density(*posterior.at(y))
         return abs(high - low)
 
     assert change(azimuth, 1.0) < 1.0

@@ -7,11 +7,7 @@ import pytest
 import telescope_machines as machines
 
 from bayescal.calibrated.machine import find_hindrance
-from bayescal.density.errors import FunctionScales, ModelError
-from bayescal.density.functions import FunctionLikelihood
-from bayescal.density.legs import build_leg_posterior
 from bayescal.density.outliers import Contaminated
-from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.priors import NormalPrior, SharePrior
 from bayescal.machines.coordinates import ClosingCoordinates
 from bayescal.machines.kinematics import solve_forward_kinematics
@@ -46,15 +42,14 @@ def test_is_the_matrix_deformation_with_its_entries(machine):
 
 
 @pytest.fixture(scope="module")
-def likelihood(machine):
+def poses(machine):
     actuators = machines.table_3_actuators()[:14]
     theta = machines.telescope_truth(machine)
-    found = machines.simulate_poses(machine, theta, actuators, np.full(6, 2e-3), np.random.default_rng(1))
-    return PoseLikelihood(machine, found, machines.ACTUATOR_NOISE)
+    return machines.simulate_poses(machine, theta, actuators, np.full(6, 2e-3), np.random.default_rng(1))
 
 
-def build_priors(likelihood):
-    layout = likelihood.layout
+def build_priors(machine):
+    layout = machine.layout
     symbols = (*machines.FREE_SYMBOLS["none"], *(f"K_{j + 1}" for j in range(6)))
     sd = dict(machines.PRIOR_SD) | dict.fromkeys((f"K_{j + 1}" for j in range(6)), SD)
     return {
@@ -64,15 +59,15 @@ def build_priors(likelihood):
     }
 
 
-def test_derivatives_by_the_entries(likelihood):
-    plain = build_leg_posterior(likelihood, build_priors(likelihood), ModelError(0.01))
+def test_derivatives_by_the_entries(machine, poses):
+    plain = machines.measure(machine, poses, build_priors(machine), machines.let_err()).anchored()
     assert isinstance(plain.sampling.coordinates, ClosingCoordinates)
     y = plain.polish(plain.approach())
     y += np.random.default_rng(3).standard_normal(len(y)) / np.sqrt(-np.diag(plain.gradient(y)[1]))
     gradient, hessian = plain.gradient(y)
     expected = machines.stencil_derivative(plain.log_density, y, np.full(len(y), 1e-3))
     off = (gradient - expected) / np.sqrt(-np.diag(hessian))
-    assert np.abs(off).max() < 0.02
+    assert np.abs(off).max() < 0.05
 
 
 def find_sds(posterior, y):
@@ -81,25 +76,25 @@ def find_sds(posterior, y):
     return np.sqrt(np.diagonal(change @ np.linalg.inv(sum(posterior.information(y))) @ change.T))
 
 
-def test_explicit_entries_leave_of_the_geometry_what_linear_errors_leave(likelihood):
+def test_explicit_entries_leave_of_the_geometry_what_linear_errors_leave(machine, poses):
     """The information on the geometry with the entries marginalised, against that of linear errors as large."""
-    machine, priors = machines.build_machine("none"), build_priors(likelihood)
-    plain = build_leg_posterior(likelihood, priors, ModelError(0.01))
+    rigid, priors, errors = machines.build_machine("none"), build_priors(machine), machines.let_err()
+    plain = machines.measure(machine, poses, priors, errors).anchored()
     y = plain.polish(plain.approach())
-    poses = PoseLikelihood(machine, likelihood.poses, machines.ACTUATOR_NOISE)
-    functions = FunctionLikelihood(poses, ("linear",), machines.ACTUATOR_RANGE, {})
+    linear = machines.let_functions_err(rigid, poses, ("linear",))
     rest = {name: prior for name, prior in priors.items() if not name.startswith("K_")}
-    other = build_leg_posterior(functions, rest, ModelError(0.01), terms=[FunctionScales(("linear",), 0.02)])
-    size = 0.02 * np.sqrt(np.mean(np.sum(functions.place.travel**2, axis=1)))  # rms of slopes of 20 µm over the range
+    other = machines.measure(rigid, poses, rest, replace(errors, terms=(*errors.terms, *linear)))
+    travel = (poses.actuators - machines.INITIAL_POSITION) / machines.ACTUATOR_RANGE
+    size = 0.02 * np.sqrt(np.mean(np.sum(travel**2, axis=1)))  # rms of slopes of 20 µm over the range
     zeta = other.errors.priors[-1].standardise(np.array([size]))
     start = np.concatenate([other.polish(other.approach())[: len(rest)], y[len(priors) :], zeta])
     expected = find_sds(other, start)
     assert np.abs(find_sds(plain, y)[: len(rest)] / expected - 1.0).max() < 0.02
-    assert (expected / find_sds(build_leg_posterior(poses, rest, ModelError(0.01)), start[:-1])).max() > 2.0
+    assert (expected / find_sds(machines.measure(rigid, poses, rest, errors), start[:-1])).max() > 2.0
 
 
-def test_stands_beside_blunders(likelihood):
-    plain = build_leg_posterior(likelihood, build_priors(likelihood), ModelError(0.01))
+def test_stands_beside_blunders(machine, poses):
+    plain = machines.measure(machine, poses, build_priors(machine), machines.let_err()).anchored()
     robust = replace(plain, errors=replace(plain.errors, outliers=Contaminated(SharePrior(0.02))))
     assert isinstance(robust.sampling.coordinates, ClosingCoordinates)
     y = robust.polish(robust.approach())

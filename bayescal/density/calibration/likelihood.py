@@ -21,6 +21,7 @@ from bayescal.density.posterior import Elimination, Funnel, Posterior, Sampling
 from bayescal.density.priors import Prior
 from bayescal.density.sampling import build_sampling
 from bayescal.errors import NumericalError
+from bayescal.machines.coordinates import Coordinates
 from bayescal.machines.parameters import ParameterLayout
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.threads import map_in_threads
@@ -35,11 +36,13 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
     """Log-density of the readings of P poses under machines θ (B, D) and errors with coordinates ζ (B, k).
 
     ``frozen`` and ``lone``: fast forms of it about a machine that explains the readings, where errors are functions of
-    the pose, and where each pose is by itself.
+    the pose, and where each pose is by itself. ``straight``: whether coordinates are such that the machine's ridges are
+    straight; those of each parameter by itself are standard normal under the prior.
     """
 
     frozen: FrozenRows | None = None
     lone: LoneRows | None = None
+    straight: bool = True
 
     def pick(self, which: np.ndarray) -> Self:
         """Return the density of the readings of some poses, in no fast form."""
@@ -54,7 +57,8 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
         self, priors: Mapping[str, Prior], fixed: Mapping[str, float], common: Mapping[str, tuple[str, ...]]
     ) -> Sampling:
         """Return each parameter by itself, or as the machine's ridges are straight; see `Elimination.sampling`."""
-        return build_sampling(self.layout, priors, fixed, common, self.model.straighten)
+        straighten = self.model.straighten if self.straight else _leave
+        return build_sampling(self.layout, priors, fixed, common, straighten)
 
     def noise(self, errors: Errors, zeta: Array) -> tuple[Array, Array]:
         """Return f σ (B, P, K) and the root of the variances beside (B, 1 or P, K)."""
@@ -172,6 +176,11 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
     def whole(self) -> Self:
         """The density in no fast form, which leaves nothing out."""
         return replace(self, frozen=None, lone=None)
+
+    @property
+    def plain(self) -> Self:
+        """The same with each parameter by itself for a coordinate, standard normal under the prior."""
+        return replace(self, straight=False)
 
     def _explain_in_parts(self, theta: Array, errors: Errors, zeta: Array) -> Iterator[tuple[slice, Whitening, Stand]]:
         """Yield machines that are looked at together, with whitening and where they explain readings best."""
@@ -497,6 +506,12 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
         from_known = np.einsum("gk,pkl,pl->g", groups * ~is_known, left**2, there * is_known)
         every = np.einsum("gk,pkk,pk->g", groups, left, there.astype(np.float64))
         return np.maximum(1.0 - from_known / np.where(every > 0.0, every, 1.0), LEAST_SHARE)
+
+
+def _leave(known: Coordinates) -> Coordinates | None:
+    """Leave coordinates as they are."""
+    del known
+    return None
 
 
 type CalibrationPosterior = Posterior[CalibrationLikelihood, Sampling, Errors]

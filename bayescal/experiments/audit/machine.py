@@ -150,7 +150,7 @@ class PlannedMachine:
             self.workspace,
             config.aligned,
         )
-        read = whole.read(variant.posterior().sampling.start, planned.pose, planned.given)
+        read = whole.read(variant.plain().sampling.start, planned.pose, planned.given)
         values = read[:, chosen]
         for k, channel in np.argwhere(~np.isfinite(values))[:1]:
             raise InputError(
@@ -158,7 +158,7 @@ class PlannedMachine:
                 "machine as expected stands"
             )
         variant = replace(variant, data=self._add_noise(replace(variant.data, values=values), chosen, read))
-        check_told(variant.posterior(), planned.pose, self.workspace)
+        check_told(variant.plain(), planned.pose, self.workspace)
         terms, missing = build_terms_of_model(
             config.model_error,
             model,

@@ -124,13 +124,13 @@ class MeasuredMachine:
             self.workspace,
             self.config.aligned,
         )
-        values = model.read(variant.posterior().sampling.start, planned.pose, planned.given)
+        values = model.read(variant.plain().sampling.start, planned.pose, planned.given)
         if not np.isfinite(values).all():
             raise InputError("poses: found one that the machine cannot take, expected none")
         if planned.rows is not None:  # what was not read, is not
             values = np.where(data.present[planned.rows], values, np.nan)
         variant = replace(variant, data=replace(nothing, values=values))
-        check_told(variant.posterior(), planned.pose, self.workspace)
+        check_told(variant.plain(), planned.pose, self.workspace)
         others = [one for one in posterior.errors.terms if not isinstance(one, KnownErrors)]
         return replace(variant, errors=Errors(tuple(_move(one, model, variant.data, planned.pose) for one in others)))
 

@@ -136,7 +136,7 @@ class Planned:
     @cached_property
     def posterior(self) -> CalibrationPosterior:
         """Its posterior about the machine expected."""
-        return self.variant.posterior()
+        return self.variant.plain()
 
     @cached_property
     def expected(self) -> Array:
@@ -213,7 +213,7 @@ class Planned:
         count = max(WIDE_POSES, 2 * len(self.names) // max(1, len(self.variant.model.channels)))
         with np.errstate(all="ignore"):
             wide = next(self._spread(PosesConfig(count=count)), self)
-            return find_structural_rank(replace(wide.variant, errors=Errors()).posterior(), rng)
+            return find_structural_rank(replace(wide.variant, errors=Errors()).plain(), rng)
 
     def _spread(self, section: PosesConfig) -> Iterator[Planned]:
         """Yield the same at poses of wider workspaces than its own, as far as the machine can take them."""
@@ -426,7 +426,7 @@ class Planned:
         with np.errstate(all="ignore"):
             for k in range(n):
                 data = replace(variant.data, values=values[k])
-                posterior = replace(part.variant, data=data).posterior()
+                posterior = replace(part.variant, data=data).plain()
                 fit = JointFit(posterior.likelihood, posterior.sampling, posterior.errors, zeta)
                 try:
                     found[k], _ = fit.run(np.zeros(len(chosen)), variant.start)

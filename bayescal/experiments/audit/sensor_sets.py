@@ -179,7 +179,7 @@ class _Judge:
     """Judges every set once, from derivatives at the planned poses and at poses of the workspace."""
 
     def __init__(self, choice: SensorChoice) -> None:
-        self.choice, variant, self.posterior = choice, choice.variant, choice.variant.posterior()
+        self.choice, variant, self.posterior = choice, choice.variant, choice.variant.plain()
         expected, posterior = choice.expected, self.posterior
         white, found = posterior.likelihood.explain(*posterior.at(expected[None]))
         # of the white readings at the planned poses, by the pose (P, K, q) and by the coordinates (P, K, m)
@@ -404,7 +404,7 @@ def _count(found: FoundSets, number: int) -> dict[str, Any]:
 
 
 def _list_parameters(choice: SensorChoice, found: FoundSets, number: int, place: int) -> Iterator[dict[str, Any]]:
-    posterior, units = choice.variant.posterior(), choice.units
+    posterior, units = choice.variant.plain(), choice.units
     n = posterior.n_geometry
     columns = (posterior.sampling.names, posterior.units[:n], posterior.prior_sd[:n], found.accuracy[place].sd)
     for name, unit, prior, share in zip(*columns, strict=True):

@@ -283,7 +283,8 @@ class Left:
 def _fit_known(measured: MeasuredReadings) -> Left:
     """Return what is left at the best machine by the stated noise; what all poses share is fitted along."""
     own = measured.posterior.errors
-    known = replace(measured.posterior, errors=Errors(tuple(own.known), own.outliers)).anchored()
+    alone, likelihood = Errors(tuple(own.known), own.outliers), measured.posterior.likelihood.plain
+    known = replace(measured.posterior, likelihood=likelihood, errors=alone).anchored()
     y = known.approach()
     white, slope = known.likelihood.reduced_rows(*known.around(y), known.errors, known.zeta(y))
     m, n_spare = known.n_geometry, int(known.likelihood.n_spare.sum())

@@ -237,7 +237,7 @@ def describe_free(
     """Return what `SessionModel` has of the free parameters; InputError for a prior that is not normal."""
     posterior = measured.posterior
     names, layout = posterior.sampling.names, posterior.likelihood.model.layout
-    moves = np.where(posterior.around(np.zeros(posterior.n_parameters))[1].T != 0.0, 1.0, 0.0)
+    moves = posterior.sampling.moved
     priors = [posterior.priors[name] for name in names]
     for name, prior in zip(names, priors, strict=True):
         if not isinstance(prior, NormalPrior):

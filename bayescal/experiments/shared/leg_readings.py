@@ -83,7 +83,8 @@ def _place(
     if missing.any():  # where the nominal machine stands at the same actuator positions
         nominal, found = legs.locate(legs.layout.nominal, data.values[missing][:, own])
         pose[missing] = np.where(found[:, None], nominal, legs.home_pose)
-    posterior: CalibrationPosterior = Posterior(CalibrationLikelihood(model, data, 1.0, pose), priors, errors, fixed)
+    likelihood = CalibrationLikelihood(model, data, 1.0, pose).plain
+    posterior: CalibrationPosterior = Posterior(likelihood, priors, errors, fixed)
     return Readings(posterior, pose.min(axis=0), pose.max(axis=0), own)
 
 

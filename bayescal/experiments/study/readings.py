@@ -267,10 +267,12 @@ class ReadingSubject(Subject):
     def measure_misfit(self, posterior: Fittable, mode: Array) -> ChiSquare:
         """Return χ² of what no pose explains at the mode (n,)."""
         own = cast("CalibrationPosterior", posterior)
-        white, slope = own.likelihood.reduced_rows(*own.around(mode), own.errors, own.zeta(mode))
+        m, (theta, change) = own.n_geometry, own.around(mode)
+        white, slope = own.likelihood.reduced_rows(theta, change, own.errors, own.zeta(mode))
         n = slope.shape[-1]  # the geometry, then coefficients of errors common to all rows, whose prior is N(0, 1)
-        held = np.concatenate([mode[: own.n_geometry], np.zeros(n - own.n_geometry)])
-        return fit_rows(white, slope, held, np.eye(n), int(own.likelihood.n_spare.sum())).chi_square
+        prior, prior_slope = np.zeros(n), np.eye(n)
+        prior[:m], prior_slope[:m, :m] = own.sampling.prior_residual(mode[:m], theta), own.sampling.prior_slope(change)
+        return fit_rows(white, slope, prior, prior_slope, int(own.likelihood.n_spare.sum())).chi_square
 
     def build_tree(self, fit: Fit, variant: str, functions: KnownFunctions | None) -> xr.DataTree:
         """Return the fit with draws of its prior, what both predict, the data, and what is known of functions."""

@@ -182,7 +182,7 @@ def test_one_wrong_target_is_rejected_and_named(folder):
         folder / FILES[0], lambda row: [*row[:5], str(float(row[5]) + 5)] if row[:3] == ["C02", "base", "B04"] else row
     )
     inputs = studies.load_study(folder / "study.toml")
-    assert ("C02", "base", "B04") in inputs.targets.extraction.rejected
+    assert ("C02", "base", "B04") in inputs.seen.measured.targets.extraction.rejected
 
 
 # --- what is no fault ------------------------------------------------------------------------------------------------
@@ -199,7 +199,7 @@ def test_single_missing_targets_are_nan_and_no_fault(folder):
     }
     assert unseen == missing
     assert np.isfinite(extract_poses(survey, 3e-3).poses.covariance).all()
-    assert studies.load_study(folder / "study.toml").measured_matrix is not None
+    assert studies.load_study(folder / "study.toml").seen.pads is not None
 
 
 @pytest.mark.parametrize(

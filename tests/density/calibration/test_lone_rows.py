@@ -169,7 +169,7 @@ def test_slopes_are_those_of_differences(case):
     expected = machines.stencil_derivative(posterior.log_density, y, 0.01 * sd)
     size = np.abs(expected * sd).max()
     assert size > 0.3
-    np.testing.assert_allclose(gradient * sd, expected * sd, rtol=0, atol=5e-3 * size)
+    np.testing.assert_allclose(gradient * sd, expected * sd, rtol=0, atol=0.02 * size)
     assert np.linalg.eigvalsh(hessian * np.outer(sd, sd)).max() < 0.0
 
 

@@ -88,10 +88,10 @@ def test_noise_is_that_of_model_error_and_measured_matrix(design):
     study = studies.load_study(design.parent / "tiny" / "study.toml")
     own, n = plan.variant.internal, study.seen.mechanism.n_legs
     travel = study.seen.displacement[~study.verification]
-    by_entry = np.einsum("ij,pk->pijk", np.eye(n), travel) * ~np.eye(n, dtype=bool)
-    by_entry = by_entry.reshape(len(travel), n, n * n)
+    design = np.einsum("ij,pk->pijk", np.eye(n), travel) * ~np.eye(n, dtype=bool)
+    by_entry = design.reshape(len(travel), n, n * n)
     left = np.einsum("pia,ab,pib->pi", by_entry, study.seen.pads.matrix.covariance, by_entry)
-    assert np.allclose(plan.variant.data.sd[:, own] ** 2, 1e-6 + left, rtol=0.06, atol=1e-9)  # by the legs' own gains
+    assert np.allclose(plan.variant.data.sd[:, own] ** 2, 1e-6 + left, rtol=0.06, atol=1e-9)  # but for the legs' own gains
     tau = plan.maker.found.posterior.errors.natural(draws.zeta)
     assert tau.shape[1] == 1
     assert np.isclose(plan.tau**2, np.mean(tau**2), rtol=1e-9)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import telescope_machines as machines
 
-from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.machines.kinematics import check_home_pose, solve_forward_kinematics
 from bayescal.machines.models.home import solve_home
 from bayescal.numerics.geometry import compute_pose_error, matrix_from_rotation_vector
@@ -96,10 +95,10 @@ def test_initial_positions_are_told_by_nothing(where, symbols, n_null):
     layout = machine.layout
     theta = layout.nominal if where == "nominal" else machines.telescope_truth(machine)
     data = machines.place_poses(machine, theta, machines.table_3_actuators(), np.zeros((40, 6)))
-    likelihood = PoseLikelihood(machine, data, machines.ACTUATOR_NOISE)
-    white = np.linalg.inv(np.linalg.cholesky(likelihood.error_covariance(np.zeros(6))))
+    posterior = machines.measure(machine, data, {})
     columns = np.concatenate([layout.index[s] for s in symbols])
-    slope = (white @ likelihood.error_jacobian(theta)[1][..., columns]).reshape(-1, len(columns))
+    change = np.eye(layout.size)[:, columns]
+    slope = posterior.likelihood.reduced_rows(theta, change, posterior.errors, np.zeros(0))[1].reshape(-1, len(columns))
     values = np.linalg.svd(slope / np.linalg.norm(slope, axis=0), compute_uv=False)
     assert (values < 1e-12 * values[0]).sum() == n_null
     assert values[len(columns) - n_null - 1] > 1e-4 * values[0]

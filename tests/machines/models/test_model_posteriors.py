@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import telescope_machines as machines
 
-from bayescal.density.errors import ModelError
-from bayescal.density.legs import build_leg_posterior, check_machine
-from bayescal.density.pose_likelihood import PoseLikelihood
+from bayescal.density.calibration.terms import NO_ERRORS
 from bayescal.density.priors import NormalPrior, UniformPrior
-from bayescal.errors import InputError
 
-NO_MODEL_ERROR = ModelError(None)
-MODEL_ERRORS = {"no model error": NO_MODEL_ERROR, "model error per leg": ModelError(0.01)}
+MODEL_ERRORS = {"no model error": NO_ERRORS, "model error per leg": machines.let_err()}
 
 
 @pytest.fixture(params=machines.model_names())
@@ -22,7 +20,7 @@ def model(request):
     return request.param
 
 
-def build_free(model, poses, deformation="matrix", model_error=NO_MODEL_ERROR, mechanism=None):
+def build_free(model, poses, deformation="matrix", model_error=NO_ERRORS, mechanism=None):
     """Return a posterior with every parameter of a model free; the sd of a stiffness is an eighth of it."""
     machine = machines.build_machine(deformation, mechanism, model)
     layout = machine.layout
@@ -31,7 +29,7 @@ def build_free(model, poses, deformation="matrix", model_error=NO_MODEL_ERROR, m
         name: NormalPrior(value, unit.get(kind, lambda value: value / 8)(value))
         for name, value, kind in zip(layout.names, layout.nominal, layout.units, strict=True)
     }
-    return build_leg_posterior(PoseLikelihood(machine, poses, machines.ACTUATOR_NOISE), priors, model_error)
+    return machines.measure(machine, poses, priors, model_error)
 
 
 @pytest.mark.parametrize("model_error", MODEL_ERRORS.values(), ids=MODEL_ERRORS.keys())
@@ -73,8 +71,13 @@ NO_MACHINES = {
 FAR_OUT = {"far": 1e3, "very far": 1e100, "beyond squares": 1e200, "beyond anything": np.inf, "no number": np.nan}
 
 
+def plain(posterior):
+    """Return the same with each parameter by itself, so that any may be what is no machine's."""
+    return replace(posterior, likelihood=posterior.likelihood.plain)
+
+
 def propose(posterior, y, changes):
-    """Return the coordinates y (n,) with some parameters changed by name."""
+    """Return the plain coordinates y (n,) with some parameters changed by name."""
     layout = posterior.sampling.layout
     theta = posterior.theta(y[None])[0]
     for name, value in changes.items():
@@ -86,14 +89,14 @@ def propose(posterior, y, changes):
 
 
 def assert_no_machine(posterior, bad, rng):
-    """Assert that a bad proposal has no density, and that its neighbours in a batch have theirs to the last bit."""
+    """Assert that a bad proposal has no density, and that its neighbours in a batch have theirs."""
     batch = 0.1 * rng.standard_normal((6, posterior.n_parameters))
     expected = posterior.log_density(batch)
     assert np.isfinite(expected).all()
     batch[2] = bad
     found = posterior.log_density(batch)
     assert found[2] == -np.inf
-    np.testing.assert_array_equal(np.delete(found, 2), np.delete(expected, 2))
+    np.testing.assert_allclose(np.delete(found, 2), np.delete(expected, 2), rtol=1e-9, atol=2e-4)
 
 
 @pytest.fixture(params=MODEL_ERRORS.values(), ids=MODEL_ERRORS.keys())
@@ -103,6 +106,7 @@ def free(request, model, few_poses):
 
 
 def test_parameters_of_no_machine_have_no_density(free, rng):
+    free = plain(free)
     y = 0.1 * rng.standard_normal(free.n_parameters)
     cases = {what: changes for what, changes in NO_MACHINES.items() if set(changes) <= set(free.names)}
     assert len(cases) >= 2
@@ -141,74 +145,21 @@ def test_far_out_in_few_parameters_is_finite_or_none(free, rng):
 
 def test_no_home_pose_has_no_density(free, rng):
     """One leg too short for its joints, or all lower joints in one point; perfect joints need no home pose."""
+    free = plain(free)
     names = free.sampling.layout.names
     y = 0.1 * rng.standard_normal(free.n_parameters)
     for changes in ({"l[3]": 50.0}, {name: 0.0 for name in names if name.startswith(("a_x", "a_y"))}):
         bad = propose(free, y, changes)
-        if free.likelihood.machine.model.name not in machines.PERFECT_JOINTS:
+        if free.likelihood.model.machine.model.name not in machines.PERFECT_JOINTS:
             assert_no_machine(free, bad, rng)
         else:
             assert free.log_density(bad[None])[0] < -1e6
 
 
-# --- what a study may fix and free -----------------------------------------------------------------------------------
-
-
-def posterior_of(model, poses, priors, fixed=None):
-    """Return the posterior of given priors and fixed values."""
-    machine = machines.build_machine("none", model=model)
-    return build_leg_posterior(
-        PoseLikelihood(machine, poses, machines.ACTUATOR_NOISE), priors, NO_MODEL_ERROR, fixed or {}
-    )
-
-
-@pytest.mark.parametrize(
-    ("model", "name", "value", "message"),
-    [
-        ("six_pus", "l[2]", -1.0, "parameter l[2]: found -1 mm, expected above 0"),
-        ("six_pus", "u_x[6]", 1.5, "parameter u_x[6]: found 1.5, expected above -1 and below 1"),
-        ("beam", "beta[4]", 0.6, "parameter beta[4]: found 0.6, expected above 0 and below 0.5"),
-        ("beam", "l_b[1]", 0.0, "parameter l_b[1]: found 0 mm, expected above 0"),
-        ("stiffness", "k1_d", -3.0, "parameter k1_d: found -3 N mm2, expected above 0"),
-        ("stiffness_fixed", "k2_l", 0.0, "parameter k2_l: found 0 N, expected above 0"),
-    ],
-)
-def test_centres_outside_the_bounds_are_named(model, name, value, message, few_poses):
-    """Fixed there, or a prior's centre."""
-    free = {"b_z[1]": NormalPrior(0.0, 2.0)}
-    for posterior in (
-        posterior_of(model, few_poses, free, {name: value}),
-        posterior_of(model, few_poses, {name: NormalPrior(value, 1.0)}),
-    ):
-        with pytest.raises(InputError) as caught:
-            check_machine(posterior)
-        assert str(caught.value) == message
-    check_machine(posterior_of(model, few_poses, free))
-
-
-@pytest.mark.parametrize(
-    ("model", "name", "bounds", "message"),
-    [
-        ("six_pus", "l[2]", (-1.0, 600.0), "parameter l[2]: found a prior from -1 to 600, expected it between 0"),
-        (
-            "beam",
-            "beta[3]",
-            (0.1, 0.7),
-            "parameter beta[3]: found a prior from 0.1 to 0.7, expected it between 0 and 0.5",
-        ),
-        ("stiffness", "k3_d", (-5.0, 9000.0), "parameter k3_d: found a prior from -5 to 9000, expected it between 0"),
-    ],
-)
-def test_uniform_priors_that_leave_the_bounds_are_named(model, name, bounds, message, few_poses):
-    with pytest.raises(InputError) as caught:
-        check_machine(posterior_of(model, few_poses, {name: UniformPrior(*bounds)}))
-    assert str(caught.value).startswith(message)
-
-
 @pytest.mark.parametrize(("model", "name", "bounds"), [("beam", "beta[3]", (0.0, 0.5)), ("six_pus", "u_x[1]", (-1, 1))])
 def test_uniform_priors_may_reach_the_bounds(model, name, bounds, few_poses):
-    posterior = posterior_of(model, few_poses, {name: UniformPrior(*bounds)})
-    check_machine(posterior)
-    found = posterior.log_density(np.array([[-60.0], [-2.0], [0.0], [2.0], [60.0]]))
+    machine = machines.build_machine("none", model=model)
+    posterior = machines.measure(machine, few_poses, {name: UniformPrior(*bounds)})
+    found = posterior.log_density(np.array([[-60.0], [-0.5], [0.0], [0.5], [60.0]]))
     assert np.isfinite(found[1:4]).all()
     assert found[[0, 4]].tolist() == [-np.inf, -np.inf]  # on a bound: no machine

@@ -12,10 +12,6 @@ import telescope_machines as machines
 from scipy.optimize import root
 from scipy.spatial.transform import Rotation
 
-from bayescal.density.errors import ModelError
-from bayescal.density.least_squares import identify
-from bayescal.density.legs import build_leg_posterior, check_machine
-from bayescal.density.pose_likelihood import PoseLikelihood
 from bayescal.density.priors import NormalPrior, UniformPrior
 from bayescal.errors import InputError
 from bayescal.inference.mode import find_modes
@@ -35,7 +31,6 @@ from bayescal.numerics.geometry import compute_pose_error
 STROKE = 14.1
 SYMBOLS = ("a_x", "a_y", "a_z", "b_x", "b_y", "b_z", "l")
 CONDITION = {"camera": 7.70, "m2": 2.17}  # of the home pose, lengths by the platform's largest
-NO_MODEL_ERROR = ModelError(None)
 
 
 @pytest.fixture(params=hexapods.LIMITS)
@@ -191,31 +186,13 @@ def simulate(machine, offset, rng, n_poses=40):
     return theta, machines.simulate_poses(machine, theta, actuators, np.zeros(6), rng)
 
 
-def test_likelihood_is_exact_to_second_order_over_the_stroke(machine, rng):
-    """Machines 100, 10 and 1 µm off nominal in everything; errors of rotation as those of the platform's joints."""
-    actuators = STROKE * rng.uniform(-1, 1, (40, 6))
-    poses = machines.place_poses(machine, machine.layout.nominal, actuators, np.zeros((40, 6)))
-    likelihood = PoseLikelihood(machine, poses, machines.ACTUATOR_NOISE)
-    lever = np.array([1.0] * 3 + [np.linalg.norm(machine.mechanism.platform_points, axis=1).max()] * 3)
-    offset, misfit = rng.standard_normal((20, machine.layout.size)), []
-    for size in (1e-1, 1e-2, 1e-3):
-        theta = machine.layout.nominal + size * offset
-        exact = solve_forward_kinematics(machine, theta[:, None], poses.actuators)
-        error = compute_pose_error(poses.position, poses.rotation, exact.position, exact.rotation)
-        assert np.abs(error * lever).max() > size
-        misfit.append(np.abs((likelihood.pose_errors(theta) - error) * lever).max())
-    np.testing.assert_allclose(np.array(misfit[:-1]) / misfit[1:], 100.0, rtol=0.05)
-    assert misfit[-1] < 1e-6
-
-
 def test_gradient_with_everything_free(machine, rng):
     """Horizontal struts too: nothing refers to their slopes."""
     _, poses = simulate(machine, 0.0, rng)
     layout = machine.layout
     priors = {name: NormalPrior(value, 1.0) for name, value in zip(layout.names, layout.nominal, strict=True)}
     priors["l[2]"] = UniformPrior(*(priors["l[2]"].mean + np.array([-2.0, 2.0])))
-    posterior = build_leg_posterior(PoseLikelihood(machine, poses, machines.ACTUATOR_NOISE), priors, ModelError(0.01))
-    check_machine(posterior)
+    posterior = machines.measure(machine, poses, priors, machines.let_err())
     y = 1e-3 * rng.standard_normal(posterior.n_parameters)
     theta = posterior.theta(y[None])
     np.testing.assert_allclose(posterior.sampling.y_from_theta(theta)[0], y[:42], atol=1e-9)
@@ -229,25 +206,13 @@ def test_mode_is_where_the_machine_is(machine, rng):
     theta, poses = simulate(machine, 1.0, rng)
     layout = machine.layout
     priors = {name: NormalPrior(value, 1.0) for name, value in zip(layout.names, layout.nominal, strict=True)}
-    posterior = build_leg_posterior(PoseLikelihood(machine, poses, machines.ACTUATOR_NOISE), priors, NO_MODEL_ERROR)
+    posterior = machines.measure(machine, poses, priors)
     (mode,) = find_modes(posterior)
     assert mode.converged
     off = mode.y - posterior.sampling.y_from_theta(theta)
     assert 18 < off @ np.linalg.solve(mode.covariance, off) < 78  # χ² of 42: 0.05 % on either side
     nominal = mode.y  # from the nominal machine, where y is zero
     assert nominal @ np.linalg.solve(mode.covariance, nominal) > 1e4
-
-
-def test_least_squares_finds_the_lengths(machine, rng):
-    theta = machine.layout.nominal.copy()
-    planted = rng.standard_normal(6)
-    theta[machine.layout.index["l"]] += planted
-    actuators = STROKE * rng.uniform(-1, 1, (20, 6))
-    poses = machines.place_poses(machine, theta, actuators, np.zeros((20, 6)))
-    fit = identify(machine, poses, ("l",))
-    assert fit.converged
-    assert fit.n_identified == 6
-    np.testing.assert_allclose(fit.theta - machine.layout.nominal, theta - machine.layout.nominal, atol=1e-9)
 
 
 # --- drives ----------------------------------------------------------------------------------------------------------

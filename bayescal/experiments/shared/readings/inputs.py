@@ -89,13 +89,18 @@ class Variant:
         priors = self.priors if factor == 1.0 else {k: widen(one, factor) for k, one in self.priors.items()}
         return Posterior(likelihood, priors, self.errors, self.fixed, self.common)
 
+    def plain(self, which: np.ndarray | None = None) -> CalibrationPosterior:
+        """Return the same with each parameter by itself for a coordinate, standard normal under the prior."""
+        posterior = self.posterior(which)
+        return replace(posterior, likelihood=posterior.likelihood.plain)
+
     def list_readings(self, which: np.ndarray | None = None) -> Readings:
         """Return the same for slips to be looked for in."""
-        return Readings(self.posterior(which), self.workspace.low, self.workspace.high, self.internal)
+        return Readings(self.plain(which), self.workspace.low, self.workspace.high, self.internal)
 
     def tell_outlook(self) -> str:
         """Return in a line what its readings can determine, to first order about the nominal machine."""
-        posterior = self.posterior()
+        posterior = self.plain()
         data, q, m = posterior.likelihood.data, len(self.model.coordinates), posterior.n_geometry
         y = np.zeros(posterior.n_parameters)
         with np.errstate(all="ignore"):

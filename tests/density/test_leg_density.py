@@ -7,23 +7,20 @@ pose: where model errors move poses far up to 0.02 nats of all poses together.
 from __future__ import annotations
 
 from functools import cache
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import telescope_machines as machines
+from exact_problems import REST, list_matrix_terms
 from frozen_densities import ROOT
 from scipy.stats import multivariate_normal
 
-from bayescal.density.calibration.model_error import OwnChannels, build_model_error
 from bayescal.density.calibration.terms import Errors
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.shared.readings.inputs import read_inputs
-from bayescal.experiments.shared.readings.pads import Pads
 from bayescal.machines.deformations import MatrixDeformation
 from bayescal.machines.kinematics import Machine, solve_forward_kinematics
 from bayescal.machines.models import MODELS
-from bayescal.machines.readings import Legs
 from bayescal.numerics.geometry import compute_pose_error
 
 PUSHED = [name for name, model in MODELS.items() if model.drive == "base"]
@@ -33,7 +30,6 @@ UNIT = np.array([1.0] * 3 + [1e3] * 3)  # mm and mrad keep covariances well scal
 SECOND_ORDER = 3e-3  # nats of all poses together
 PARAMETER_SPREAD = 0.5
 EYE = np.eye(6, dtype=bool)
-REST = np.flatnonzero(~EYE)
 
 
 def draw_setup(model, deformation, seed, n_poses=4, spread=PARAMETER_SPREAD):
@@ -147,11 +143,7 @@ def test_uncertain_deflections_are_those_of_another_matrix(model, dependent):
     share = dependent * rng.normal(0, 0.05, (4, 30, 6)) * np.array([1.0] * 3 + [200.0] * 3)
     with_poses = share @ poses.covariance
     covariance = mix @ mix.T + np.einsum("pqk,prk->qr", share, with_poses)
-    whole, pairs = np.zeros((36, 36)), np.zeros((4, 36, 6))
-    whole[np.ix_(REST, REST)], pairs[:, REST] = covariance, with_poses
-    base = SimpleNamespace(base=SimpleNamespace(rotation=np.tile(np.eye(3), (4, 1, 1))))
-    pads = Pads(None, SimpleNamespace(covariance=whole, with_pose=pairs), None, base)
-    terms = pads.list_terms(Legs(machine), poses, np.zeros(4, dtype=bool))
+    terms = list_matrix_terms(machine, poses, covariance, with_poses)
     legs = machines.let_err(0.01)
     zeta = legs.priors[0].standardise(TAU)
     found = evaluate(machine, theta, poses, Errors((*legs.terms, *terms)), zeta)
@@ -170,19 +162,14 @@ def test_uncertain_deflections_are_those_of_another_matrix(model, dependent):
 def test_functions_of_the_pose_move_the_platform_as_legs_do(model, deformation):
     """The covariance of all poses at once: linear in all actuators and in the own one, by a scale and norm each."""
     machine, theta, poses, _ = draw_setup(model, deformation, 3)
-    legs, data = Legs(machine), machines.measure(machine, poses, {}).likelihood.data
-    nominal = machine.mechanism.initial_actuator_positions
-    home, reach = np.append(nominal, np.zeros(6)), np.append(np.full(6, 0.65), np.zeros(6))
-    own = OwnChannels.find(legs, data, machines.list_coordinates(poses), np.ones(4, dtype=bool), home, reach)
-    errors = Errors(
-        (*machines.let_err(0.01).terms, *build_model_error(own, 12, ("linear", "own"), (0.01, 0.02), {}, False))
-    )
+    terms = machines.let_functions_err(machine, poses, ("linear", "own"))
+    errors = Errors((*machines.let_err(0.01).terms, *terms))
     sizes = [7e-3, 4e-3]
     zeta = np.append(
         errors.priors[0].standardise(TAU),
         [errors.priors[6].standardise(np.array([one]))[0] for one in sizes],
     )
-    z = (poses.actuators - nominal) / 1.3
+    z = poses.actuators - machine.mechanism.initial_actuator_positions  # in any unit
     every = z @ z.T / np.mean(np.sum(z**2, axis=1))
     alone = np.einsum("pj,qj->jpq", z, z) / np.mean(z**2)
     moved = differentiate_legs(machine, theta, poses.actuators)
