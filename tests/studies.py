@@ -177,7 +177,8 @@ def write_texts(folder: Path, texts: dict[str, str]) -> None:
 
 def write_tiny_study(folder: Path) -> Path:
     """Write a tiny study with its data to a folder and return its config."""
-    code = {path.relative_to(TELESCOPE).as_posix(): path.read_text() for path in TELESCOPE.rglob("*.py")}
+    beside = (*TELESCOPE.rglob("*.py"), *TELESCOPE.glob("published/*.csv"))
+    code = {path.relative_to(TELESCOPE).as_posix(): path.read_text() for path in beside}
     write_texts(folder, tiny_texts() | tiny_survey_texts() | code)
     return folder / "study.toml"
 
