@@ -18,7 +18,6 @@ TINY = {
     "audit.py --points 2": (),
     "growth.py --what audit --most 20": (),
     "hexapod_calibrations.py --alone 1": (),
-    "likelihood.py --models --repeats 2": (),
     "likelihood.py --repeats 2": (),
     "lookup_table.py --twins 1": (),
     "memory.py --kinds calibration --sizes 0": (),
