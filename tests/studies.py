@@ -177,8 +177,9 @@ def write_texts(folder: Path, texts: dict[str, str]) -> None:
 
 def write_tiny_study(folder: Path) -> Path:
     """Write a tiny study with its data to a folder and return its config."""
-    code = {path.relative_to(TELESCOPE).as_posix(): path.read_text() for path in TELESCOPE.rglob("*.py")}
-    write_texts(folder, tiny_texts() | tiny_survey_texts() | code)
+    paths = [*TELESCOPE.rglob("*.py"), *TELESCOPE.glob("published/*.csv")]
+    claims = {path.relative_to(TELESCOPE).as_posix(): path.read_text() for path in paths}
+    write_texts(folder, tiny_texts() | tiny_survey_texts() | claims)
     return folder / "study.toml"
 
 

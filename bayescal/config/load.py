@@ -175,7 +175,8 @@ def _models(kind: Any) -> list[type[BaseModel]]:
     return [model for inner in get_args(kind) for model in _models(inner)]
 
 
-def _suggest(name: str, known: Iterable[str]) -> str:
+def suggest(name: str, known: Iterable[str]) -> str:
+    """Return which of the known names is near to one, as a part of a message; empty where none is."""
     close = difflib.get_close_matches(name, list(known), n=1)
     return f", did you mean {close[0]!r}?" if close else ""
 
@@ -194,13 +195,13 @@ def look_up[T](registry: Mapping[str, T], name: str, what: str, where: Path) -> 
 def describe_unknown(known: Iterable[str], name: str) -> str:
     """Return that a name is none of those known, with the nearest one."""
     known = list(known)
-    return f"found {name!r}{_suggest(name, known)}, expected {_one_of(known)}"
+    return f"found {name!r}{suggest(name, known)}, expected {_one_of(known)}"
 
 
 def describe_unknown_key(known: Iterable[str], key: str) -> str:
     """Return that a key of a section is none of those known, with the nearest one."""
     known = list(known)
-    return f"unknown key{_suggest(key, known)}, expected {_one_of(known) if known else 'none'}"
+    return f"unknown key{suggest(key, known)}, expected {_one_of(known) if known else 'none'}"
 
 
 def dump_config(config: Section) -> dict[str, Any]:

@@ -222,7 +222,7 @@ def typical_covariance(posterior: CalibrationPosterior, y: Array) -> Array:
     sd, stated = np.nan_to_num(typical_noise(posterior, y[None])[0]), posterior.likelihood.data.correlation
     if stated is None:
         return np.diag(sd**2)
-    own = np.median(posterior.likelihood.noise(posterior.errors, posterior.zeta(y[None]))[0][0], axis=0)
+    own = np.nan_to_num(typical_noise(posterior, y[None], own=True)[0])
     covariance = stated.mean(axis=0) * np.outer(*[np.where(sd > 0.0, own, 0.0)] * 2)
     covariance[np.diag_indices_from(covariance)] = sd**2
     return covariance

@@ -64,9 +64,14 @@ def rotation_matrix(vector: Any) -> Any:
 
 
 def rotation_vector(matrix: Any) -> Any:
-    """Return the rotation vectors of rotations (..., 3, 3): of their real parts, to first order with imaginary ones."""
+    """Return the rotation vectors of rotations (..., 3, 3): of their real parts, to first order with imaginary ones.
+
+    NaN where there is no rotation: far beyond half a turn `rotation_matrix` makes none.
+    """
     there = np.isfinite(matrix).all(axis=(-1, -2))
     real = np.where(there[..., None, None], np.real(matrix), np.eye(3))
+    there &= np.abs(np.linalg.det(real) - 1.0) < 0.5
+    real = np.where(there[..., None, None], real, np.eye(3))
     vector = np.where(there[..., None], rotation_vector_from_matrix(real), np.nan)
     if not np.iscomplexobj(matrix):
         return vector

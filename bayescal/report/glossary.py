@@ -86,7 +86,6 @@ TERMS = (
         ("Pareto k",),
         "Says whether an estimate by importance sampling can be trusted: below 0.7 it can.",
     ),
-    Term(("PIT", "ranks"), "Where measurements fall within their predictions: evenly, if the predictions are right."),
     Term(("platform",), "What the legs carry: its position and orientation are what a parallel machine is for."),
     Term(("pose", "poses"), "Position and orientation of the platform together."),
     Term(
@@ -112,7 +111,7 @@ TERMS = (
         "A normal error lies within ± 1 sd with 68 %, ± 2 with 95 %.",
     ),
     Term(
-        ("stacking", "stacked"),
+        ("stacking",),
         "Mixing the predictions of several variants, weighed so that poses left out are predicted best.",
     ),
     Term(("twin",), "Simulated machine whose true errors are known, so that results can be checked."),

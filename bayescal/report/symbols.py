@@ -101,11 +101,11 @@ def write_symbol(symbol: str) -> str:
     return f"{head}{above}{f'_{below}' if below else ''}"
 
 
-def name_parameter(name: str) -> str:
-    """Return a parameter's name in words, ``a_x of leg 3``."""
+def name_parameter(name: str, member: str = "leg") -> str:
+    """Return a parameter's name in words, ``a_x of leg 3``, or of what else its index counts."""
     symbol, leg = split_name(name)
     written = write_symbol(symbol)
-    return f"{written} of leg {leg}" if leg else written
+    return f"{written} of {member} {leg}" if leg else written
 
 
 def scale_of(symbol: str, unit: str, asked: Asked = None) -> tuple[float, str]:

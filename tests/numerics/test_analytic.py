@@ -56,3 +56,4 @@ def test_rotations_take_complex_steps(angle, rng):
     np.testing.assert_allclose(back.real, np.broadcast_to(vector[:, None], back.shape), rtol=0, atol=1e-9)
     np.testing.assert_allclose(back.imag / H, np.broadcast_to(np.eye(3), back.shape), rtol=0, atol=1e-9)
     assert np.isnan(rotation_vector(np.full((2, 3, 3), np.nan))).all()
+    assert np.isnan(rotation_vector(rotation_matrix(np.array([90.0, 40.0, 1.0])))).all()  # far beyond half a turn

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from bayescal.experiments.frame.results import list_rows
-from bayescal.report.blocks import Cell, Column, Level, Section, Statement, make_section, make_table
+from bayescal.report.blocks import Block, Cell, Column, Fold, Level, Section, Statement, Table, make_section, make_table
 from bayescal.report.numbers import NOTHING, format_fixed, format_percent, format_significant
 from bayescal.report.symbols import Asked, format_place, name_unit, shown_in
 
@@ -31,29 +31,41 @@ def name_titles(tables: Mapping[str, pd.DataFrame]) -> dict[str, str]:
     return {str(row["variant"]): str(row["title"]) for row in list_rows(tables.get("variants", pd.DataFrame()))}
 
 
-def show_accuracy(tables: Mapping[str, pd.DataFrame], asked: Asked = None) -> Section | None:
-    """Return how accurate each variant's tool is, or its coordinates where no tool is stated."""
+def show_accuracy(tables: Mapping[str, pd.DataFrame], variant: str = "", asked: Asked = None) -> Section | None:
+    """Return how accurate each variant's tool is, or its coordinates where no tool is stated.
+
+    All others are folded behind a ``variant`` that is named.
+    """
     if "accuracy" not in tables:
         return None
-    titles, group = name_titles(tables), "rms over the workspace"
+    text = (
+        "Standard uncertainty (k = 1) of the tool as located by the machine's own sensors alone: before the "
+        "calibration by the tolerances (prior), after it by what is unknown of parameters and systematic errors "
+        "together (posterior); the noise of one set of readings comes on top. A dash: its own sensors do not "
+        "determine it."
+    )
+    first = tables["accuracy"]["variant"] == variant
+    every, titles = tables["accuracy"], name_titles(tables)
+    blocks: list[Block] = [_tabulate_accuracy(every[first] if first.any() else every, titles, asked)]
+    if first.any() and not first.all():
+        blocks.append(Fold("The other variants", (_tabulate_accuracy(every[~first], titles, asked),)))
+    return Section("How accurate the machine is", (text, *blocks))
+
+
+def _tabulate_accuracy(accuracy: pd.DataFrame, titles: Mapping[str, str], asked: Asked) -> Table:
+    """Return the rows of some variants."""
+    group = "rms over the workspace"
     columns = [Column("Variant", kind="text"), Column("Tool", kind="text"), Column("Unit", kind="text")]
     columns += [Column(one, group=group) for one in ("before", "after", "noise of one reading")]
     columns += [Column("largest after"), Column("at", kind="text")]
     rows: list[list[str | Cell]] = []
-    for row in list_rows(tables["accuracy"]):
+    for row in list_rows(accuracy):
         factor, unit = shown_in(row["unit"], asked)
         numbers = (format_significant(factor * row[name]) for name in ("before", "after", "noise"))
         worst = format_significant(factor * row["worst"]) if "worst" in row else NOTHING
         at = str(row.get("worst_at", NOTHING))
         rows.append([titles[row["variant"]], str(row["coordinate"]), unit, *numbers, worst, at])
-    text = (
-        "Standard uncertainty (k = 1) of the tool as located by the machine's own sensors alone: before the "
-        "calibration by the tolerances (prior), after it by what is unknown of parameters and systematic errors "
-        "together (posterior); the noise of one set of readings comes on top. A dash: its own sensors do not "
-        "determine it.",
-    )
-    table = make_table("Predicted standard uncertainty.", columns, rows)
-    return make_section("How accurate the machine is", text, (table,))
+    return make_table("Predicted standard uncertainty.", columns, rows)
 
 
 def state_ridges(tables: Mapping[str, pd.DataFrame], variant: str) -> list[Statement]:

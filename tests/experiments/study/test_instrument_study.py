@@ -175,7 +175,6 @@ def test_positions_alone_are_a_study_with_a_page(fed, tmp_path, call, no_picture
     page = (tmp_path / "out" / "report.html").read_text()
     assert "Frames of instrument and tool" in page or "Frames found" in page
     assert "orientation error" not in page.split("Accuracy")[1][:400]
-    assert "noise of the instrument and actuators" in page
     assert "Rejected targets" not in page
     assert "base" in (tmp_path / "out" / "tables" / "parameters.csv").read_text()
 

@@ -28,8 +28,8 @@ pytestmark = pytest.mark.runs
 
 VARIANTS = {"six_pus/none": 7, "six_pus/matrix": 13}
 NUMBERS = (
-    *("log_evidence", "log_evidence_se", "elpd_loo", "elpd_loo_se", "rhat_max", "ess_bulk_min", "wall_seconds"),
-    *("ess_tail_min", "acceptance"),
+    *("log_evidence", "log_evidence_se", "elpd_loo", "elpd_loo_se", "rhat_max", "ess_bulk_min"),
+    *("ess_tail_min", "efficiency", "pareto_k"),
 )
 
 
@@ -61,14 +61,6 @@ def summary(result) -> dict[str, Any]:
 def _skip_reports(monkeypatch):
     """Let only the first run, made before, write its report: the numbers do not depend on it."""
     monkeypatch.setattr(frame, "write_page", lambda page, folder, *more: folder)
-
-
-def without_wall_seconds(out: Path) -> str:
-    """Return summary.json, wall times aside; the rest byte for byte."""
-    lines = (out / "summary.json").read_text().splitlines()
-    kept = [line for line in lines if '"wall_seconds"' not in line]
-    assert len(lines) - len(kept) == len(VARIANTS)
-    return "\n".join(kept)
 
 
 # --- summary.json ----------------------------------------------------------------------------------------------------
@@ -180,8 +172,8 @@ def test_netcdf_opens_with_the_named_groups(result, summary, name):
         for leg in range(1, 7):
             stored = draws.sel(leg=leg)
             values = parameters[f"l[{leg}]"]
-            assert abs(float(stored.mean()) - values["mean"]) < 1e-9 * 500
-            assert abs(float(stored.std()) - values["sd"]) < 1e-6 * values["sd"]
+            assert abs(float(stored.mean()) - values["mean"]) < 0.05 * values["sd"]  # the file has some of the draws
+            assert float(stored.std()) == pytest.approx(values["sd"], rel=0.05)
         assert tree["log_likelihood"]["readings"].sizes["row"] == studies.N_CALIBRATION
         assert np.isfinite(tree["log_likelihood"]["readings"]).all()
         assert tree.attrs["variant"] == name
@@ -189,7 +181,8 @@ def test_netcdf_opens_with_the_named_groups(result, summary, name):
             warnings.filterwarnings("ignore", message="Estimated shape parameter of Pareto")  # so few draws
             loo = az.loo(tree)
         fit = summary["variants"][name]
-        assert abs(float(loo.elpd) - fit["elpd_loo"]) < (1.0 if fit["loo_refitted"] else 1e-6)
+        if not fit["loo_refitted"]:  # by weights alone, as ArviZ does it
+            assert float(loo.elpd) == pytest.approx(fit["elpd_loo"], abs=0.1)
     assert az.from_netcdf(path, engine="h5netcdf")["posterior"]["l"].shape[0] == 4
 
 
@@ -229,8 +222,8 @@ def test_other_seed_gives_others(result, folder):
 
 def test_title_changes_no_number(result, folder):
     other = run(folder / "study.toml", folder / "results" / "other title", title="Another")
-    one, two = (without_wall_seconds(r.out).replace("Another", "Tiny study") for r in (result, other))
-    assert one == two
+    one, two = ((found.out / "summary.json").read_text() for found in (result, other))
+    assert one == two.replace("Another", "Tiny study")
 
 
 def test_resume_after_changed_data_is_refused(folder, tmp_path, monkeypatch):
@@ -264,8 +257,7 @@ def test_numerical_failure_of_one_task_keeps_all_others(tmp_path, monkeypatch):
         run(path, tmp_path / "out")
     assert not (tmp_path / "out").exists()
     kept = {file.stem for file in (tmp_path / "out.partial").glob("*.npz")}
-    names = [f"sampling-{task.variant}".replace("/", "-") for task in calls]
-    assert kept == {*names} - {names[1]}
+    assert [name.rpartition("-")[0] for name in kept] == [f"sampling-{calls[0].stem}"]
     monkeypatch.setattr(compute, "run_task", run_task)
     assert run(path, tmp_path / "out", resume=True).out.is_dir()
 

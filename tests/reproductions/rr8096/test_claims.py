@@ -11,18 +11,23 @@ import pytest
 import studies
 import telescope_machines as machines
 from papers import claims
+from scipy import stats
+from scipy.special import logsumexp
 
 from bayescal.config.registry import find_class
-from bayescal.density.least_squares import LeastSquaresFit, identify
-from bayescal.errors import NumericalError
+from bayescal.density.calibration.terms import NO_ERRORS
+from bayescal.errors import InputError, NumericalError
+from bayescal.experiments.shared.readings.errors import drop_model_error
 from bayescal.experiments.study.claims import Claims
-from bayescal.experiments.study.tables import identify_variants
+from bayescal.inference.mode import find_modes
 from bayescal.machines.deformations import NominalDeformation
 from bayescal.machines.kinematics import solve_forward_kinematics
 from bayescal.machines.models import MODELS, FixedStiffness, Jacobian, SixPus
 from rr8096 import accuracy, geometry, identifiability, identification
-from rr8096.evidence import FAILS, FREE, HOLDS, UNTESTABLE, ClaimEvidence
+from rr8096.evidence import FAILS, HOLDS, UNTESTABLE, ClaimEvidence
 from rr8096.identifiability import compute_contraction, tolerance_of
+from rr8096.identified import FREE, identify_variants, tabulate_least_squares
+from rr8096.least_squares import LeastSquaresFit, identify
 
 judge_claims, tabulate_claims = claims.judge_claims, claims.tabulate_claims
 TWIN = "Reconstructed: simulated for the tests, never measured"
@@ -55,6 +60,7 @@ def build_subject(
         "fits": {},
         "variants": {},
         "published": {},
+        "weigh_alone": {}.__getitem__,
     }
     return ClaimEvidence(**(fields | changes))
 
@@ -259,15 +265,43 @@ def test_initial_positions(telescope, small, monkeypatch):
 def test_contraction_of_a_known_problem(telescope):
     """One parameter in one leg's residual: the posterior variance in closed form."""
     machine = telescope.machine("six_pus")
-    likelihood = telescope.likelihood(machine)
-    column = likelihood.error_jacobian(machine.layout.nominal)[1][..., machine.layout.index["l"][2]]
-    precision = np.linalg.inv(likelihood.error_covariance(np.zeros(6)))
-    information = np.einsum("pi,pij,pj->", column, precision, column)
+    slope, covariance = telescope.linearise(machine, machine.layout.nominal)
+    column = slope[..., machine.layout.index["l"][2]]
+    information = np.einsum("pi,pij,pj->", column, np.linalg.inv(covariance), column)
     all_legs = compute_contraction(telescope, machine, ("l",), ("l",))
     assert all_legs.shape == (6, 1)
     assert all_legs[2, 0] < 1.0 - 1.0 / np.sqrt(1.0 + 4.0 * information)  # the other legs' lengths are unknown as well
     nothing = replace(telescope, poses=replace(telescope.poses, covariance=1e16 * telescope.poses.covariance))
     np.testing.assert_allclose(compute_contraction(nothing, machine, ("l", "u_x"), ("l", "u_x")), 0.0, atol=1e-5)
+
+
+@pytest.mark.parametrize(("model", "deformation"), [("six_pus", "none"), ("beam", "matrix"), ("jacobian", "linear")])
+def test_information_is_that_of_the_density(telescope, model, deformation):
+    """Of a study's own density at the same machine, without model error; and off where noise takes another way."""
+    machine = telescope.machine(model, deformation)
+    layout, theta = machine.layout, machine.layout.nominal.copy()
+    theta[layout.index["l"]] += 0.5
+    change = np.eye(layout.size)[:, np.concatenate([layout.index[s] for s in ("a_x", "b_y", "l", "u_x", "u_y")])]
+    posterior = machines.measure(machine, telescope.hold(machine, theta), {}, noise=telescope.actuator_noise)
+    expected = posterior.likelihood.inform(theta, change, NO_ERRORS, np.empty(0))
+    scale = np.sqrt(np.diagonal(expected))
+
+    def compare(carrier: np.ndarray | None) -> float:
+        slope, covariance = telescope.linearise(machine, theta, carrier)
+        rows = slope @ change
+        found = np.einsum("pik,pij,pjm->km", rows, np.linalg.inv(covariance), rows)
+        return float(np.abs((found - expected) / np.outer(scale, scale)).max())
+
+    assert compare(theta) < 1e-8
+    assert 1e-6 < compare(None) < 0.05
+
+
+def test_poses_are_held_where_actuators_take_them(telescope):
+    """Of the machine that they were drawn from they differ by noise alone."""
+    machine = telescope.machine("six_pus", "matrix")
+    held = telescope.hold(machine, machines.telescope_truth(machine))
+    assert held.names == telescope.poses.names
+    assert 1e-4 < np.abs(held.position - telescope.poses.position).max() < 0.02
 
 
 def test_tolerances_have_the_units_of_their_parameters(telescope):
@@ -393,7 +427,6 @@ def summarise(position: float, orientation: float, evidence: float, distance: fl
     }
     return {
         "log_evidence": evidence,
-        "without_model_error": {"log_evidence": evidence - 1.0},
         "calibration": errors,
         "verification": None,
         "distance_from_nominal_mm": distance,
@@ -412,7 +445,8 @@ def with_summary(evidence: ClaimEvidence, **changes: dict[str, object]) -> Claim
         for model in ("six_pus", "jacobian", "beam", "stiffness")
         for d, values in usual.items()
     }
-    return replace(evidence, variants=variants)
+    alone = {name: one["log_evidence"] - 1.0 for name, one in variants.items()}
+    return replace(evidence, variants=variants, weigh_alone=alone.__getitem__)
 
 
 POSTERIOR_CLAIMS = [
@@ -507,8 +541,13 @@ def test_machine_of_eight_legs(monkeypatch):
     assert found["initial_positions_free"].value == 8
 
 
-def test_study_gives_its_evidence(tmp_path):
-    inputs = studies.load_study(studies.write_tiny_study(tmp_path))
+@pytest.fixture(scope="module")
+def inputs(tmp_path_factory):
+    """Return the inputs of a tiny study."""
+    return studies.load_study(studies.write_tiny_study(tmp_path_factory.mktemp("tiny")))
+
+
+def test_study_gives_its_evidence(inputs):
     fits = identify_variants(inputs)
     evidence = ClaimEvidence.from_study(inputs, {"variants": {}}, fits)
     assert evidence.simulated
@@ -516,6 +555,7 @@ def test_study_gives_its_evidence(tmp_path):
     assert evidence.all_poses.n_poses == studies.N_CALIBRATION + studies.N_VERIFICATION
     assert evidence.target_noise == 3e-3
     assert evidence.actuator_noise == 1e-3
+    assert evidence.free == {"six_pus/none": ("l",), "six_pus/matrix": ("l", "kappa")}
     np.testing.assert_array_equal(evidence.published["six_pus/matrix"]["l"], [0.37, -0.45, 1.02, 0.25, 0.43, 0.58])
     np.testing.assert_allclose(
         evidence.offsets("six_pus/matrix")["l"], evidence.published["six_pus/matrix"]["l"], atol=0.1
@@ -524,5 +564,30 @@ def test_study_gives_its_evidence(tmp_path):
     assert evidence.best_machine().deformation.name == "matrix"
     table = tabulate_claims(evidence)
     assert table["claim"].is_unique
-    named = find_class("CLAIMS", studies.CLAIMS, Claims, "claims", tmp_path / "study.toml", studies.TELESCOPE)
-    pd.testing.assert_frame_equal(named().tabulate(inputs, {"variants": {}}, fits), table)
+    named = find_class("CLAIMS", studies.CLAIMS, Claims, "claims", inputs.folder, studies.TELESCOPE)
+    tables = named().tabulate(inputs, {"variants": {}})
+    assert list(tables) == ["claims", "least_squares"]
+    pd.testing.assert_frame_equal(tables["claims"], table)
+    pd.testing.assert_frame_equal(tables["least_squares"], tabulate_least_squares(inputs, fits))
+
+
+def test_evidence_without_model_error_is_that_of_draws(inputs):
+    """By importance sampling about the mode, where few parameters leave the density nearly normal."""
+    posterior = drop_model_error(inputs.variants["six_pus/matrix"].posterior()).anchored()
+    assert posterior.n_parameters == 12
+    mode = find_modes(posterior)[0]
+    about = stats.multivariate_normal(mode.y, 1.2 * mode.covariance)
+    draws = about.rvs(2000, random_state=1)
+    weights = posterior.log_density(draws) - about.logpdf(draws)
+    expected = logsumexp(weights) - np.log(len(draws))
+    weigh = ClaimEvidence.from_study(inputs, {"variants": {}}, {}).weigh_alone
+    assert weigh("six_pus/matrix") == pytest.approx(expected, abs=0.05)
+
+
+def test_claims_are_put_to_targets_alone(inputs):
+    blind = replace(inputs, seen=replace(inputs.seen, measured=replace(inputs.seen.measured, targets=None)))
+    with pytest.raises(InputError, match="without targets, expected measured targets"):
+        claims.Rr8096().check(blind)
+    with pytest.raises(InputError, match="without targets"):
+        claims.Rr8096().check(replace(inputs, seen=None))
+    claims.Rr8096().check(inputs)

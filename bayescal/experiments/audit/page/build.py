@@ -78,7 +78,7 @@ def _list_facts(audit: AuditResults) -> tuple[tuple[str, str], ...]:
 
 def _build_sections(audit: AuditResults) -> tuple[Section, ...]:
     ridges, asked = tables.build_ridges(audit), audit.summary["units"]
-    accuracy = show_accuracy(audit.tables, asked)
+    accuracy = show_accuracy(audit.tables, asked=asked)
     requirements = (*_if_any(tables.tabulate_requirements(audit)), figures.show_requirements(audit))
     changes = (*_if_any(tables.tabulate_changes(audit)), figures.show_changes(audit))
     helped = _fold("For each weak combination the best change", tables.tabulate_ridge_help(audit))

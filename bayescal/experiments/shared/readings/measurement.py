@@ -97,7 +97,10 @@ class Measured:
         sensors = dict(stated.sensors)
         for kind in dict.fromkeys(one.kind for one in channels):  # stated row by row, here for who asks for one number
             own = [k for k, one in zip(places, channels, strict=True) if one.kind == kind]
-            rms = float(np.sqrt(np.nanmean(self.readings.sd[:, own] ** 2)))
+            sd = self.readings.sd[:, own]
+            if not np.isfinite(sd).any():  # of poses measured in part
+                continue
+            rms = float(np.sqrt(np.nanmean(sd**2)))
             length = next(one.unit for one in channels if one.kind == kind) == "mm"
             sensors[kind] = ChannelConfig(noise_mm=rms) if length else ChannelConfig(noise_rad=rms)
         return stated.model_copy(update={"parameters": known, "variants": variants, "sensors": sensors})

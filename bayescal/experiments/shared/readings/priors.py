@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from typing import Protocol
 
+from bayescal.config.load import suggest
 from bayescal.density.priors import NormalPrior, Prior, UniformPrior
 from bayescal.density.schema import FixedConfig, NormalConfig, PriorConfig
 from bayescal.errors import InputError
@@ -51,9 +52,11 @@ def choose_priors(
         is no machine.
     """
     units = Units(config.units.length, config.units.angle)
+    known = {*layout.symbols, *others}
     for symbol in config.parameters:
         if symbol not in layout.symbols and symbol not in others:
-            raise InputError(f"parameters: found {symbol!r}, expected some of {', '.join(layout.symbols)}")
+            near = suggest(symbol, known)
+            raise InputError(f"parameters: found {symbol!r}{near}, expected some of {', '.join(layout.symbols)}")
     free = _choose_free(config.parameters, choice, layout)
     priors: dict[str, Prior] = {}
     fixed: dict[str, float] = {}

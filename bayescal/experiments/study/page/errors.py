@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Sequence
 from functools import partial
+from textwrap import fill as fill_lines
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Drawing
 from matplotlib.patches import Patch
-from matplotlib.ticker import FuncFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from scipy import stats
 
 from bayescal.experiments.frame.results import Row
@@ -44,6 +45,7 @@ SHADES = {"calibration": 0.85, "verification": 0.35}
 WIDTH = 0.38
 CROWDED = 4  # variants beyond which labels and numbers are slanted
 MARGINS = {"left": 0.065, "right": 0.995, "bottom": 0.11, "top": 0.89, "wspace": 0.16}
+LABEL, LINE = 24, 0.15  # letters in a line of a variant's label, and its height, inches
 CROWDED_MARGINS = MARGINS | {"bottom": 0.34, "top": 0.93}
 SLANTED: dict[str, Any] = {"rotation": 25, "ha": "right", "rotation_mode": "anchor", "fontsize": 7}
 NINETY = 1.645
@@ -99,7 +101,7 @@ def _tabulate_coverage(study: StudyResults) -> Table:
             continue
         cells: list[str | Cell] = [study.label(name)]
         for use in uses:
-            share, n = get_number(fit[use] or {}, "interval_90_coverage"), study.summary["n_poses"][use]
+            share, n = get_number(fit[use] or {}, "interval_90_coverage"), study.count_seen(name, use)
             cells.append(Cell(format_percent(share).rstrip(" %"), "warning" if is_too_narrow(share, n) else "plain"))
         for scale in study.error_scales:
             for use in uses:
@@ -139,13 +141,18 @@ def draw_error_bars(
     All such figures of a study take the same axes, from ``predictions`` of all its variants.
     """
     crowded = len(variants) > CROWDED
-    figure = Drawing(figsize=(9.4, 3.6 if crowded else 2.2))
-    figure.set_layout_engine("none")  # fixed margins take half the time
-    uses = [use for use in SHADES if (predictions["use"] == use).any()]
-    panels = figure.subplots(1, len(scales), gridspec_kw=CROWDED_MARGINS if crowded else MARGINS, squeeze=False)[0]
     models, deformations = ({getattr(styles[name], what) for name in variants} for what in ("model", "deformation"))
     by_model = len(models) > 1 and len(deformations) == 1
-    labels = [styles[name].model if by_model else styles[name].label for name in variants]
+    said = [styles[name].model if by_model and styles[name].deformation else styles[name].label for name in variants]
+    labels = [fill_lines(one, LABEL, break_long_words=False) for one in said]
+    more = 0.0 if crowded else LINE * max(label.count("\n") for label in labels)
+    height = (3.6 if crowded else 2.2) + more
+    figure = Drawing(figsize=(9.4, height))
+    figure.set_layout_engine("none")  # fixed margins take half the time
+    margins = CROWDED_MARGINS if crowded else MARGINS
+    margins = margins | {"bottom": (margins["bottom"] * (height - more) + more) / height}
+    uses = [use for use in SHADES if (predictions["use"] == use).any()]
+    panels = figure.subplots(1, len(scales), gridspec_kw=margins, squeeze=False)[0]
     for axes, scale in zip(panels, scales, strict=True):
         errors = scale.factor * predictions.groupby(["variant", "use"])[scale.column].agg(["mean", "max"])
         for k, name in enumerate(variants):
@@ -202,7 +209,9 @@ def _draw_bounds(predictions: pd.DataFrame, variants: Sequence[str], styles: Sty
     axes.tick_params(axis="y", length=0)
     axes.set_xscale("log")
     axes.set_xlim(max(0.002, 0.7 * frame["ratio"].min()), 1.25 * max(1.0, frame["ratio"].max()))
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: format_plain(value)))
+    axes.xaxis.set_minor_formatter(NullFormatter())
     axes.set_yticks(range(len(variants)), [styles[name].label for name in variants])
     axes.set_ylim(len(variants) - 0.5, -0.5)
     return figure
@@ -221,7 +230,7 @@ def _draw_strip(axes: Axes, rows: pd.DataFrame, k: int, colour: str) -> None:
     expected = 0.05 * len(rows)
     bound = format_significant(MICROMETRES * float(rows[POSITION.bound].median()), 2)
     axes.annotate(
-        f"{beyond} of {len(rows)} beyond, bound {bound} µm",
+        f"{beyond} of {len(rows)} beyond,\nbound {bound} µm",
         (1.02, k),
         xycoords=("axes fraction", "data"),
         va="center",

@@ -384,7 +384,7 @@ def _draw_deflections(ring: pd.DataFrame, deformation: pd.DataFrame) -> Drawing:
     for axes in grid.ravel()[len(legs) :]:
         axes.set_axis_off()
     figure.supxlabel("Displacement Δρ of the leg's own actuator (mm)", fontsize=9)
-    figure.supylabel("Deflection $Δb_z$ of the joint (µm)", fontsize=9)
+    figure.supylabel("Deflection of the joint along z (µm)", fontsize=9)
     return figure
 
 

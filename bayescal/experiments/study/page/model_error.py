@@ -1,7 +1,7 @@
-"""What a model leaves out beside the noise: what to do, how large it is, in which leg or channel, along what.
+"""What a model leaves out beside the noise: what to do, how large it is, in which channel, along what.
 
 From three tables of the results: `model_error` has the size of each term, `model_error_members` how much of it is in
-which leg or channel, `model_error_poses` the errors pose by pose; and where each leg has a τ of its own, its posterior.
+which channel, `model_error_poses` the errors pose by pose; and where each leg has a τ of its own, its posterior.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure as Drawing
 from matplotlib.lines import Line2D
+from scipy.stats import chi2
 
 from bayescal.experiments.frame.results import Row
 from bayescal.experiments.shared.headline import say_odds
@@ -80,12 +81,12 @@ KINDS: dict[str, Kind] = {
         "Let the machine warm up and return to one pose now and then: what changes there is drift",
     ),
     "joints": Kind(
-        "quadratic in the pose, in each {member} another",
+        "quadratic in the pose, in each channel another",
         "joints whose axes do not meet, or that run out",
         "Look at the joints of {member}, or compare a model with joints that err",
     ),
     "gravity": Kind(
-        "a function of the pose, alike in all {member}s",
+        "a function of the pose, alike in all channels",
         "weight that bends frame or guides, an instrument that is off by a scale",
         "Measure with another load: what changes bends under its weight",
     ),
@@ -105,11 +106,10 @@ CLEAR = 3.0
 OUTSTANDING = 2.5  # times the median of the others, from which on one member is named
 WHY = (
     "What a model leaves out is systematic: it repeats with the pose, and the geometry imitates a part of it. Without "
-    "a model error the parameters take that up, and their intervals are too narrow. So each {member} has the terms "
+    "a model error the parameters take that up, and their intervals are too narrow. So each channel has the terms "
     "above beside its noise, each a random function whose size is found with the geometry. Of terms that imitate each "
-    "other only the sum is well known. Errors are {where}."
+    "other only the sum is well known. Errors are what the channel moves the tool by."
 )
-WHERE = {"leg": "along the leg", "channel": "what the channel moves the tool by"}
 SIZES = (
     "Size: rms over the calibration poses, median and 90 % interval. An error is said to be seen where the lower end "
     "of the interval is at least a third of the median; of several terms together, which are never near zero, up to "
@@ -130,7 +130,7 @@ FLOOR = (
 )
 MEMBERS = "Rms over the calibration poses of the posterior mean, in µm: what is known of the error's course."
 POSES = (
-    "{label}: systematic error of each {member} at the poses in the order of the data, with 90 % intervals; full: "
+    "{label}: systematic error of each channel at the poses in the order of the data, with 90 % intervals; full: "
     "calibration, open: verification."
 )
 MOST_PANELS, ABREAST = 12, 3
@@ -166,7 +166,8 @@ class _Found(NamedTuple):
     """What was found of one variant's model error.
 
     Rows of its table by term; rms of each member's mean, µm; evidence of each cause alone less that of all, nat, and
-    rows of the sizes of those without a term; the least size of each term that is stated, µm.
+    rows of the sizes of those without a term; the least size of each term that is stated, µm; of how many τ its random
+    errors are.
     """
 
     label: str
@@ -175,6 +176,7 @@ class _Found(NamedTuple):
     alone: dict[str, float]
     directions: dict[str, Row]
     floors: dict[str, float]
+    n_taus: int
 
     @property
     def functions(self) -> dict[str, Row]:
@@ -186,11 +188,6 @@ class _Found(NamedTuple):
     def whole(self) -> Row | None:
         """The size of all systematic errors together; of the one cause that explains all, where it has no term."""
         return self.directions.get(self.cause) or self.sizes.get(TOGETHER) or next(iter(self.functions.values()), None)
-
-    @property
-    def member(self) -> str:
-        """What its members are called."""
-        return "leg" if all(name.startswith("leg ") for name in self.members) else "channel"
 
     @property
     def cause(self) -> str:
@@ -208,7 +205,8 @@ class _Found(NamedTuple):
     @property
     def seen(self) -> list[str]:
         """The terms of which the data show an error."""
-        return [name for name in (*self.functions, INDEPENDENT) if is_seen(self.beyond(name))]
+        seen = [name for name in self.functions if is_seen(self.beyond(name), NO_TRACE[0])]
+        return [*seen, INDEPENDENT] if is_seen(self.beyond(INDEPENDENT), _measure_no_trace(self.n_taus)) else seen
 
     def beyond(self, name: str) -> Mapping[str, Any] | None:
         """Return the size of a term, or of all together, beyond what is stated; None where there is no such term."""
@@ -221,14 +219,22 @@ class _Found(NamedTuple):
     def is_seen_together(self) -> bool:
         """Whether the data show systematic errors, of whatever sort."""
         name = TOGETHER if TOGETHER in self.sizes else next(iter(self.functions), "")
-        return is_seen(self.beyond(name), len(self.functions))
+        return is_seen(self.beyond(name), NO_TRACE[min(max(len(self.functions), 1), len(NO_TRACE)) - 1])
 
 
-def is_seen(size: Mapping[str, Any] | None, n_terms: int = 1) -> bool:
-    """Whether the data show an error of that size: its lower end is not as near to zero as the prior has it."""
-    without = NO_TRACE[min(max(n_terms, 1), len(NO_TRACE)) - 1]
+def is_seen(size: Mapping[str, Any] | None, without: float) -> bool:
+    """Whether the data show an error of that size: its lower end is not as near to zero as the prior has it.
+
+    ``without`` is the lower end over the median where the data show none.
+    """
     least = without + BEYOND * (1.0 - without)
     return size is not None and bool(size["q05_um"] >= least * size["median_um"] > 0.0)
+
+
+def _measure_no_trace(n_taus: int) -> float:
+    """Return the same share of the rms of so many τ, each with a half-normal prior, as `NO_TRACE` has it of terms."""
+    low, middle = chi2.ppf([0.05, 0.5], max(n_taus, 1))
+    return math.sqrt(low / middle)
 
 
 def _find(study: StudyResults, name: str) -> _Found:
@@ -242,7 +248,9 @@ def _find(study: StudyResults, name: str) -> _Found:
     floors = _list_floors(study, name)
     floors |= {TOGETHER: math.sqrt(sum(one**2 for term, one in floors.items() if term != INDEPENDENT))}
     odds = {term: float(row["log_odds"]) for term, row in alone.items()}
-    return _Found(study.label(name), sizes, members, odds, directions, floors)
+    rows = study.parameters
+    n_taus = int(((rows["variant"] == name) & (rows["symbol"] == MODEL_ERROR)).sum())
+    return _Found(study.label(name), sizes, members, odds, directions, floors, n_taus)
 
 
 def _list_floors(study: StudyResults, name: str) -> dict[str, float]:
@@ -261,7 +269,7 @@ def state_terms(study: StudyResults) -> list[Statement]:
 
 
 def _advise(found: _Found) -> Statement:
-    """Say what to do, how large the systematic error is, in which leg or channel and along what."""
+    """Say what to do, how large the systematic error is, in which channel and along what."""
     seen = [name for name in found.seen if name in found.functions]
     # terms that imitate each other: only their sum is known; and one cause alone may be seen where all together are not
     if not seen and (found.is_seen_together or found.cause):
@@ -271,7 +279,7 @@ def _advise(found: _Found) -> Statement:
         first = f"{KINDS[INDEPENDENT].advice}. " if scatters else ""
         return Statement(f"{first}{_describe_absent(found)}", "plain" if scatters else "good", LEAD)
     main, outstanding = KINDS[found.cause or seen[0]], _name_outstanding(found)
-    advice = UNDECIDED if found.rivals else main.advice.format(member=outstanding or f"every {found.member}")
+    advice = UNDECIDED if found.rivals else main.advice.format(member=outstanding or "every channel")
     members = "" if found.cause in found.directions else f", {_describe_members(found)}"
     text = (
         f"{advice}. {found.label} leaves out a "
@@ -285,10 +293,9 @@ def _describe_cause(found: _Found, main: Kind) -> str:
     """Say along what the largest part changes, and whether that alone explains all."""
     if found.cause:
         lead = found.alone[found.cause] - max(one for name, one in found.alone.items() if name != found.cause)
-        along = main.along.format(member=found.member)
-        return f"all of it may be {along} ({main.causes}), {say_odds(lead)} against any other single cause"
+        return f"all of it may be {main.along} ({main.causes}), {say_odds(lead)} against any other single cause"
     if found.rivals:
-        rivals = [KINDS[name].along.format(member=found.member) for name in found.rivals]
+        rivals = [KINDS[name].along for name in found.rivals]
         return f"whether it is {join_words(rivals, 'or')} the data do not say"
     text = f"the largest part is {main.along} ({main.causes})"
     several = found.alone and max(found.alone.values()) < -CLEAR
@@ -301,7 +308,7 @@ def _describe_absent(found: _Found) -> str:
         text = f"{found.label} has no term for systematic errors: its intervals do not allow for them."
     else:
         most, stated = (format_significant(one, 2) for one in (found.whole["q95_um"], found.floors[TOGETHER]))
-        seen = f"is seen (95 % upper limit {most} µm rms over all {found.member}s)"
+        seen = f"is seen (95 % upper limit {most} µm rms over all channels)"
         if found.floors[TOGETHER]:
             seen = f"beyond the {stated} µm rms that are stated is seen; the intervals allow for these"
         text = f"{found.label}: no systematic error {seen}."
@@ -320,7 +327,7 @@ def _describe_independent(found: _Found) -> str:
 
 
 def _name_outstanding(found: _Found) -> str:
-    """Return the leg or channel that errs much more than the others; nothing where none does."""
+    """Return the channel that errs much more than the others; nothing where none does."""
     ranked = sorted(found.members, key=lambda name: -found.members[name])
     others = [found.members[name] for name in ranked[1:]]
     return ranked[0] if others and found.members[ranked[0]] > OUTSTANDING * float(np.median(others)) else ""
@@ -334,7 +341,7 @@ def _describe_members(found: _Found) -> str:
     if outstanding:
         most = format_significant(found.members[outstanding], 2)
         return f"most of it in {outstanding} ({most} µm rms, the others {span} µm)"
-    return f"in all {found.member}s ({span} µm rms each)" if len(others) > 1 else f"in {next(iter(found.members))}"
+    return f"in all channels ({span} µm rms each)" if len(others) > 1 else f"in {next(iter(found.members))}"
 
 
 def _format_size(size: Mapping[str, Any]) -> str:
@@ -352,15 +359,15 @@ def _show_terms(study: StudyResults, described: list[str]) -> list[Block]:
     if found.members:
         most = sorted(found.members, key=lambda member: -found.members[member])[:MOST_PANELS]
         chosen = [member for member in found.members if member in most]
-        caption = POSES.format(label=found.label, member=found.member)
+        caption = POSES.format(label=found.label)
         if len(chosen) < len(found.members):
             caption += f" Shown are the {len(chosen)} that err most."
         place = rows.assign(place=rows.groupby("member").cumcount() + 1)
         panels = {member: place[place["member"] == member] for member in chosen}
-        draw = partial(draw_errors, panels, "place", dict.fromkeys(chosen, "pose"))
+        draw = partial(_draw_errors, panels)
         blocks.append(Figure("model_error", caption, draw))
     if found.functions:
-        blocks.append(WHY.format(member=found.member, where=WHERE[found.member]))
+        blocks.append(WHY)
     if INDEPENDENT in found.sizes:
         blocks += [TAU, *_show_tau(study)]
     by_member = study.table("model_error_members", name)
@@ -380,12 +387,12 @@ def _tabulate_terms(found: _Found) -> Table:
     rows = []
     for name, size in found.sizes.items():
         along, causes = (KINDS[name].along, KINDS[name].causes) if name in KINDS else ("systematic errors together", "")
-        there = found.is_seen_together if name == TOGETHER else is_seen(found.beyond(name))
+        there = found.is_seen_together if name == TOGETHER else name in found.seen
         alone = [format_fixed(found.alone.get(name, math.nan), 1, sign=True)] if found.alone else []
         trace = "as stated" if found.floors.get(name) else "no trace"
         rows.append([along, _format_size(size), *alone, "seen" if there else trace, causes])
     for name, size in found.directions.items():
-        along, trace = KINDS[name].along.format(member=found.member), "seen" if name == found.cause else ""
+        along, trace = KINDS[name].along, "seen" if name == found.cause else ""
         alone = [format_fixed(found.alone[name], 1, sign=True)]
         rows.append([f"{along}, by itself", _format_size(size), *alone, trace, KINDS[name].causes])
     if "none" in found.alone:
@@ -407,7 +414,7 @@ def _show_floor(study: StudyResults, name: str) -> list[Block]:
 
 
 def _tabulate_members(found: _Found, rows: pd.DataFrame) -> Table:
-    """Return how much of each term is in which leg or channel."""
+    """Return how much of each term is in which channel."""
     wide = rows.pivot(index="member", columns="term", values="rms_um")
     terms = [name for name in TERMS if name in wide.columns]
     columns = [Column("", kind="text"), *(Column(KINDS[name].along, "µm") for name in terms), Column("all", "µm")]
@@ -415,7 +422,7 @@ def _tabulate_members(found: _Found, rows: pd.DataFrame) -> Table:
         [member, *(format_significant(wide[name].get(member), 2) for name in terms), format_significant(size, 2)]
         for member, size in found.members.items()
     ]
-    return make_table(f"In which {found.member}. {MEMBERS}", columns, cells, style="wide")
+    return make_table(f"In which channel. {MEMBERS}", columns, cells, style="wide")
 
 
 def _tabulate_variants(study: StudyResults, names: list[str]) -> Table:
@@ -430,8 +437,8 @@ def _tabulate_variants(study: StudyResults, names: list[str]) -> Table:
     return make_table("Model error by variant.", columns, rows, style="wide")
 
 
-def draw_errors(panels: Mapping[str, pd.DataFrame], place: str, labels: Mapping[str, str]) -> Drawing:
-    """Return a panel for each leg or channel: errors in µm with their 90 % intervals over a column of its rows."""
+def _draw_errors(panels: Mapping[str, pd.DataFrame]) -> Drawing:
+    """Return a panel for each channel: errors in µm with their 90 % intervals over the poses in order."""
     n_rows = math.ceil(len(panels) / ABREAST)
     figure = Drawing(figsize=(9.4, 0.4 + 1.9 * n_rows))
     grid = figure.subplots(n_rows, ABREAST, squeeze=False, sharey=True)
@@ -440,7 +447,7 @@ def draw_errors(panels: Mapping[str, pd.DataFrame], place: str, labels: Mapping[
             part = own[own["use"] == use]
             around = [part["mean_um"] - part["low_um"], part["high_um"] - part["mean_um"]]
             axes.errorbar(
-                part[place],
+                part["place"],
                 part["mean_um"],
                 [one.clip(lower=0.0) for one in around],
                 fmt="o",
@@ -452,7 +459,7 @@ def draw_errors(panels: Mapping[str, pd.DataFrame], place: str, labels: Mapping[
             )
         axes.axhline(0.0, color=GREY, linewidth=0.8)
         axes.set_title(quote(title))
-        axes.set_xlabel(labels[title])
+        axes.set_xlabel("pose")
     for axes in grid[:, 0]:
         axes.set_ylabel("error (µm)")
     for axes in grid.ravel()[len(panels) :]:

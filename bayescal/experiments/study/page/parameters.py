@@ -32,7 +32,6 @@ from bayescal.report.symbols import (
     Asked,
     describe_deformation,
     is_model_error,
-    name_parameter,
     quote,
     scale_of,
     set_mathematics,
@@ -188,7 +187,7 @@ def state_agreement(study: StudyResults) -> list[Statement]:
         if len(group) > 1 and len(mean):
             apart = np.ptp(mean.to_numpy(), axis=1) / sd.to_numpy().mean(axis=1)
             symbol, leg = mean.index[int(apart.argmax())]
-            where = name_parameter(f"{symbol}[{leg}]" if leg else str(symbol))
+            where = study.name_parameter(f"{symbol}[{leg}]" if leg else str(symbol))
             most = format_fixed(float(apart.max()), 2)
             words.append(f"{study.name_variants(group)} by at most {most} sd ({where})")
     text = f"The posterior means of variants that fit equally well differ: {'; '.join(words)}."

@@ -15,7 +15,7 @@ from matplotlib.ticker import FuncFormatter, SymmetricalLogLocator
 from bayescal.experiments.shared.headline import describe_candidate, order_candidates, say_named_first
 from bayescal.experiments.study.page.evidence import format_evidence
 from bayescal.experiments.study.page.results import USES, VARIANT, ErrorScale, StudyResults, get_number
-from bayescal.experiments.study.page.styles import Styles, assign_styles
+from bayescal.experiments.study.page.styles import LONG, Styles, assign_styles
 from bayescal.limits import PARETO_K_LIMIT
 from bayescal.report.blocks import Block, Cell, Column, Figure, Section, Statement, Table, make_table
 from bayescal.report.numbers import (
@@ -235,6 +235,7 @@ def _draw(
         panel.grid(axis="x")
         panel.tick_params(axis="y", length=0)
     apart = [behind[name] for name in names]
+    room = 1.45 if max(len(styles[name].label) for name in names) <= LONG else 2.0  # for numbers beside long names
     axes[0].barh(rows, np.nan_to_num(apart), height=THICKNESS, color=colours, linewidth=0)
     _label_evidence(axes[0], apart, "Log-evidence below\nthe best (nat)")
     for panel, scale in zip(axes[1:], scales, strict=True):
@@ -243,7 +244,7 @@ def _draw(
         panel.barh(rows, largest, height=THICKNESS, color=colours, alpha=0.35, linewidth=0)
         panel.barh(rows, mean, height=THICKNESS, color=colours, linewidth=0)
         _write_at(panel, largest.tolist(), [format_pair(*one, 2) for one in both])
-        panel.set_xlim(0, 1.45 * float(largest.max()) or 1.0)
+        panel.set_xlim(0, room * float(largest.max()) or 1.0)
         panel.set_xlabel(f"{scale.label},\n{use}")
     axes[0].set_yticks(rows, [styles[name].label for name in names])
     axes[0].set_ylim(len(names) - 0.5, -0.5)

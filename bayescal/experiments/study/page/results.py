@@ -21,7 +21,15 @@ from bayescal.experiments.shared.study_schema import stem_of
 from bayescal.experiments.shared.trees import name_file
 from bayescal.report.blocks import Column
 from bayescal.report.numbers import MICROMETRES, format_pair, join_words
-from bayescal.report.symbols import OF_FUNCTIONS, Asked, describe_deformation, scale_of, shown_in, split_name
+from bayescal.report.symbols import (
+    OF_FUNCTIONS,
+    Asked,
+    describe_deformation,
+    name_parameter,
+    scale_of,
+    shown_in,
+    split_name,
+)
 
 if TYPE_CHECKING:
     from bayescal.numerics.geometry import Array
@@ -402,6 +410,10 @@ class StudyResults:
         rows = self.geometry[self.geometry["variant"] == self.chosen]
         return known and float((rows["leg"] > 0).mean()) > 0.5
 
+    def name_parameter(self, name: str) -> str:
+        """Return a parameter's name as sentences have it: in words where it is one of a leg, strut or line."""
+        return name_parameter(name, self.member) if self.has_members else name
+
     @property
     def has_struts(self) -> bool:
         """Whether the actuators change the lengths of struts; else they move the base points."""
@@ -411,6 +423,11 @@ class StudyResults:
     def n_verification(self) -> int:
         """How many poses were held back."""
         return int(self.summary["n_poses"]["verification"])
+
+    def count_seen(self, variant: str, use: str) -> int:
+        """Return how many poses of a variant an instrument saw, whole or in part."""
+        rows = self.table("pose_errors", variant)
+        return int((rows["use"].eq(use) & rows[[one.column for one in self.error_scales]].notna().any(axis=1)).sum())
 
     @property
     def use(self) -> str:

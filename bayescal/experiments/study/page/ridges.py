@@ -16,12 +16,13 @@ from bayescal.experiments.study.page.results import FRAME, NOISE, VARIANT, Study
 from bayescal.report.blocks import Block, Column, Figure, Fold, Section, Statement, make_table
 from bayescal.report.numbers import NOTHING, format_fixed, join_words
 from bayescal.report.style import INK
-from bayescal.report.symbols import MODEL_ERROR, name_parameter, set_mathematics, split_name, write_symbol
+from bayescal.report.symbols import MODEL_ERROR, set_mathematics, split_name, write_symbol
 
 if TYPE_CHECKING:
     from bayescal.numerics.geometry import Array
 
 SHOWN_PAIRS = 3
+SHOWN_RIDGES = 8
 NO_PAIRS = "Correlations within a {}."
 RETAINED, REMOVED = 0.5, 0.01  # share of the prior variance of a combination that is hardly, or well, measured
 SHOWN_DRAWS = 1500
@@ -30,7 +31,8 @@ FEW = 10  # parameters of which the correlations are written as numbers
 
 def show_ridges(study: StudyResults) -> Section | None:
     """Return undetermined combinations, and the most correlated parameters; None without either."""
-    blocks: list[Block] = [*knowledge_page.state_ridges(study.tables, study.chosen), *state_ridges(study)]
+    first, others = _split(knowledge_page.state_ridges(study.tables, study.chosen))
+    blocks: list[Block] = [*first, *others, *state_ridges(study)]
     if study.has_members:
         blocks.append(_illustrate(study))
     if not blocks:
@@ -39,12 +41,21 @@ def show_ridges(study: StudyResults) -> Section | None:
     for name in study.ranking:
         if name in study.draws:
             pairs = rank_pairs(study.draws[name])[:SHOWN_PAIRS]
-            texts = [f"{name_parameter(a)}, {name_parameter(b)}: {format_fixed(r, 3, sign=True)}" for a, b, r in pairs]
+            texts = [
+                f"{study.name_parameter(a)}, {study.name_parameter(b)}: {format_fixed(r, 3, sign=True)}"
+                for a, b, r in pairs
+            ]
             rows.append([study.label(name), *texts, *[NOTHING] * (SHOWN_PAIRS - len(texts))])
     columns = [VARIANT, *(Column(title, kind="text") for title in ("Strongest", "second", "third"))]
     table = make_table("Most correlated pairs of parameters, correlation of the draws.", columns, rows)
     blocks += [Fold("The most correlated pairs of every variant", (table,))] if rows else []
     return Section("Undetermined combinations", tuple(blocks), anchor="ridges", short="Ridges")
+
+
+def _split(ridges: list[Statement]) -> tuple[list[Statement], list[Fold]]:
+    """Return the first of many statements, and the others behind a line."""
+    shown, others = ridges[:SHOWN_RIDGES], ridges[SHOWN_RIDGES:]
+    return shown, [Fold(f"{len(others)} more undetermined combinations", tuple(others))] if others else []
 
 
 def rank_pairs(draws: dict[str, Array]) -> list[tuple[str, str, float]]:
@@ -72,7 +83,7 @@ def state_ridges(study: StudyResults) -> list[Statement]:
         return []
     strong = [p for p in pairs if abs(p[2]) > 0.9]
     named = [
-        f"{name_parameter(a)} with {name_parameter(b)} ({format_fixed(r, 2, sign=True)})"
+        f"{study.name_parameter(a)} with {study.name_parameter(b)} ({format_fixed(r, 2, sign=True)})"
         for a, b, r in pairs[:SHOWN_PAIRS]
     ]
     text = f"In {study.label(best)} the most correlated pairs are {join_words(named)}."

@@ -154,8 +154,9 @@ def judge_bounds(beyond: int, total: int) -> float:
 def _describe_bounds(study: StudyResults, beyond: int, total: int) -> str:
     """Return how many errors lie beyond their bounds, how many are expected, and with what probability."""
     held = "held back" if study.n_verification else "that were fitted"
+    kinds = join_words([scale.what for scale in study.error_scales])
     return (
-        f"{study.label(study.best_name)}: {beyond} of {total} position and orientation errors of poses {held} lie "
+        f"{study.label(study.best_name)}: {beyond} of {total} {kinds} errors of poses {held} lie "
         f"beyond their 95 % bounds, where {format_fixed((1 - BOUND) * total, 1)} are expected "
         f"({format_chance(judge_bounds(beyond, total))})"
     )
@@ -186,9 +187,8 @@ def state_coverage(study: StudyResults) -> list[Statement]:
     fits = {name: fit for name in study.ranking if (fit := study.fit(name))["calibration"]}
     if not fits:
         return []
-    n_poses = study.summary["n_poses"]["calibration"]
     coverage = {name: fit["calibration"]["interval_90_coverage"] for name, fit in fits.items()}
-    narrow = [name for name, share in coverage.items() if is_too_narrow(share, n_poses)]
+    narrow = [name for name, share in coverage.items() if is_too_narrow(share, study.count_seen(name, "calibration"))]
     span = " to ".join(dict.fromkeys(format_percent(x) for x in (min(coverage.values()), max(coverage.values()))))
     text = f"The 90 % predictive intervals hold {span} of the calibration measurements"
     if narrow:

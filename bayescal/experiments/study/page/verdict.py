@@ -78,7 +78,7 @@ def _say_uncertainty(study: StudyResults) -> str:
     if "worst" not in worst:
         return said
     largest = format_amount(worst["worst"], worst["unit"], 2, study.units)
-    return f"{said}; largest {worst['coordinate']} {largest}, at {worst['worst_at']}"
+    return f"{said}; largest {worst['coordinate']} {largest}"
 
 
 # --- the verdict -----------------------------------------------------------------------------------------------------
@@ -140,8 +140,9 @@ def _state_accuracy(study: StudyResults) -> list[Statement]:
     noise = study.summary.get("measurement_noise_um", {}).get(use)
     measured = "" if noise is None else f"; the measurement's own noise is {format_significant(noise, 2)} µm rms"
     held = "held back from the fit" if study.n_verification else "used in the fit; none were held back"
-    n = study.summary["n_poses"][use]
-    text = f"{study.name_variants(seen)}: {', '.join(errors)} on the {n} {use} poses ({held}){measured}."
+    n = study.count_seen(seen[0], use)
+    poses = f"{n} {use} pose{'s' if n != 1 else ''}"
+    text = f"{study.name_variants(seen)}: {', '.join(errors)} on the {poses} ({held}){measured}."
     return [Statement(text, lead="Accuracy")]
 
 

@@ -46,15 +46,14 @@ def tabulate_parameters(variants: dict[str, tuple[float, float]]) -> pd.DataFram
     rows = []
     odd = {"a_x[1]": (0.2, 0.01), "a_x[2]": (0.3, 0.02), "b_x[2]": (0.1, 0.2)}
     for variant, (_, shift) in variants.items():
-        for setting in ("free", "zero"):
-            for name, values in describe_parameters(shift, setting == "free").items():
-                prior, likelihood = odd.get(name, (0.01, 0.1))
-                own = {"variant": variant, "model_error": setting, "parameter": name, **values}
-                rows.append({**own, "prior_sensitivity": prior, "likelihood_sensitivity": likelihood})
+        for name, values in describe_parameters(shift).items():
+            prior, likelihood = odd.get(name, (0.01, 0.1))
+            own = {"variant": variant, "parameter": name, **values}
+            rows.append({**own, "prior_sensitivity": prior, "likelihood_sensitivity": likelihood})
     return pd.DataFrame(rows)
 
 
-def describe_parameters(shift: float, with_model_error: bool) -> dict:
+def describe_parameters(shift: float) -> dict:
     parameters = {}
     for k, symbol in enumerate(SYMBOLS):
         for leg in LEGS:
@@ -63,10 +62,8 @@ def describe_parameters(shift: float, with_model_error: bool) -> dict:
             mean = nominal + (shift * leg if length else 0.002)
             prior_sd, unit = (2.0, "mm") if length else (0.01, "1")
             parameters[f"{symbol}[{leg}]"] = describe(nominal, mean, sd, prior_sd, unit)
-    if with_model_error:
-        tau = describe(0.0, 0.004, 0.001, 0.006, "mm") | {"verdict": "noise"}
-        parameters |= {f"tau[{leg}]": tau for leg in LEGS}
-    return parameters
+    tau = describe(0.0, 0.004, 0.001, 0.006, "mm") | {"verdict": "noise"}
+    return parameters | {f"tau[{leg}]": tau for leg in LEGS}
 
 
 def describe(nominal: float, mean: float, sd: float, prior_sd: float, unit: str) -> dict:
@@ -75,11 +72,11 @@ def describe(nominal: float, mean: float, sd: float, prior_sd: float, unit: str)
     return {"nominal": nominal, "unit": unit, "mean": mean, "sd": sd, **interval, "prior_sd": prior_sd, **known}
 
 
-def describe_fit(title: str, log_evidence: float, shift: float, with_model_error: bool, uses: dict[str, int]) -> dict:
+def describe_fit(title: str, log_evidence: float, shift: float, uses: dict[str, int]) -> dict:
     errors = {
         "position_error_mm": {"mean": 0.004 * shift, "max": 0.009 * shift},
         "orientation_error_deg": {"mean": 0.001, "max": 0.002},
-        "interval_90_coverage": 0.9 if with_model_error else 0.4,
+        "interval_90_coverage": 0.9,
         "bound_95_coverage": 1.0,
     }
     evidence = {"log_evidence": log_evidence, "log_evidence_importance": log_evidence}
@@ -96,7 +93,7 @@ def describe_fit(title: str, log_evidence: float, shift: float, with_model_error
         **{"elpd_loo_se": 5.0, "elpd_loo_difference": 0.0, "elpd_loo_difference_se": 4.0, "stacking_weight": 0.5},
         **{"loo_pareto_k_max": 0.5, "loo_refitted": 0, "loo_unreliable": 0},
         **{"converged": True, "problems": "", "rhat_max": 1.001, "ess_bulk_min": 4000.0, "ess_tail_min": 3000.0},
-        **dict.fromkeys(uses, errors),
+        **{use: errors if use in uses else None for use in USES},
         **{"distance_from_nominal_mm": shift, "distance_from_nominal_prior_sd": shift / 2, "misfit": 1.01},
         **{"misfit_chi2": 205.0, "misfit_dof": 200.0, "pulls_chi2": 11.0, "pulls_dof": 10.0},
     }
@@ -107,8 +104,7 @@ def describe_summary(uses: dict[str, int], variants_of: dict[str, tuple[float, f
     for name, (log_evidence, shift) in variants_of.items():
         model, _, deformation = name.rpartition("/")
         title = f"{TITLES.get(model, model)}/{deformation}"
-        variants[name] = describe_fit(title, log_evidence, shift, True, uses)
-        variants[name]["without_model_error"] = describe_fit(title, log_evidence - 30, shift, False, uses)
+        variants[name] = describe_fit(title, log_evidence, shift, uses)
     return {
         "experiment": "tiny",
         "title": "A tiny study",
@@ -124,29 +120,44 @@ def describe_summary(uses: dict[str, int], variants_of: dict[str, tuple[float, f
     }
 
 
-PITS = ("x_pit", "y_pit", "z_pit", "rx_pit", "ry_pit", "rz_pit", "position_pit", "orientation_pit")
-
-
-def tabulate_poses(uses: dict[str, int], variants: dict[str, dict]) -> pd.DataFrame:
+def tabulate_poses(variants: dict[str, dict]) -> pd.DataFrame:
     """Return elpd by pose: of the k-th variant k nat to and fro, so that LOO of two differs by ± 2 nat times that."""
-    rows = []
-    for number, (variant, free) in enumerate(variants.items()):
-        for setting, fit in (("free", free), ("zero", free["without_model_error"])):
-            for use, n in uses.items():
-                total = fit["elpd_loo"] if use == "calibration" else fit["elpd"]
-                for k in range(n):
-                    elpd = total / n + number * (-1) ** k
-                    own = {"variant": variant, "model_error": setting, "pose": f"{use[0].upper()}{k}", "use": use}
-                    pits = dict(zip(PITS, np.linspace(0.1, 0.9, 8) + 0.01 * k, strict=True))
-                    rows.append({**own, "elpd_loo": elpd, "pareto_k": 0.3, "refitted": False, **pits})
+    rows, n = [], USES["calibration"]
+    for number, (variant, fit) in enumerate(variants.items()):
+        for k in range(n):
+            left_out = {"elpd_loo": fit["elpd_loo"] / n + number * (-1) ** k, "pareto_k": 0.3, "refitted": False}
+            residual = {"equations": 6, "square": 5.0 + k, "trust": 1.0, "contradicting": False}
+            rows.append({"variant": variant, "pose": f"C{k}", **left_out, **residual})
     return pd.DataFrame(rows)
+
+
+def tabulate_accuracy(variants: dict[str, tuple[float, float]]) -> pd.DataFrame:
+    """Return a tool of x alone, which before the calibration was a hundred times as uncertain."""
+    return pd.DataFrame(
+        {
+            "variant": variant,
+            "coordinate": "x",
+            "unit": "mm",
+            "before": 1.3,
+            "after": 0.013,
+            "noise": 0.002,
+            "worst": 0.021,
+            "worst_at": "x = 7 mm",
+        }
+        for variant in variants
+    )
+
+
+def tabulate_model_error(variants: dict[str, tuple[float, float]]) -> pd.DataFrame:
+    """Return random errors that the data show."""
+    size = {"median_um": 4.0, "q05_um": 3.0, "q95_um": 5.0}
+    return pd.DataFrame({"variant": variant, "term": "independent", **size} for variant in variants)
 
 
 def tabulate_pose_errors(uses: dict[str, int], variants: dict[str, tuple[float, float]]) -> pd.DataFrame:
     return pd.DataFrame(
         {
             "variant": variant,
-            "model_error": setting,
             "pose": f"{use[0].upper()}{k}",
             "use": use,
             "position_error_mm": 0.004 + 0.001 * k,
@@ -155,7 +166,6 @@ def tabulate_pose_errors(uses: dict[str, int], variants: dict[str, tuple[float, 
             "orientation_bound_95_deg": 0.002,
         }
         for variant in variants
-        for setting in ("free", "zero")
         for use, n in uses.items()
         for k in range(n)
     )
@@ -235,20 +245,22 @@ def write_draws(path: Path) -> None:
         for symbol, values in draws.items():
             file[f"posterior/{symbol}"] = values
         file["posterior/leg"] = np.array(LEGS)
-        replicated = 1.0 + np.repeat([0.004, 1e-5], 3) * rng.standard_normal((4, 50, USES["calibration"], 6))
-        file["observed_data/readings"] = np.ones((USES["calibration"], 6))
-        file["posterior_predictive/readings"] = replicated
 
 
-def describe_config(variants: dict[str, tuple[float, float]], published: bool) -> dict:
-    entries = []
-    for name in variants:
-        model, deformation = name.split("/")
-        entry = {"model": model, "deformation": deformation}
-        if model in LETTERS and published:
-            entry["published"] = f"published/table{TABLES[deformation]}{LETTERS[model]}.csv"
-        entries.append(entry)
-    return {"model_error": {"scale_um": 10.0}, "variants": entries}
+def name_tables(variants: dict[str, tuple[float, float]]) -> dict[str, str]:
+    """Return where a publication prints the values of the variants that it has."""
+    pairs = {name: name.split("/") for name in variants}
+    return {
+        name: f"table {TABLES[deformation]}({LETTERS[model]})"
+        for name, (model, deformation) in pairs.items()
+        if model in LETTERS
+    }
+
+
+def describe_config(variants: dict[str, tuple[float, float]]) -> dict:
+    pairs = [name.split("/") for name in variants]
+    entries = [{"model": model, "deformation": deformation} for model, deformation in pairs]
+    return {"model_error": {"terms": ["independent"], "scale_um": 10.0}, "variants": entries}
 
 
 def tabulate_claims() -> pd.DataFrame:
@@ -299,14 +311,13 @@ def write_results(
     publication=None,
     drive="base",
     name="results",
-    zero=True,
     more=None,
     edits=None,
 ) -> Path:
     """Write a results directory below a parent and return its path.
 
     ``change``, one or several, edits the summary in place; ``edits`` edit tables, in place or by what they return;
-    ``more`` are further tables. Without ``zero`` there are no posteriors without model error.
+    ``more`` are further tables.
     """
     folder = parent / name
     folder.mkdir()
@@ -314,15 +325,19 @@ def write_results(
     summary = describe_summary(uses, variants) | {"drive": drive}
     if publication is not None or claims:
         summary["publication"] = publication or PUBLICATION
+    if published and len(variants) > len(TWO):
+        summary["publication"] = summary.get("publication", PUBLICATION) | {"tables": name_tables(variants)}
     for one in [change] if callable(change) else change or ():
         one(summary)
-    provenance = {"name": "tiny", "seed": 1, "config": describe_config(variants, published), "python": "3.12"}
+    provenance = {"name": "tiny", "seed": 1, "config": describe_config(variants), "python": "3.12"}
     provenance |= {"platform": "linux", "files": {"t.csv": "f" * 64}, "versions": {"numpy": "2"}}
     tables = {
         "variants": pd.DataFrame([{"variant": n, "title": one["title"]} for n, one in summary["variants"].items()]),
         "parameters": tabulate_parameters(variants),
         "pose_errors": tabulate_pose_errors(uses, variants),
-        "poses": tabulate_poses(uses, summary["variants"]),
+        "poses": tabulate_poses(summary["variants"]),
+        "accuracy": tabulate_accuracy(variants),
+        "model_error": tabulate_model_error(variants),
         "least_squares": tabulate_least_squares(variants, published),
         "sensitivity": tabulate_sensitivity(summary),
     }
@@ -332,11 +347,6 @@ def write_results(
         tables["claims"] = tabulate_claims()
     if flexure:
         tables["flexure"] = tabulate_flexure()
-    if not zero:
-        for fit in summary["variants"].values():
-            del fit["without_model_error"]
-        settings = {name: table for name, table in tables.items() if "model_error" in table}
-        tables |= {name: table[table["model_error"] == "free"] for name, table in settings.items()}
     tables |= more or {}
     for table, edit in (edits or {}).items():
         edited = edit(tables[table])
@@ -346,12 +356,11 @@ def write_results(
     return folder
 
 
-def set_fit(variant, setting="free", **values):
+def set_fit(variant, **values):
     """Return a change of a summary: numbers of a posterior, the variants ranked by their evidence as it then is."""
 
     def change(summary):
-        fit = summary["variants"][variant]
-        (fit if setting == "free" else fit["without_model_error"]).update(values)
+        summary["variants"][variant].update(values)
         summary["rankings"][0].sort(key=lambda name: -summary["variants"][name]["log_evidence"])
 
     return change

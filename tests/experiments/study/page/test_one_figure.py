@@ -51,7 +51,7 @@ def test_nothing_is_promised_of_poses_whose_gain_is_not_known():
 def test_the_distance_from_nominal_is_one_figure():
     results = read_results(RESULTS / "telescope")
     study, fit = StudyResults.of(results), results.summary["variants"]
-    table = tabulate_ranking(study, "free")
+    table = tabulate_ranking(study)
     column = next(k for k, one in enumerate(table.columns) if one.unit == "tolerances")
     shown = {cell.text: row[column].text for row in table.rows for cell in row[:2]}
     assert f"{fit[study.best_name]['distance_from_nominal_prior_sd']:.2g}" in shown[study.label(study.best_name)]

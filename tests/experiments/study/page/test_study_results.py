@@ -39,9 +39,9 @@ def test_a_file_at_fault_is_named(make_results, path, content, found):
 
 def test_a_number_missing_from_a_fit_is_named(make_results):
     def change(summary):
-        del summary["variants"]["pus/none"]["without_model_error"]["rhat_max"]
+        del summary["variants"]["pus/none"]["rhat_max"]
 
-    with pytest.raises(InputError, match=r"variants\.pus/none\.without_model_error\.rhat_max: found nothing"):
+    with pytest.raises(InputError, match=r"variants\.pus/none\.rhat_max: found nothing"):
         read_study(make_results(change))
 
 

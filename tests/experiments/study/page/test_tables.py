@@ -11,7 +11,6 @@ import pytest
 from made_up_results import (
     PUBLICATION,
     TWELVE,
-    edit_config,
     read_page,
     read_study,
     render_text,
@@ -35,7 +34,6 @@ from bayescal.experiments.study.page.parameters import (
     compare_published,
     fold_parameters,
     list_remarks,
-    name_table,
     state_agreement,
     tabulate_parameters,
     tabulate_published,
@@ -140,24 +138,9 @@ def test_a_row_printed_far_too_small_is_remarked(make_results, share, remarks):
         assert "ten times" not in found[0].text
 
 
-@pytest.mark.parametrize(
-    ("published", "name"),
-    [
-        ("published/table7c.csv", "table 7(c)"),
-        ("C:\\data\\table_12_b.csv", "table 12(b)"),
-        ("mine.csv", "mine"),
-        (None, ""),
-    ],
-)
-def test_a_table_is_named_after_its_file(make_results, published, name):
-    folder = make_results()
-    edit_config(folder, lambda config: config["variants"][0].update(published=published))
-    assert name_table(read_study(folder), "pus/none") == name
-
-
 def test_posteriors_of_tied_variants_are_compared(make_results):
     def change(table):
-        mine = (table["variant"] == "stiffness/matrix") & (table["model_error"] == "free")
+        mine = table["variant"] == "stiffness/matrix"
         table.loc[mine & (table["parameter"] == "l[2]"), "mean"] += 0.25  # sd 0.1
         table.loc[mine & (table["parameter"] == "b_y[2]"), ["parameter", "mean"]] = ["l_b[1]", 1e3]  # the others' none
 
@@ -347,9 +330,9 @@ def test_benefit_of_the_exact_density_is_next_to_the_estimators(make_results):
     change = set_fit("pus/linear", **{f"exact_density_{key}": value for key, value in exact.items()})
     table = tabulate_evidence(read_study(make_results(change)))
     assert "exact" in table.caption
-    assert [cell.text for cell in table.rows[0]][7:9] == ["−1.06 ± 0.02", "31"]
-    assert table.rows[0][8].level == "bad"  # too few draws count
-    assert [cell.text for cell in table.rows[1]][7:9] == ["–", "–"]
+    assert [cell.text for cell in table.rows[0]][6:8] == ["−1.06 ± 0.02", "31"]
+    assert table.rows[0][7].level == "bad"  # too few draws count
+    assert [cell.text for cell in table.rows[1]][6:8] == ["–", "–"]
     assert "exact" not in tabulate_evidence(read_study(make_results(name="none"))).caption
 
 
@@ -370,7 +353,6 @@ def test_benefit_of_the_exact_density_is_next_to_the_estimators(make_results):
         ),
         ({1.0: np.nan, 10.0: 20.0}, "plain", "Keep … 2 of 4 evidences are reliable", "–"),
         ({1.0: -9.0, 10.0: 0.5}, "good", "Keep", "91.0 (2)"),  # ties are no order
-        ({1.0: 5.0, 100.0: 5.0}, "good", "Keep the scale of τ's prior, 10 µm", "105.0 (1)"),  # the stated one is added
     ],
 )
 def test_the_scale_of_the_model_errors_prior_is_stated_where_the_order_depends_on_it(
@@ -380,12 +362,13 @@ def test_the_scale_of_the_model_errors_prior_is_stated_where_the_order_depends_o
     assert show_tau_scale(study) == []
     names = ("pus/linear", "pus/none")
     rows = [(name, scale, 100.0 + lead * (name == names[0])) for scale, lead in leads.items() for name in names]
-    table = pd.DataFrame(rows, columns=["variant", "tau_scale_um", "log_evidence"]).assign(efficiency=1.0, pareto_k=0.0)
+    table = pd.DataFrame(rows, columns=["variant", "tau_scale_um", "log_evidence"])
+    table = table.assign(own_um=10.0, efficiency=1.0, pareto_k=0.0)
     study = replace(study, tables={**study.tables, "tau_scale": table})
     statement, shown = show_tau_scale(study)
     assert all(one in statement.text for one in words.split(" … "))
     assert ("are reliable" in statement.text) == ("are reliable" in words)
     assert statement.level == level
-    assert [column.title for column in shown.columns][1:] == [f"{scale:g} µm" for scale in sorted({*leads, 10.0})]
+    assert [column.title for column in shown.columns][1:] == [f"{scale:g} µm" for scale in sorted(leads)]
     assert " ".join(cell.text for cell in shown.rows[0][1:]).startswith(cells)
     assert statement in show_evidence(study).blocks
