@@ -24,7 +24,7 @@ help:
 	@echo "make dist       the wheel, into dist"
 	@echo "make picture    README's picture of a report, from committed results (needs Chromium)"
 	@echo "make hostile    mutated configs, tables and results, kills, full disks and runs that meet; on and on for MINUTES"
-	@echo "make benchmark  speed against a compiled loop and against NUTS (installs numba and numpyro)"
+	@echo "make benchmark  speed of every model, and against NUTS (installs numpyro)"
 
 study: $(STAMP)
 	$(THREADS) $(BIN)/bayescal run experiments/telescope/study.toml

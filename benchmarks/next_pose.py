@@ -27,12 +27,15 @@ import numpy as np
 
 from bayescal.data.actuators import read_moves
 from bayescal.data.measured_poses import MeasuredPoses
+from bayescal.density.calibration.terms import NO_ERRORS
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.next.compute import State, find_state
 from bayescal.experiments.next.inputs import Subject, read_next
-from bayescal.experiments.shared.measured import MeasuredVariant, see_legs
+from bayescal.experiments.shared.leg_readings import place_legs
+from bayescal.experiments.shared.measured import MeasuredReadings
 from bayescal.identifiability.requirements import Requirement
-from bayescal.machines.kinematics import ForwardKinematics, solve_forward_kinematics
+from bayescal.machines.kinematics import ForwardKinematics, Machine, solve_forward_kinematics
+from bayescal.machines.readings import Legs
 from bayescal.numerics.geometry import Array, compute_pose_error, matrix_from_rotation_vector
 from bayescal.pose_selection.next_pose import find_unmeasured, look_ahead
 
@@ -65,25 +68,50 @@ class Problem:
         return self.subject.requirements
 
     @property
-    def measured(self) -> MeasuredVariant:
-        """The variant's poses."""
-        assert self.subject.measured.legs is not None
-        return self.subject.measured.legs
+    def measured(self) -> MeasuredReadings:
+        """The variant's readings."""
+        return self.subject.measured
+
+    @property
+    def model(self) -> Legs:
+        """The hexapod with its encoders, and its pose as it was seen."""
+        model = self.measured.posterior.likelihood.model
+        assert isinstance(model, Legs)
+        return model
+
+    @property
+    def machine(self) -> Machine:
+        """The hexapod."""
+        return self.model.machine
+
+    @property
+    def actuator_noise(self) -> float:
+        """Of all actuators, mm."""
+        return float(self.measured.posterior.likelihood.data.sd[0, 0])
+
+    @property
+    def scale(self) -> float:
+        """Of the prior of model errors, mm; zero without any."""
+        return max((one.scale for one in self.measured.posterior.errors.terms), default=0.0)
 
 
 def build_problem(model_error: bool, reach: float | None) -> Problem:
     """Return what all twins share; requirements are the audit's."""
-    config = load(FOLDER / "next.toml")[1].model_copy(update={"with_model_error": model_error, "first": None})
+    config = load(FOLDER / "next.toml")[1].model_copy(update={"first": None})
     if reach is not None:
         config = config.model_copy(
             update={"candidates": type(config.candidates)(range_mm=reach, count=config.candidates.count)}
         )
     subject = next(iter(read_next(config, FOLDER).subjects.values()))
-    legs = subject.measured.legs
-    assert legs is not None
-    home = legs.machine.mechanism.initial_actuator_positions
-    plan = home + read_moves(FOLDER / "calibration_configurations.csv", 1.0, len(home))
-    return Problem(subject, plan, legs.poses.covariance.mean(axis=0))
+    if not model_error:
+        posterior = replace(subject.measured.posterior, errors=NO_ERRORS)
+        subject = replace(subject, measured=replace(subject.measured, posterior=posterior))
+    data = subject.measured.posterior.likelihood.data
+    correlation = np.eye(12)[None] if data.correlation is None else data.correlation
+    covariance = (data.sd[:, :, None] * correlation * data.sd[:, None])[:, 6:, 6:].mean(axis=0)
+    problem = Problem(subject, np.empty((0, 6)), covariance)
+    home = problem.machine.mechanism.initial_actuator_positions
+    return replace(problem, plan=home + read_moves(FOLDER / "calibration_configurations.csv", 1.0, len(home)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,9 +125,9 @@ class Twin:
 
     def measure(self, actuators: Array) -> MeasuredPoses:
         """Return what is measured at actuator positions (P, 6)."""
-        machine, noise = self.problem.measured.machine, self.problem.noise
+        machine, noise = self.problem.machine, self.problem.noise
         found = solve_forward_kinematics(machine, self.theta, actuators)
-        own = self.problem.measured.actuator_noise * self.rng.standard_normal(actuators.shape)
+        own = self.problem.actuator_noise * self.rng.standard_normal(actuators.shape)
         read = actuators - own - self.tau * self.rng.standard_normal(actuators.shape)
         error = self.rng.standard_normal(actuators.shape) @ np.linalg.cholesky(noise).T
         names = tuple(str(k) for k in range(len(actuators)))
@@ -110,20 +138,20 @@ class Twin:
     def find_errors(self, calibrated: Array) -> Array:
         """Return the true error of a calibrated machine, by geometry alone, over the workspace, shape (W, 6)."""
         true, there = self.true_poses, self.problem.subject.workspace.values
-        found = solve_forward_kinematics(self.problem.measured.machine, calibrated, there, follow=False)
+        found = solve_forward_kinematics(self.problem.machine, calibrated, there, follow=False)
         return compute_pose_error(true.position, true.rotation, found.position, found.rotation)
 
     @cached_property
     def true_poses(self) -> ForwardKinematics:
         """Where the true machine stands."""
-        machine, there = self.problem.measured.machine, self.problem.subject.workspace.values
+        machine, there = self.problem.machine, self.problem.subject.workspace.values
         return solve_forward_kinematics(machine, self.theta, there)
 
     def draw_rest(self) -> Array:
         """Return what actuators and model err by at the workspace, shape (W, 6)."""
-        machine, there = self.problem.measured.machine, self.problem.subject.workspace.values
+        machine, there = self.problem.machine, self.problem.subject.workspace.values
         here = machine.linearise(self.theta, self.true_poses.position, self.true_poses.rotation, there)
-        error = self.problem.measured.actuator_noise * self.rng.standard_normal(there.shape)
+        error = self.problem.actuator_noise * self.rng.standard_normal(there.shape)
         error += self.tau * self.rng.standard_normal(there.shape)
         return np.einsum("wij,wjk,wk->wi", np.linalg.inv(here.pose), here.actuators, error)
 
@@ -141,16 +169,17 @@ def join(one: MeasuredPoses | None, other: MeasuredPoses) -> MeasuredPoses:
 
 def find(problem: Problem, poses: MeasuredPoses, start: Array | None) -> State:
     """Return what is known after poses, updated from a mode."""
-    measured = see_legs(problem.measured.with_poses(poses))
+    old = problem.measured.posterior
+    found = place_legs(problem.model, poses, problem.actuator_noise, old.priors, old.errors, old.fixed).posterior
+    likelihood = replace(found.likelihood, straight=True)
+    measured = replace(problem.measured, posterior=replace(found, likelihood=likelihood))
     return find_state(replace(problem.subject, measured=measured), start, DRAWS, SEED)
 
 
 def tighten(problem: Problem) -> Problem:
     """Return the problem with requirements that the plan meets with the stated probability."""
     centre = problem.measured.posterior.sampling.start
-    tau = np.zeros(6)
-    if problem.measured.posterior.errors.model_error.scale is not None:
-        tau[:] = 0.5 * problem.measured.posterior.errors.model_error.scale
+    tau = np.full(6, 0.5 * problem.scale)
     state = find(problem, Twin(problem, centre, tau, np.random.default_rng(1)).measure(problem.plan), None)
     factor = float(np.quantile(state.standing.largest.max(axis=1), STATED))
     limits = [Requirement(one.name, one.limit * factor) for one in problem.requirements]
@@ -161,9 +190,8 @@ def draw_twin(problem: Problem, number: int) -> Twin:
     """Return a machine drawn from the tolerances."""
     rng, posterior = np.random.default_rng([SEED, number]), problem.measured.posterior
     theta, free = posterior.sampling.start.copy(), posterior.sampling.free
-    theta[free] += posterior.sampling.coordinates.scale * rng.standard_normal(len(free))
-    scale = posterior.errors.model_error.scale
-    tau = np.zeros(6) if scale is None else np.abs(rng.normal(0.0, scale, 6))
+    theta[free] += [one.sd for one in posterior.sampling.priors] * rng.standard_normal(len(free))
+    tau = np.abs(rng.normal(0.0, problem.scale, 6))
     return Twin(problem, theta, tau, rng)
 
 

@@ -60,7 +60,7 @@ def run_dynesty(one_likelihood: Callable[[Array], float], n: int, seconds: float
 
 def compile_likelihood(problem: Problem, density: PlainDensity, z: Array) -> Callable[[Array], float]:
     """Return the log-likelihood of one z by JAX, which takes one vector in less time than bayescal; normalised at z."""
-    compiled = jax.jit(build_log_likelihood(problem, density.posterior, exact_solve=False))
+    compiled = jax.jit(build_log_likelihood(problem, density.posterior))
     offset = float(density.log_likelihood(z[None])[0]) - float(compiled(z))
 
     def log_likelihood(one: Array) -> float:

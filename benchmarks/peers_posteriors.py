@@ -5,13 +5,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from telescope_problem import SEED, Problem, simulate  # first: sets one thread
+from telescope_problem import SEED, Problem, simulate, standardise  # first: sets one thread
 
 import numpy as np
 
 from bayescal.data.measured_poses import MeasuredPoses
-from bayescal.density.errors import ModelError
-from bayescal.density.legs import LegPosterior, build_leg_posterior
+from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.density.priors import NormalPrior
 from bayescal.inference.mode import Mode
 from bayescal.machines.kinematics import solve_forward_kinematics
@@ -22,13 +21,13 @@ MIRRORING = {"a_x": 2.0, "a_y": 2.0, "b_x": 2.0, "b_y": 2.0, "l": 2.0}  # mm, wh
 NO_MACHINE = -1e10  # its log-density
 
 
-def build_well() -> tuple[Problem, LegPosterior]:
+def build_well() -> tuple[Problem, CalibrationPosterior]:
     """Return the problem of sampling.py."""
     problem = simulate()
     return problem, problem.posterior()
 
 
-def build_misfitting() -> tuple[Problem, LegPosterior]:
+def build_misfitting() -> tuple[Problem, CalibrationPosterior]:
     """Return the same machine, measured with errors that no parameter explains."""
     problem = simulate()
     moved = problem.poses.actuators - problem.machine.mechanism.initial_actuator_positions
@@ -37,22 +36,22 @@ def build_misfitting() -> tuple[Problem, LegPosterior]:
     return problem, problem.posterior()
 
 
-def build_ridge() -> tuple[Problem, LegPosterior]:
+def build_ridge() -> tuple[Problem, CalibrationPosterior]:
     """Return what RR-8096 frees, with its tolerance of u_x: one mode holds nearly all, with a ridge along a u_x."""
     return _build_nominal(MIRRORING | {"u_x": 0.05})
 
 
-def build_multimodal() -> tuple[Problem, LegPosterior]:
+def build_multimodal() -> tuple[Problem, CalibrationPosterior]:
     """Return the same with twice the tolerance of u_x: both directions of a leg that have its gain are plausible."""
     return _build_nominal(MIRRORING | {"u_x": 0.1})
 
 
-def build_lengths() -> tuple[Problem, LegPosterior]:
+def build_lengths() -> tuple[Problem, CalibrationPosterior]:
     """Return a machine of which six lengths are unknown: few enough for nested samplers to come to an end."""
     return _build_nominal({"l": MIRRORING["l"]})
 
 
-def _build_nominal(spreads: dict[str, float]) -> tuple[Problem, LegPosterior]:
+def _build_nominal(spreads: dict[str, float]) -> tuple[Problem, CalibrationPosterior]:
     """Return a machine that is nominal but for symbols with these prior standard deviations, which are free."""
     problem, rng = simulate(), np.random.default_rng(SEED + 7)
     machine = problem.machine
@@ -67,7 +66,7 @@ def _build_nominal(spreads: dict[str, float]) -> tuple[Problem, LegPosterior]:
         for name, prior in problem.priors().items()
         if name.partition("[")[0] in spreads
     }
-    return problem, build_leg_posterior(problem.likelihood(), priors, ModelError(None))
+    return problem, problem.posterior(priors=priors)
 
 
 def _add(poses: MeasuredPoses, at, error: Array) -> MeasuredPoses:
@@ -88,17 +87,15 @@ BUILD = {
 class PlainDensity:
     """The posterior over standardised parameters z, normalised as bayescal's evidence is."""
 
-    def __init__(self, posterior: LegPosterior) -> None:
-        self.posterior, coordinates = posterior, posterior.sampling.coordinates
-        self.start, self.free, self.scale = coordinates.start, coordinates.free, coordinates.scale
-        self.n = len(self.free)
-        self._whitening = np.linalg.inv(np.linalg.cholesky(posterior.likelihood.error_covariance(np.zeros(6))))
-        self.n_calls = 0
+    def __init__(self, posterior: CalibrationPosterior) -> None:
+        self.posterior, self.start = posterior, posterior.sampling.start
+        self.free, self.centre, self.scale = standardise(posterior)
+        self.n, self.n_calls = len(self.free), 0
 
     def theta(self, z: Array) -> Array:
         """Return parameter vectors of z (B, n)."""
         theta = np.tile(self.start, (len(z), 1))
-        theta[:, self.free] += self.scale * z
+        theta[:, self.free] = self.centre + self.scale * z
         return theta
 
     def mode_shares(self, modes: list[Mode], z: Array) -> list[float]:
@@ -110,7 +107,7 @@ class PlainDensity:
 
     def standardise(self, natural: Array) -> Array:
         """Return z of draws (..., n) in natural units."""
-        return (natural - self.start[self.free]) / self.scale
+        return (natural - self.centre) / self.scale
 
     def log_likelihood(self, z: Array) -> Array:
         """Return the log-likelihood (B,); very low where there is no machine."""
@@ -119,7 +116,8 @@ class PlainDensity:
         inside = self.posterior.likelihood.layout.inside(theta)
         theta[~inside] = self.start
         with np.errstate(all="ignore"):
-            found = self.posterior.likelihood(theta, np.zeros(6))
+            zeta = np.zeros((len(theta), 0))
+            found = self.posterior.likelihood.density(theta, self.posterior.errors, zeta)
         return np.where(inside & np.isfinite(found), found, NO_MACHINE)
 
     def __call__(self, z: Array) -> Array:
@@ -127,13 +125,16 @@ class PlainDensity:
         return self.log_likelihood(z) - 0.5 * np.sum(z**2, axis=1)
 
     def residuals(self, z: Array) -> Array:
-        """Return whitened errors and priors of one vector, of which half the squares are minus the log-density."""
-        rows = self.posterior.likelihood.errors(self.theta(z[None]))[0]
-        white = np.einsum("pij,pj->pi", self._whitening, np.where(np.isfinite(rows), rows, 1e3)).ravel()
-        return np.concatenate([white, z])
+        """Return whitened errors and priors of one vector, half of whose squares are about minus the log-density."""
+        rows = self._find_rows(z)[0]
+        return np.concatenate([np.where(np.isfinite(rows), rows, 1e3).ravel(), z])
 
     def jacobian(self, z: Array) -> Array:
         """Return the exact derivative of the residuals."""
-        _, slope = self.posterior.likelihood.error_jacobian(self.theta(z[None])[0])
-        white = (self._whitening @ slope[..., self.free]) * self.scale
-        return np.concatenate([white.reshape(-1, self.n), np.eye(self.n)])
+        return np.concatenate([-self._find_rows(z)[1].reshape(-1, self.n), np.eye(self.n)])
+
+    def _find_rows(self, z: Array) -> tuple[Array, Array]:
+        change = np.zeros((len(self.start), self.n))
+        change[self.free, np.arange(self.n)] = self.scale
+        theta, errors = self.theta(z[None])[0], self.posterior.errors
+        return self.posterior.likelihood.whole.reduced_rows(theta, change, errors, np.zeros(0))

@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from bayescal.density.legs import LegPosterior
+from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.inference.importance import estimate_by_importance
 from bayescal.inference.mode import Mode
 from bayescal.numerics.geometry import Array
@@ -24,7 +24,7 @@ from bayescal.numerics.geometry import Array
 PRICE = 0.02  # nats of standard error that evidences are timed to
 
 
-def run_bayescal(posterior: LegPosterior, n_steps: int) -> tuple[dict[str, Any], list[Mode], Array]:
+def run_bayescal(posterior: CalibrationPosterior, n_steps: int) -> tuple[dict[str, Any], list[Mode], Array]:
     """Return figures of draws and evidence, the modes found, and the draws in z (ensembles, draws, n)."""
     figures, found, draws = sampling.run_bayescal(posterior, n_steps)
     begun = time.process_time()
@@ -43,7 +43,7 @@ def run_bayescal(posterior: LegPosterior, n_steps: int) -> tuple[dict[str, Any],
     return figures | {"mode_shares": density.mode_shares(found.modes, z)}, found.modes, z
 
 
-def time_bayescal(posterior: LegPosterior, n_steps: int, repeats: int) -> list[tuple[float, float]]:
+def time_bayescal(posterior: CalibrationPosterior, n_steps: int, repeats: int) -> list[tuple[float, float]]:
     """Return the seconds of everything and of the exploration, once more each; the draws are the same."""
     return [sampling.draw_bayescal(posterior, n_steps)[0] for _ in range(repeats)]
 
@@ -68,7 +68,7 @@ def compare_rates(ours: dict[str, Any], theirs: dict[str, Any], beside: list[tup
 
 def run_nuts(
     problem: Problem,
-    posterior: LegPosterior,
+    posterior: CalibrationPosterior,
     modes: list[Mode],
     z: Array,
     warm_up: int,
@@ -78,7 +78,7 @@ def run_nuts(
 ) -> dict[str, Any]:
     """Return the figures of NUTS with a full mass matrix, in z or in coordinates of the posterior's covariance."""
     n = z.shape[-1]
-    density, comparison = sampling.choose_density(problem, posterior, z[:, :: z.shape[1] // 10].reshape(-1, n))
+    density, comparison = sampling.build_density(problem, posterior, z[:, :: z.shape[1] // 10].reshape(-1, n))
     flat = z.reshape(-1, n)
     centre, factor = np.zeros(n), np.eye(n)
     if whitened:

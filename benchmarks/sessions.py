@@ -30,9 +30,8 @@ CLEAR = 3.0
 
 def make_sessions(subject: Subject, moves: bool, rng: np.random.Generator) -> tuple[SessionModel, Array]:
     """Return sessions of a twin, and the true lengths in each, (S, N), less those of the first."""
-    legs = subject.measured.legs
-    assert legs is not None
-    posterior, layout = legs.posterior, legs.machine.layout
+    posterior = subject.posterior
+    layout = posterior.likelihood.layout
     truth, free = posterior.draw_prior(1, rng), posterior.sampling.free
     theta, lengths = posterior.theta(truth), np.flatnonzero(np.isin(free, layout.index["l"]))
     loadings = walk_loadings(DAYS_IN_MONTH * np.arange(SESSIONS))
@@ -42,7 +41,7 @@ def make_sessions(subject: Subject, moves: bool, rng: np.random.Generator) -> tu
     for session in range(SESSIONS):
         now = theta.copy()
         now[:, free[lengths]] += moved[session]
-        plan = Subject(subject.measured.pick(rng.choice(legs.poses.n_poses, POSES, replace=False)))
+        plan = Subject(subject.measured.pick(rng.choice(posterior.likelihood.data.n_poses, POSES, replace=False)))
         values = plan.simulate(posterior.adopt(now, posterior.zeta(truth))[0], rng)
         assert values is not None
         parts.append(Part(pick_rows(plan.measured.retake(values), np.arange(POSES)), session))

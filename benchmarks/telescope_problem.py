@@ -12,7 +12,7 @@ import os
 import platform
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
@@ -23,15 +23,17 @@ for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", 
 import numpy as np  # noqa: E402 - after the number of threads is set
 
 from bayescal.data.measured_poses import MeasuredPoses  # noqa: E402
-from bayescal.density.errors import ModelError  # noqa: E402
-from bayescal.density.legs import LegPosterior, build_leg_posterior  # noqa: E402
-from bayescal.density.pose_likelihood import PoseLikelihood  # noqa: E402
+from bayescal.density.calibration.likelihood import CalibrationPosterior  # noqa: E402
+from bayescal.density.calibration.model_error import IndependentErrors  # noqa: E402
+from bayescal.density.calibration.terms import Errors  # noqa: E402
 from bayescal.density.priors import NormalPrior  # noqa: E402
+from bayescal.experiments.shared.leg_readings import place_legs  # noqa: E402
 from bayescal.files.csv_tables import read_matrix  # noqa: E402
 from bayescal.machines.deformations import MatrixDeformation  # noqa: E402
 from bayescal.machines.kinematics import Machine, solve_forward_kinematics  # noqa: E402
 from bayescal.machines.models.six_pus import SixPus  # noqa: E402
 from bayescal.machines.read import load_mechanism  # noqa: E402
+from bayescal.machines.readings import Legs  # noqa: E402
 from bayescal.numerics.geometry import Array, matrix_from_rotation_vector  # noqa: E402
 
 RESULTS = Path(__file__).parent / "results"
@@ -54,10 +56,6 @@ class Problem:
     poses: MeasuredPoses
     theta: Array
 
-    def likelihood(self) -> PoseLikelihood:
-        """Return the density of the simulated poses."""
-        return PoseLikelihood(self.machine, self.poses, ACTUATOR_NOISE)
-
     def priors(self) -> dict[str, NormalPrior]:
         """Return normal priors about the nominal values for all 60 parameters of `FREE`."""
         layout = self.machine.layout
@@ -68,11 +66,18 @@ class Problem:
                 priors |= {n: NormalPrior(x, sd) for n, x in zip(block.names, block.nominal, strict=True)}
         return priors
 
-    def posterior(self, model_error: bool = False) -> LegPosterior:
-        """Return the posterior, without model error or with one per leg."""
-        return build_leg_posterior(
-            self.likelihood(), self.priors(), ModelError(MODEL_ERROR_SCALE if model_error else None)
-        )
+    def posterior(
+        self, model_error: bool = False, priors: dict[str, NormalPrior] | None = None
+    ) -> CalibrationPosterior:
+        """Return the posterior about the machine that explains the poses, without model error or with one per leg."""
+        own = np.eye(12, dtype=bool)[: 6 if model_error else 0]
+        terms = [
+            IndependentErrors(f"tau[{leg}]", one, MODEL_ERROR_SCALE, "mm", np.ones(12))
+            for leg, one in enumerate(own, 1)
+        ]
+        chosen = self.priors() if priors is None else priors
+        found = place_legs(Legs(self.machine), self.poses, ACTUATOR_NOISE, chosen, Errors(tuple(terms)), {}).posterior
+        return replace(found, likelihood=replace(found.likelihood, straight=True)).anchored()
 
 
 def simulate(seed: int = SEED) -> Problem:
@@ -97,6 +102,12 @@ def simulate(seed: int = SEED) -> Problem:
         actuators=actuators,
     )
     return Problem(machine, poses, theta)
+
+
+def standardise(posterior: CalibrationPosterior) -> tuple[np.ndarray, Array, Array]:
+    """Return where the free parameters stand, their means and their prior standard deviations, shapes (n,)."""
+    free = posterior.sampling.free
+    return free, posterior.sampling.start[free], np.array([prior.sd for prior in posterior.sampling.priors])
 
 
 def time_interleaved(functions: dict[str, Callable[[], object]], n_repeats: int) -> dict[str, list[float]]:

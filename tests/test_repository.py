@@ -18,8 +18,7 @@ TINY = {
     "audit.py --points 2": (),
     "growth.py --what audit --most 20": (),
     "hexapod_calibrations.py --alone 1": (),
-    "likelihood.py --models --repeats 2": (),
-    "likelihood.py --repeats 2": ("numba",),
+    "likelihood.py --repeats 2": (),
     "lookup_table.py --twins 1": (),
     "memory.py --kinds calibration --sizes 0": (),
     "next_pose.py --twins 1 --poses 10": (),
@@ -32,7 +31,7 @@ TINY = {
     "slips.py --studies 1 --machines hexaglide --slips clean unit": (),
 }
 """By command: what it needs that the tests do not."""
-PARTS = {"jax_density", "numba_loops", "peers_evidence", "peers_posteriors", "peers_sampling", "telescope_problem"}
+PARTS = {"jax_density", "peers_evidence", "peers_posteriors", "peers_sampling", "telescope_problem"}
 
 ADDED = {
     "compute": "from bayescal.experiments.added import page",

@@ -173,25 +173,29 @@ class Coefficients:
         curvature = self.trust[..., None, None] * identity - soft * outer
         spread = np.linalg.solve(identity - own @ curvature, own)
         left = self.residual + self.trust[..., None] * (spread @ self.residual[..., None])[..., 0]
-        return _weigh(left, spread, outliers, spare)
+        return self._weigh(left, spread, outliers, spare)
 
     def condition_others(self, error: Array, columns: Array, outliers: Outliers, spare: np.ndarray) -> Array:
         """Return the log-density of each of Q other poses' rows given these, (B, Q), from e and A of theirs."""
         left = error - np.einsum("bqkn,bn->bqk", columns, self.mean)
-        return _weigh(left, self._spread(columns), outliers, spare)
+        return self._weigh(left, self._spread(columns), outliers, spare)
 
     def _spread(self, columns: Array) -> Array:
         """Return A M⁻¹ Aᵀ, shape (B, P, m, m)."""
         return np.asarray(columns @ self.inverse[:, None] @ np.swapaxes(columns, -1, -2))
 
+    def _weigh(self, left: Array, spread: Array, outliers: Outliers, spare: np.ndarray) -> Array:
+        """Return log-densities of rows by what they err, (B, P, m), and by how much more than the noise they vary.
 
-def _weigh(left: Array, spread: Array, outliers: Outliers, spare: np.ndarray) -> Array:
-    good = np.isfinite(left).all(axis=-1) & np.isfinite(spread).all(axis=(-1, -2))
-    symmetric = 0.5 * (spread + np.swapaxes(spread, -1, -2))
-    variance, axes = np.linalg.eigh(np.where(good[..., None, None], symmetric, 0.0))
-    size = np.einsum("...ki,...k->...i", axes, np.where(good[..., None], left, 0.0))
-    found = outliers.weigh_spread(size, np.maximum(variance, 0.0), spare)
-    return np.where(good, found, -np.inf)
+        Noise that depends on coefficients is told by these, too, so that rows may vary less.
+        """
+        good = np.isfinite(left).all(axis=-1) & np.isfinite(spread).all(axis=(-1, -2))
+        symmetric = 0.5 * (spread + np.swapaxes(spread, -1, -2))
+        variance, axes = np.linalg.eigh(np.where(good[..., None, None], symmetric, 0.0))
+        size = np.einsum("...ki,...k->...i", axes, np.where(good[..., None], left, 0.0))
+        least = SMALLEST_SHARE - 1.0 if np.ndim(self.signs) and not outliers.expected else 0.0
+        found = outliers.weigh_spread(size, np.maximum(variance, least), spare)
+        return np.where(good, found, -np.inf)
 
 
 def split(n_machines: int, n_poses: int, n_rows: int, n_columns: int) -> Iterator[slice]:

@@ -8,9 +8,9 @@ import calibrations
 import numpy as np
 import pandas as pd
 import pytest
-from bayescal.experiments.study.inputs import StudyInputs
 
 from bayescal.experiments.frame.load import load
+from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.inference.causes import NONE, weigh_causes
 from bayescal.inference.mode import find_modes
 
