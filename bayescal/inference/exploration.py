@@ -351,18 +351,28 @@ def _try_out(straight: Straightening, proposal: MixtureProposal, rng: np.random.
 def _refit(straight: Straightening, draws: Array, modes: list[Mode]) -> MixtureProposal:
     """Return a mixture with the moments of the draws (B, n) around each mode.
 
-    A mode with too few draws for a covariance keeps Laplace's approximation, with the weight its evidence gives it.
+    A mode with too few draws for a covariance, or whose walkers all stand still along some direction, keeps Laplace's
+    approximation, with the weight its evidence gives it.
     """
     n = draws.shape[1]
     start = proposal_from_peaks([_peak_in(straight, mode) for mode in modes], DOF)
     if len(modes) == 1:
-        return proposal_from_draws(draws, DOF)
+        return proposal_from_draws(draws, DOF) if _is_spread(draws) else start
     nearest = np.argmax(start.component_log_densities(draws), axis=0)
     means, factors, weights = start.means.copy(), start.factors.copy(), start.weights.copy()
     for k in range(len(modes)):
         own = draws[nearest == k]
-        if len(own) > 20 * n:
+        if len(own) > 20 * n and _is_spread(own):
             part = proposal_from_draws(own, DOF)
             means[k], factors[k] = part.means[0], part.factors[0]
             weights[k] = max(weights[k], len(own) / len(draws))
     return MixtureProposal(weights / weights.sum(), means, factors, DOF)
+
+
+def _is_spread(draws: Array) -> bool:
+    """Return whether draws (B, n) have a covariance that is definite."""
+    try:
+        np.linalg.cholesky(np.atleast_2d(np.cov(draws.T)))
+    except np.linalg.LinAlgError:
+        return False
+    return True
