@@ -120,12 +120,19 @@ def information_of_rows(rows: Array, sd: Array) -> Information:
     return Information(np.linalg.qr(rows.reshape(-1, rows.shape[-1]) * sd, mode="r"))
 
 
-def marginalise(rows: Array, others: Array) -> Information:
+def marginalise(rows: Array, others: Array, signs: Array | None = None) -> Information:
     """Return the information of rows (K, n) on their parameters, given others (K, q) of unit prior with rows V.
 
     With Q R a factorisation of (V X; 1 0), R = (R_cc R_cθ; 0 R_θθ), it is R_θθᵀ R_θθ = Xᵀ (1 + V Vᵀ)⁻¹ X, all digits
-    of which are kept.
+    of which are kept. Others with a negative sign, (q,), take W Wᵀ away from the covariance: they add B (1 - D)⁻¹ Bᵀ
+    with (X W)ᵀ (1 + V Vᵀ)⁻¹ (X W) = (A B; Bᵀ D), and nothing is said of how others follow.
     """
+    if signs is not None:
+        n, less = rows.shape[1], signs < 0.0
+        found = marginalise(np.concatenate([rows, others[:, less]], axis=1), others[:, ~less]).root
+        own, taken = found[:, :n], found[:, n:]
+        left = np.linalg.cholesky(np.eye(taken.shape[1]) - taken.T @ taken)
+        return Information(np.linalg.qr(np.concatenate([own, np.linalg.solve(left, taken.T @ own)]), mode="r"))
     q = others.shape[1]
     stacked = np.block([[others, rows], [np.eye(q), np.zeros((q, rows.shape[1]))]])
     root = np.linalg.qr(stacked, mode="r")

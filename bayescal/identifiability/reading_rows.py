@@ -250,7 +250,7 @@ def _spread_common(posterior: CalibrationPosterior, y: Array) -> Array:
     acts = errors.list_acts(likelihood.data, likelihood.error_gain)
     if acts:
         square = np.stack([(one**2).sum(axis=-1).mean(axis=0) for one in acts])
-        return np.asarray(errors.amplitudes(posterior.zeta(y)) ** 2 @ square)
+        return np.maximum(errors.weights(posterior.zeta(y)) @ square, 0.0)
     columns = (errors.columns(zeta[None], likelihood.data, likelihood.error_gain)[0] for zeta in posterior.zeta(y))
     return np.stack([(one**2).sum(axis=-1).mean(axis=0) for one in columns])
 

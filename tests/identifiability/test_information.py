@@ -112,6 +112,9 @@ def test_marginalising_is_the_inverse_of_the_whole_covariance():
     rows, others = rng.standard_normal((30, 4)), rng.standard_normal((30, 7))
     expected = rows.T @ np.linalg.solve(np.eye(30) + others @ others.T, rows)
     np.testing.assert_allclose(marginalise(rows, others).matrix, expected, rtol=1e-10)
+    signs, others = np.array([1.0, 1, -1, 1, -1, 1, 1]), 0.1 * others
+    expected = rows.T @ np.linalg.solve(np.eye(30) + (others * signs) @ others.T, rows)
+    np.testing.assert_allclose(marginalise(rows, others, signs).matrix, expected, rtol=1e-10)
 
 
 # --- units -------------------------------------------------------------------------------------------------------

@@ -14,6 +14,7 @@ from bayescal.density.prediction import Prediction, summarise_errors
 from bayescal.numerics.geometry import Array
 
 INTERVAL = 0.9
+PER_PARAMETER, RANK = 4, 1e-10  # draws for each parameter that regression on these takes; of singular values
 NOT_DETERMINED = "other readings do not determine the pose for every draw of the machine"
 """Why a reading has no prediction: they are degenerate there, or a draw's machine does not get there."""
 
@@ -95,6 +96,7 @@ def predict_poses(
     rng: np.random.Generator,
     by: np.ndarray,
     seen: Sequence[int | None],
+    every: Array | None = None,
 ) -> Prediction:
     """Return how far poses that an instrument saw lie from where draws of a posterior expect them by other channels.
 
@@ -110,6 +112,8 @@ def predict_poses(
         Channels that tell the pose.
     seen : sequence of int or None, length 6
         Channels that read position and rotation; None where there is none.
+    every : ndarray, shape (S, n), optional
+        All draws that these were taken from: errors are those of their mean prediction.
     """
     known = [k for k, place in enumerate(seen) if place is not None]
     places = [place for place in seen if place is not None]
@@ -134,7 +138,25 @@ def predict_poses(
         drawn = own[part][..., places] * (factor @ rng.standard_normal((*left.shape[:2], len(places), 1)))[..., 0]
         error[part][..., known] = left[..., places]
         noise[part][..., known] = drawn + (slope @ moved[..., None])[..., 0]
-    return summarise_errors(error, noise)
+    found = summarise_errors(error, noise)
+    return found if every is None else replace(found, error=found.error + _move_mean(error, theta, posterior, every))
+
+
+def _move_mean(error: Array, theta: Array, posterior: CalibrationPosterior, every: Array) -> Array:
+    """Return by what the mean error (P, 6) of all draws differs from that of T of them, errors (T, P, 6).
+
+    Errors are nearly linear in the parameters, whose mean over all draws is known: by regression on these hardly any
+    chance is left of which draws were taken. With few draws for each parameter they stay as they are.
+    """
+    whole = posterior.theta(every)
+    centre, scale = whole.mean(axis=0), whole.std(axis=0)
+    free = scale > 0.0
+    if len(theta) < PER_PARAMETER * np.count_nonzero(free):
+        return np.zeros(error.shape[1:])
+    moved = (theta[:, free] - centre[free]) / scale[free]
+    off = moved.mean(axis=0)
+    slope = np.linalg.pinv(moved - off, rcond=RANK) @ (error - error.mean(axis=0)).reshape(len(error), -1)
+    return np.asarray(-(off @ slope)).reshape(error.shape[1:])
 
 
 def replicate_readings(

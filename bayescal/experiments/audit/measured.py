@@ -68,8 +68,8 @@ class MeasuredMachine:
 
     @property
     def own_poses(self) -> PlannedPoses:
-        """The poses that were measured."""
-        likelihood, data = self.found.posterior.likelihood, self.found.posterior.likelihood.data
+        """The poses that were measured, where the machine of least squares stands."""
+        likelihood, data = self.found.anchored.likelihood, self.found.posterior.likelihood.data
         return PlannedPoses(data.poses, likelihood.start, dict(data.given), np.arange(data.n_poses))
 
     def list_priors(self, section: VariantConfig) -> Mapping[str, Prior]:
@@ -99,11 +99,11 @@ class MeasuredMachine:
             raise InputError("sensors: found them beside [data], expected those of the study")
         posterior, model = self.found.posterior, self.model
         data = posterior.likelihood.data
-        noise = np.sqrt(data.sd**2 + _spread_known(posterior.errors, data))
         if planned.rows is not None:
-            sd, correlation = noise[planned.rows], data.pick(planned.rows).correlation
+            some = data.pick(planned.rows)
+            sd, correlation = some.sd, some.correlation
         else:
-            sd = np.tile(np.median(noise, axis=0), (len(planned.names), 1))
+            sd = np.tile(np.median(data.sd, axis=0), (len(planned.names), 1))
             mean = None if data.correlation is None else data.correlation.mean(axis=0)
             correlation = None if mean is None else np.tile(mean, (len(sd), 1, 1))
         priors: dict[str, Prior] = {
@@ -131,18 +131,23 @@ class MeasuredMachine:
             values = np.where(data.present[planned.rows], values, np.nan)
         variant = replace(variant, data=replace(nothing, values=values))
         check_told(variant.plain(), planned.pose, self.workspace)
-        others = [one for one in posterior.errors.terms if not isinstance(one, KnownErrors)]
-        return replace(variant, errors=Errors(tuple(_move(one, model, variant.data, planned.pose) for one in others)))
+        terms = tuple(_move(one, model, variant.data, planned.pose) for one in posterior.errors.terms)
+        return replace(variant, errors=Errors(terms))
 
 
-def _spread_known(errors: Errors, data: Measurements) -> Array:
-    """Return the variance (P, K) of errors that all rows have in common and that are known: an audit counts it by row.
+def _count_by_row(found: MeasuredReadings) -> MeasuredReadings:
+    """Return what was measured with known errors that all rows have in common as noise of each row by itself.
 
-    What K from targets lacks is different at poses that nobody measured.
+    What K from targets lacks is another error at poses that nobody measured.
     """
-    known = [one for one in errors.terms if isinstance(one, KnownErrors)]
+    errors, likelihood = found.posterior.errors, found.posterior.likelihood
+    known, data = [one for one in errors.terms if isinstance(one, KnownErrors)], likelihood.data
+    if not known:
+        return found
     square = sum((one.sign * np.sum(one.act(data) ** 2, axis=-1) for one in known), start=np.zeros_like(data.sd))
-    return np.maximum(square, 0.0)
+    noisy = replace(likelihood, data=replace(data, sd=np.sqrt(data.sd**2 + np.maximum(square, 0.0))))
+    others = replace(errors, terms=tuple(one for one in errors.terms if not isinstance(one, KnownErrors)))
+    return replace(found, posterior=replace(found.posterior, likelihood=noisy, errors=others))
 
 
 def _move(term: ErrorTerm, model: ReadingModel, data: Measurements, pose: Array) -> ErrorTerm:
@@ -188,6 +193,7 @@ def read_measured(config: AuditConfig, folder: Path) -> MeasuredMachine:
         listed = ", ".join(map(repr, names))
         raise InputError(f"{where}: variants: found {listed}, expected data.variant with one of these names")
     (found,) = measure_variants(experiment, study, where, chosen, config.data.with_model_error).values()
+    found = _count_by_row(found)
     posterior = found.posterior
     if posterior.errors.outliers.expected:
         raise InputError(f"{where}: found outlier_share, expected none: audits have no poses that may be spoilt")

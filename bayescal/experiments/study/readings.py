@@ -213,7 +213,7 @@ def _predict_poses(
         return None
     every, some = np.ones(variant.data.n_poses, dtype=bool), y[spread(len(y), POSE_DRAWS)]
     with np.errstate(all="ignore"):
-        found = predict_poses(posterior, variant.likelihood(every), some, rng, internal, seen)
+        found = predict_poses(posterior, variant.likelihood(every), some, rng, internal, seen, y)
     return found if np.isfinite(found.error).any() else None
 
 

@@ -66,7 +66,7 @@ def test_machine_tolerances_and_poses_are_the_studys(design):
     expected = {"l": 2.0, "kappa": 0.01}
     assert np.allclose(plan.sd, [expected[symbol] for symbol in plan.symbols])
     assert plan.n_poses == studies.N_CALIBRATION
-    assert np.abs(plan.variant.start[:, :3] - poses.position).max() < 2.0  # where the machine as drawn stands
+    assert np.abs(plan.variant.start[:, :3] - poses.position).max() < 0.02
     seen = np.array([one.external for one in model.channels])
     covariance = data.correlation * data.sd[:, :, None] * data.sd[:, None]
     assert np.allclose(covariance[:, seen][:, :, seen], poses.covariance, rtol=1e-9, atol=1e-18)

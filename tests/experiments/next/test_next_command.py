@@ -68,32 +68,6 @@ def test_it_says_what_to_measure_and_what_to_expect(question, call, no_pictures)
     assert "Course" in page
 
 
-def test_it_stops_where_the_requirements_hold(question, call, no_pictures):
-    studies.edit(question, "z = 0.02", "z = 5.0")
-    code, said, _ = call("next", question, "--out", question.parent / "out")
-    assert code == 0
-    assert said.startswith("Stop: after 13 poses the requirements hold with more than 99.9 %, 95 % wanted.")
-    assert "If one went on: " in said
-
-
-def test_it_says_where_measuring_will_not_help(question):
-    studies.edit(question, "z = 0.02", "z = 0.0005")
-    results = compute_experiment(load(question)[1], question.parent)
-    assert results.summary["decision"] == "hopeless"
-    assert results.summary["requirements"]["at_best"] < 0.05
-
-
-def test_variants_are_told_apart(question):
-    studies.edit(question, 'variants = ["six_pus/matrix"]', 'aim = "variants"')
-    text = question.read_text()
-    question.write_text(re.sub(r"(?s)\[workspace\].*\[candidates\]", "[candidates]", text))
-    summary = compute_experiment(load(question)[1], question.parent).summary
-    assert summary["variant"] == "six_pus/matrix"
-    assert summary["variant_probability"] > 0.99
-    assert summary["decision"] == "stop"
-    assert summary["requirements"] is None
-
-
 def test_the_same_question_has_the_same_answer_to_the_last_digit(question):
     one, other = (compute_experiment(load(question)[1], question.parent) for _ in range(2))
     assert one.summary == other.summary
@@ -118,15 +92,6 @@ def test_faults_are_one_line_and_nothing_is_written(question, refuse, old):
     new, fault = FAULTS[old]
     studies.edit(question, old, new)
     refuse(re.escape(fault), question.parent / "out", "next", question)
-
-
-def test_a_study_is_asked_between_its_variants(question, call, no_pictures):
-    out = question.parent / "out"
-    code, said, complaint = call("next", question.with_name("study.toml"), "--out", out)
-    assert (code, complaint) == (0, "")
-    summary = json.loads((out / "summary.json").read_text())
-    assert (summary["name"], summary["aim"], summary["requirements"]) == ("tiny_next", "variants", None)
-    assert "is right with" in said
 
 
 def test_a_study_is_asked_for_requirements_anywhere_and_again_after_more_poses(question, call, no_pictures):

@@ -25,9 +25,7 @@ def test_readings_taken_twice_count_twice(measured):
     data = twice.posterior.likelihood.data
     assert data.n_poses == len(set(data.poses)) == 24
     y = measured.posterior.approach()[None]
-    alone, both = (
-        one.log_density(y) - one.log_prior(y) for one in (measured.anchored, twice.anchored)
-    )
+    alone, both = (one.log_density(y) - one.log_prior(y) for one in (measured.anchored, twice.anchored))
     assert both == pytest.approx(2.0 * alone, rel=1e-6)
 
 

@@ -7,7 +7,6 @@ import pytest
 import studies
 from experiments.study.test_instrument_study import FRAMES, write_points
 
-from bayescal.density.calibration.model_error import FunctionsOfPose
 from bayescal.density.sorts import SORTS
 from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load_experiment
@@ -99,20 +98,6 @@ def test_every_instrument_tells_the_terms(instrument, tmp_path):
     assert np.sqrt((1e6 * own["model_error"] ** 2).mean()) > together["q05_um"]
 
 
-def test_functions_stand_where_no_term_is_named(silent):
-    found = errors_of(studies.load_study(silent))
-    assert list(found.names) == SCALES
-    assert sum(isinstance(one, FunctionsOfPose) for one in found.terms) == len(SORTS)
-
-
-def test_chosen_terms_alone_are_there(silent):
-    found = errors_of(
-        studies.load_study(edited(silent, model_error='terms = ["linear", "drift"]\nat_least_um = { linear = 7.0 }'))
-    )
-    assert list(found.names) == ["sigma_linear", "sigma_drift"]
-    assert [one.floor for one in found.terms] == pytest.approx([7e-3, 0.0])
-
-
 def test_misfit_counts_functions_as_noise(silent):
     inputs = studies.load_study(silent)
     posterior = inputs.variants[NAME].posterior().anchored()
@@ -124,35 +109,6 @@ def test_misfit_counts_functions_as_noise(silent):
     assert found.value / found.dof < 1.5
     assert alone.value / alone.dof > 10.0
     assert 0.0 < found.dof < alone.dof < 6 * (~inputs.verification).sum()
-
-
-@pytest.mark.parametrize(
-    ("sections", "fault"),
-    [
-        (
-            {"of_variant": "outlier_share = 0.02", "model_error": 'terms = ["independent", "drift"]'},
-            "model_error: found term 'drift', but single rows may be outliers, expected other terms",
-        ),
-        (
-            {"model_error": 'terms = ["independent"]\nat_least_um = 10.0'},
-            r"model_error.at_least_um: found 10 with the terms \['independent'\], expected some of \['linear', 'own'",
-        ),
-        (
-            {"model_error": "at_least_um = 4000.0"},
-            r"model_error.at_least_um: found .* for 'linear', .* tolerance, 2000 µm",
-        ),
-    ],
-)
-def test_what_cannot_be_is_refused_in_a_line(silent, sections, fault):
-    with pytest.raises(InputError, match=fault) as caught:
-        studies.load_study(edited(silent, **sections))
-    assert "\n" not in str(caught.value)
-
-
-def test_beside_outliers_functions_of_few_coefficients_are_left_and_said(silent):
-    inputs = studies.load_study(edited(silent, of_variant="outlier_share = 0.02"))
-    assert set(SCALES) & set(errors_of(inputs).names) == {"tau", "sigma_linear", "sigma_own"}
-    assert "the model error has no terms smooth, drift, as single rows may be outliers" in inputs.missing
 
 
 def test_terms_that_too_few_poses_cannot_show_are_left_out_and_said(silent):

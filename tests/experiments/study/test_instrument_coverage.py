@@ -38,7 +38,7 @@ MISSED = 0.3  # of the points: some poses have fewer than three
 
 @dataclass(frozen=True)
 class Design:
-    """A machine with its tracker, its tolerances, where it is sent to, and whether points are seen, not poses."""
+    """A machine with its tracker, its tolerances, where it is sent to, whether points are seen in place of poses."""
 
     model: ReadingModel
     priors: dict[str, Prior]

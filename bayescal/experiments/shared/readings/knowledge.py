@@ -253,7 +253,8 @@ def inform(posterior: CalibrationPosterior, y: Array, rows: Array) -> Informatio
     y[[posterior.n_geometry + k for k in posterior.errors.switches]] = 0.0
     white, stand = posterior.likelihood.explain(*posterior.at(y[None]))
     others = posterior.likelihood.columns(posterior.errors, posterior.zeta(y[None]), white, stand.slope)[0]
-    return marginalise(rows.reshape(-1, rows.shape[-1]), others.reshape(-1, others.shape[-1]))
+    signs = posterior.errors.signs(posterior.likelihood.data)
+    return marginalise(rows.reshape(-1, rows.shape[-1]), others.reshape(-1, others.shape[-1]), signs)
 
 
 def _judge(

@@ -383,7 +383,9 @@ def _measure_rms(values: Iterable[float]) -> float:
 
 
 def name_table(study: StudyResults, variant: str) -> str:
-    """Return which published table belongs to a variant, ``table 5(a)``; empty where the publication names none."""
+    """Return which published table belongs to a variant, ``table 5(a)``; empty where nothing of it is published."""
+    if not study.table("least_squares", variant)["published_offset"].notna().any():
+        return ""
     return str((study.publication or {}).get("tables", {}).get(variant, ""))
 
 

@@ -112,11 +112,23 @@ def test_the_overview_is_the_rms_per_table(make_results):
     assert rows["Jacobian"] == [*["0.35", "7000"] * 2, "0.35", "3.5"]
 
 
+def test_a_table_is_named_where_values_are_printed(make_results):
+    """A publication may have a table of a variant that frees more, with which nothing of it can be compared."""
+    study = read_study(make_results(variants=TWELVE))
+    (fold, *_) = (fold for _, folds in fold_parameters(study) for fold in folds)
+    assert fold.title.startswith("Table")
+    edits = {"least_squares": lambda table: table.assign(published_offset=np.nan, difference=np.nan)}
+    bare = read_study(make_results(variants=TWELVE, edits=edits, name="bare"))
+    (fold, *_) = (fold for _, folds in fold_parameters(bare) for fold in folds)
+    assert not fold.title.startswith("Table")
+
+
 def test_without_published_tables_there_is_no_overview(make_results):
     study = read_study(make_results(variants=TWELVE, published=False))
     assert tabulate_published(study) is None
     (fold, *_) = (fold for _, folds in fold_parameters(study) for fold in folds)
     assert "published" not in fold.title
+    assert not fold.title.startswith("Table")
     assert {row[2].text for row in fold.blocks[0].rows} == {"posterior mean ± sd", "least squares"}
 
 
