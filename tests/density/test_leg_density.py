@@ -14,6 +14,7 @@ import telescope_machines as machines
 from exact_problems import REST, list_matrix_terms
 from frozen_densities import ROOT
 from scipy.stats import multivariate_normal
+from shares import run_rest
 
 from bayescal.density.calibration.terms import Errors
 from bayescal.experiments.frame.load import load
@@ -117,7 +118,7 @@ def spread_out(blocks):
     return np.einsum("pq,pij->piqj", np.eye(n_poses), blocks).reshape(6 * n_poses, 6 * n_poses)
 
 
-@pytest.mark.parametrize("deformation", ["linear", "matrix"])
+@pytest.mark.parametrize("deformation", run_rest(["matrix", "linear"], 1))
 @pytest.mark.parametrize("model", PUSHED)
 def test_density_is_that_of_differences_of_forward_kinematics(model, deformation):
     machine, theta, poses, rng = draw_setup(model, deformation, 1)
@@ -132,7 +133,7 @@ def test_density_is_that_of_differences_of_forward_kinematics(model, deformation
 
 
 @pytest.mark.parametrize("dependent", [False, True])
-@pytest.mark.parametrize("model", ["six_pus", "stiffness"])
+@pytest.mark.parametrize("model", run_rest(["six_pus", "stiffness"], 1))
 def test_uncertain_deflections_are_those_of_another_matrix(model, dependent):
     """The covariance of all poses at once, with the poses' derivatives by every entry of K off its diagonal.
 

@@ -61,7 +61,6 @@ class Case:
 CASES = {
     "legs": Case(legs, {}, 2e-3),
     "legs, one τ": Case(legs, {"errors": SHARED}, 2e-3),
-    "legs, no τ": Case(legs, {"errors": NONE, "deformation": "none"}, 2e-3),
     "legs, K, not anchored": Case(legs, {"deformation": "matrix", "anchored": False}, 2e-3),
     "legs, everything free": Case(legs, {"deformation": "matrix", "symbols": ALL_SYMBOLS, "errors": SHARED}, 5e-3),
     "legs, uniform": Case(legs, {"deformation": "matrix", "uniform": True}, 2e-3),

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import telescope_machines as machines
 from scipy.linalg import subspace_angles
+from shares import run_rest
 
 from bayescal.identifiability.structure import find_structural_rank, find_structure
 from bayescal.machines.models import MODELS
@@ -64,7 +65,7 @@ def _find(knowledge, plan, rng, frames=()):
     return find_structural_rank(problems.read_plan(knowledge, plan, frames), rng)
 
 
-@pytest.mark.parametrize("seed", range(N_MACHINES))
+@pytest.mark.parametrize("seed", run_rest(range(N_MACHINES), 24))
 def test_planted_gauges_are_found_and_nothing_else(seed):
     rng = np.random.default_rng(seed)
     model, symbols = (("six_pus", JOINTS), ("six_ups", STRUTS))[seed % 2]
