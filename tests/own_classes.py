@@ -136,7 +136,7 @@ free = ["l"]
 [[variants]]
 model = "six_pus"
 deformation = "own.py:Halved"
-free = ["kappa"]
+free = ["l", "kappa"]
 """
 
 ONE_VARIANT = """

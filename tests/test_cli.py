@@ -192,7 +192,7 @@ def test_full_disk_is_one_line(fault, call, study, monkeypatch, quick):
 def test_not_converged_is_3_with_the_results_written(call, study, quick, search_little):
     code, out, err = call("run", study, "--out", "out", "--workers", 1)
     assert code == 3
-    assert "sampling: 4 of 4 done" in err
+    assert "sampling: 2 of 2 done" in err
     (error,) = studies.list_errors(err)
     assert error.startswith("bayescal: ")
     assert "not everything converged" in error

@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from bayescal.experiments.frame.load import load, read_inputs
+from bayescal.experiments.study.readings import fit_variant
 from bayescal.projects.start import start_project
 from benchmarks.truth.machines import Array, Platform, Simulated
 
@@ -198,13 +199,12 @@ def calibrate(machine: Simulated, folder: Path, seed: int, names: Sequence[str] 
     began = time.process_time()
     kind, config = load(folder / "study.toml")
     inputs = read_inputs(kind, config.model_copy(update={"seed": seed}), folder)
-    fit = inputs.fit(inputs.list_tasks()[0])
+    fit = fit_variant(inputs, config.variants[0].name)
     seconds = time.process_time() - began
     order = [fit.names.index(name) for name in names or machine.names]
     if isinstance(machine, Platform):
-        rows, found = inputs.verification, fit.evaluated
-        inside = (found["low"] <= found["error"]) & (found["error"] <= found["high"])
-        held = inside[rows].ravel()
+        found = fit.poses.select(inputs.verification)
+        held = ((found.low <= found.error) & (found.error <= found.high)).ravel()
     else:
         held = np.concatenate([one.predictions.inside for one in fit.held])
     return Calibrated(fit.draws.reshape(-1, fit.draws.shape[-1])[:, order], held, fit.list_problems(), seconds)

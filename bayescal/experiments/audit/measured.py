@@ -17,7 +17,7 @@ import numpy as np
 from bayescal.config.classes import label_class
 from bayescal.density.calibration.measurements import Measurements
 from bayescal.density.calibration.model_error import FunctionsOfPose, IndependentErrors, ThinFunctionsOfPose
-from bayescal.density.calibration.terms import Errors, ErrorTerm, KnownErrors
+from bayescal.density.calibration.terms import Errors, ErrorTerm
 from bayescal.density.priors import NormalPrior, Prior
 from bayescal.errors import InputError
 from bayescal.experiments.audit.machine import plan_commands
@@ -135,21 +135,6 @@ class MeasuredMachine:
         return replace(variant, errors=Errors(terms))
 
 
-def _count_by_row(found: MeasuredReadings) -> MeasuredReadings:
-    """Return what was measured with known errors that all rows have in common as noise of each row by itself.
-
-    What K from targets lacks is another error at poses that nobody measured.
-    """
-    errors, likelihood = found.posterior.errors, found.posterior.likelihood
-    known, data = [one for one in errors.terms if isinstance(one, KnownErrors)], likelihood.data
-    if not known:
-        return found
-    square = sum((one.sign * np.sum(one.act(data) ** 2, axis=-1) for one in known), start=np.zeros_like(data.sd))
-    noisy = replace(likelihood, data=replace(data, sd=np.sqrt(data.sd**2 + np.maximum(square, 0.0))))
-    others = replace(errors, terms=tuple(one for one in errors.terms if not isinstance(one, KnownErrors)))
-    return replace(found, posterior=replace(found.posterior, likelihood=noisy, errors=others))
-
-
 def _move(term: ErrorTerm, model: ReadingModel, data: Measurements, pose: Array) -> ErrorTerm:
     """Return a study's error at other rows; functions of the pose are made of few columns there."""
     if not isinstance(term, FunctionsOfPose):
@@ -193,7 +178,7 @@ def read_measured(config: AuditConfig, folder: Path) -> MeasuredMachine:
         listed = ", ".join(map(repr, names))
         raise InputError(f"{where}: variants: found {listed}, expected data.variant with one of these names")
     (found,) = measure_variants(experiment, study, where, chosen, config.data.with_model_error).values()
-    found = _count_by_row(found)
+    found = found.count_by_row()
     posterior = found.posterior
     if posterior.errors.outliers.expected:
         raise InputError(f"{where}: found outlier_share, expected none: audits have no poses that may be spoilt")

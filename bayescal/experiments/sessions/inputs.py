@@ -289,7 +289,7 @@ def measure_sessions(
     for session in config.sessions:
         with name_faults(f"session {session.label!r}"):
             placed = place(study, session, folder, path) if hasattr(study, "data") else study
-            measured = measure_variants(experiment, placed, path, [config.variant])[config.variant]
+            measured = measure_variants(experiment, placed, path, [config.variant])[config.variant].count_by_row()
             errors = measured.posterior.errors
             if errors.outliers.expected:
                 raise InputError(

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from bayescal.density.calibration.likelihood import CalibrationPosterior
+from bayescal.density.calibration.terms import KnownErrors
 from bayescal.errors import InputError
 from bayescal.experiments.shared.slip_rows import Readings
 from bayescal.experiments.shared.study_schema import StudyConfig
@@ -72,6 +73,20 @@ class MeasuredReadings:
     def readings(self) -> Readings:
         """The readings, of which causes of a misfit are weighed."""
         return Readings(self.posterior, self.low, self.high, self.internal)
+
+    def count_by_row(self) -> MeasuredReadings:
+        """Return the variant with known errors that all rows have in common as noise of each row by itself.
+
+        What K from targets lacks is another error in another measurement, or at poses that nobody measured.
+        """
+        errors, likelihood = self.posterior.errors, self.posterior.likelihood
+        known, data = [one for one in errors.terms if isinstance(one, KnownErrors)], likelihood.data
+        if not known:
+            return self
+        square = sum((one.sign * np.sum(one.act(data) ** 2, axis=-1) for one in known), start=np.zeros_like(data.sd))
+        noisy = replace(likelihood, data=replace(data, sd=np.sqrt(data.sd**2 + np.maximum(square, 0.0))))
+        others = replace(errors, terms=tuple(one for one in errors.terms if not isinstance(one, KnownErrors)))
+        return replace(self, posterior=replace(self.posterior, likelihood=noisy, errors=others))
 
     def pick(self, rows: np.ndarray) -> MeasuredReadings:
         """Return the variant after some of its poses."""

@@ -131,7 +131,7 @@ def test_faults_of_a_study_are_one_line(call, folder, tmp_path, old, new, messag
     code, said, complaint = call("run", path, "--out", tmp_path / "sub" / "out")
     assert (code, said, complaint.count("\n")) == (2, "", 1)
     assert message in complaint
-    assert "variants" in complaint
+    assert "variant" in complaint
     assert not (tmp_path / "sub").exists()
 
 

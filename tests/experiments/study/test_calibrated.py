@@ -85,8 +85,7 @@ def test_exported_machine_predicts_as_the_posterior_mean_of_the_study(study, cal
     folder = Path("machines/tiny-six_pus-matrix")
     assert code == 0
     assert f"wrote {folder / 'mechanism.toml'}" in out
-    inputs = studies.load_study(study / "study.toml")
-    machine = inputs.machine(inputs.variant(VARIANT))
+    machine = studies.load_study(study / "study.toml").variants[VARIANT].whole.machine
     theta = machine.layout.nominal.copy()
     parameters = studies.read_posterior(Path("out"), VARIANT)
     for k, name in enumerate(machine.layout.names):
@@ -108,8 +107,9 @@ def test_every_command_takes_the_exported_mechanism(study, call):
     first, again = (studies.load_study(study / name) for name in ("study.toml", "again.toml"))
     errors = []
     for inputs in (first, again):
-        likelihood = inputs.likelihood(inputs.variant(VARIANT), verification=True)
-        errors.append(np.abs(likelihood.pose_errors(likelihood.layout.nominal[None])).max())
+        machine, poses = inputs.variants[VARIANT].whole.machine, inputs.seen.measured.poses.select(inputs.verification)
+        there = solve_forward_kinematics(machine, machine.layout.nominal, poses.actuators)
+        errors.append(np.abs(there.position - poses.position).max())
     assert errors[1] < 0.05 < errors[0]  # mm: nominal against calibrated
 
 
@@ -234,7 +234,7 @@ def test_a_certificate_states_a_budget_and_how_it_was_checked(study, call):
     for said in ("noise of the actuators", "ISO 9283 pose accuracy AP", "ISO 230-2 accuracy A of z", "predicted"):
         assert said in page
     assert "targets.csv" in page  # the files that it goes back to
-    n_measured = len(Path("out/machine/commands.csv").read_text().splitlines()) - 2
+    n_measured = len(Path("out/machine/commands_six_pus-matrix.csv").read_text().splitlines()) - 2
     assert figures["workspace"] == f"over the box of the {n_measured} poses that calibrated the machine"
     assert figures["share_extrapolated"] == 0.0
     parts = figures["standard_uncertainty"]
