@@ -28,6 +28,7 @@ from bayescal.numerics.threads import map_in_threads
 
 STEP = 1e-4  # of a coordinate, for the slope of the logarithms of volumes
 NEARBY, FAR = 8, 3.0  # machines by which the density is tried about its anchor, and how many deviations they are off
+ROUGH = 6.0  # nats between the fast form and the whole, that far off: hardly a tenth of it where machines are
 LEAST_SHARE = 1e-3  # of a variance, that an unknown noise is taken to have
 
 
@@ -395,12 +396,9 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
         return np.append(y, zeta), pose
 
     def anchored(self, sampling: Sampling, errors: Errors) -> Self:
-        """Return the same density that looks for poses from those of the least-squares solution.
-
-        Functions of an unknown size hardly move machine and poses as far as that matters here: it is found without.
-        """
+        """Return the same density that looks for poses from those of the least-squares solution."""
         alone = errors.without_columns() if errors.list_acts(self.data) else errors
-        (y, pose), m = self._fit(sampling, alone), sampling.size
+        (y, pose), m = self._fit(sampling, errors), sampling.size
         theta, zeta = sampling.theta_from_y(y[None, :m])[0], np.zeros((NEARBY, alone.n_parameters))
         white = self.whiten(*self.noise(alone, zeta[:1]))
         every = sampling.theta_from_y(self._draw_near(sampling, y[:m], pose, white))
@@ -410,7 +408,21 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
         found = near.limited(every, np.where(self.layout.inside(every), error, np.nan))
         frozen = FrozenRows.build(found, errors, theta)
         lone = LoneRows.build(found, errors if errors.is_common_known else errors.without_columns(), theta)
-        return replace(found, frozen=frozen, lone=lone)
+        fast = replace(found, frozen=frozen, lone=lone)
+        return fast if lone is None or fast._is_close(every, errors) else replace(fast, lone=None)
+
+    def _is_close(self, theta: Array, errors: Errors) -> bool:
+        """Whether the fast form for single rows is close to what leaves nothing out, at machines (N, D) far off.
+
+        It is not where frames that are free take poses further than a straight step follows.
+        """
+        if not self._is_by_row(errors):
+            return True
+        at = theta, errors, np.zeros((len(theta), errors.n_parameters))
+        with np.errstate(all="ignore"):
+            error = self.density(*at) - self.whole.density(*at)
+        error = error[np.isfinite(error)]
+        return not len(error) or float(np.median(np.abs(error - np.median(error)))) < ROUGH
 
     def _draw_near(self, sampling: Sampling, y: Array, pose: Array, white: Whitening) -> Array:
         """Return coordinates (N, m) thrice as far off the best ones (m,) as the posterior's, always the same."""

@@ -88,8 +88,8 @@ def test_noise_is_that_of_model_error_and_measured_matrix(design):
     study = studies.load_study(design.parent / "tiny" / "study.toml")
     own, n = plan.variant.internal, study.seen.mechanism.n_legs
     travel = study.seen.displacement[~study.verification]
-    design = np.einsum("ij,pk->pijk", np.eye(n), travel) * ~np.eye(n, dtype=bool)
-    by_entry = design.reshape(len(travel), n, n * n)
+    by_entry = np.einsum("ij,pk->pijk", np.eye(n), travel) * ~np.eye(n, dtype=bool)
+    by_entry = by_entry.reshape(len(travel), n, n * n)
     left = np.einsum("pia,ab,pib->pi", by_entry, study.seen.pads.matrix.covariance, by_entry)
     # but for how far legs lean, which deflections along the platform's normal do not
     assert np.allclose(plan.variant.data.sd[:, own] ** 2, 1e-6 + left, rtol=0.06, atol=1e-9)
