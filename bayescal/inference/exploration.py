@@ -7,7 +7,7 @@ then shows.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -34,6 +34,7 @@ TELLING = 0.02  # below it a trial's efficiency is mostly chance, and the later 
 TRIAL_DRAWS = 2000
 FIRST_DRAWS, HOPELESS = 256, 0.05  # of a trial, and what they may show for it to end with them
 FINE_DRAWS, FINE_ENOUGH = 64, 0.9  # draws, and what share of them has to count by the density that leaves nothing out
+CORRECTABLE = 0.05  # the same where draws are moved and weighed by that density afterwards
 WIDE_SHARE, WIDE = 0.15, 1.8  # of a proposal by a conditional map, for the errors' tails, and how much wider it is
 CONDITIONAL_DOF = 100.0  # of the same: geometry given the errors has next to no tails
 OWN_SHARE, CLUSTER_DOF = 0.2, 6.0  # of the proposal so far beside clusters of a pilot's draws, and their tails
@@ -56,12 +57,16 @@ class Exploration:
         Best first.
     efficiency : float
         Importance sampling efficiency of the proposal, from a short trial.
+    left_out : float
+        By how much the posterior's finer density differs, nats: shift of the evidence and scatter over draws, rms; 0
+        where it has none.
     """
 
     straight: Straightening
     proposal: MixtureProposal
     modes: list[Mode]
     efficiency: float
+    left_out: float = 0.0
 
 
 def explore(
@@ -71,14 +76,15 @@ def explore(
     max_pilots: int = MAX_PILOTS,
     *,
     anew: bool = False,
+    fine_enough: float = FINE_ENOUGH,
 ) -> Exploration:
     """Find the modes, straighten the coordinates and fit a proposal.
 
     Laplace's approximation first. Curved ridges are traced to their ends: how long they are no trial of a Gaussian
     shows. Where a trial shows that it is not good enough, peaks refined over a posterior sd in coordinates bent and
     curved to fit, twice; then pilot runs. Where what the density leaves out matters to draws of the posterior, all of
-    it is done again with the posterior's finer density. With ``anew`` the search for modes begins from draws of the
-    prior, too.
+    it is done again with the posterior's finer density, unless a share ``fine_enough`` of them counts by that: less is
+    enough where what was found is corrected. With ``anew`` the search for modes begins from draws of the prior, too.
 
     Raises
     ------
@@ -89,10 +95,10 @@ def explore(
         modes = find_modes(posterior, np.random.default_rng(seed.generate_state(4)) if anew else None)
     with stage("proposal"):
         found = _fit_proposal(modes, posterior, seed, n_walkers, max_pilots, GOOD_ENOUGH, trace=True)
-        suffices = _suffices(found, seed)
-    if not suffices:
+        share, left_out = _look_finer(found, seed)
+    if share < fine_enough:
         return explore(_refine(posterior), seed, n_walkers, max_pilots, anew=anew)
-    return found
+    return replace(found, left_out=left_out)
 
 
 def explore_near(
@@ -103,6 +109,7 @@ def explore_near(
     *,
     search: bool = False,
     enough: float = ACCEPTABLE,
+    fine_enough: float = FINE_ENOUGH,
 ) -> Exploration:
     """Find a proposal that is good enough for an evidence alone, of a posterior close to one that was explored.
 
@@ -117,6 +124,8 @@ def explore_near(
         Whether there may be others, which are searched for.
     enough : float
         Efficiency from which on a proposal is not sharpened.
+    fine_enough : float
+        See `explore`.
 
     Raises
     ------
@@ -127,10 +136,10 @@ def explore_near(
         modes = revisit_modes(posterior, starts, find_modes(posterior) if search else ())
     with stage("proposal"):
         found = _fit_proposal(modes, posterior, seed, n_walkers, MAX_PILOTS, enough)
-        suffices = _suffices(found, seed)
-    if not suffices:  # the modes move a little, and there are no others
+        share, left_out = _look_finer(found, seed)
+    if share < fine_enough:  # the modes move a little, and there are no others
         return explore_near(_refine(posterior), np.stack([mode.y for mode in modes]), seed, n_walkers, enough=enough)
-    return found
+    return replace(found, left_out=left_out)
 
 
 def _refine(posterior: Target) -> Target:
@@ -184,23 +193,25 @@ def _fit_proposal(
     return best
 
 
-def _suffices(found: Exploration, seed: np.random.SeedSequence) -> bool:
-    """Return whether what the density leaves out does not matter to draws of the posterior."""
+def _look_finer(found: Exploration, seed: np.random.SeedSequence) -> tuple[float, float]:
+    """Return which share of the posterior's draws counts by a finer density, and by how much that differs."""
     finer = found.straight.posterior.finer()
-    return finer is None or _is_fine(found, finer, np.random.default_rng(seed.generate_state(5)))
+    return (1.0, 0.0) if finer is None else _compare(found, finer, np.random.default_rng(seed.generate_state(5)))
 
 
-def _is_fine(found: Exploration, finer: Target, rng: np.random.Generator) -> bool:
-    """Return whether a finer density would count nearly all draws of the posterior as this one does."""
+def _compare(found: Exploration, finer: Target, rng: np.random.Generator) -> tuple[float, float]:
     x = found.proposal.draw(FINE_DRAWS, rng)
     y = found.straight.y_from_x(x)
     log_weights = found.straight.log_density(x) - found.proposal.log_density(x)
     known = np.isfinite(log_weights)
     change = finer.log_density(y[known]) - found.straight.posterior.log_density(y[known])
-    if not np.isfinite(change).any():
-        return not known.any()
-    weights, ratio = np.exp(log_weights[known] - log_weights[known].max()), np.exp(change - change.max())
-    return bool((weights @ ratio) ** 2 >= FINE_ENOUGH * weights.sum() * (weights @ ratio**2))
+    good = np.isfinite(change)
+    if not good.any():
+        return (0.0, np.inf) if known.any() else (1.0, 0.0)
+    weights, ratio = np.exp(log_weights[known] - log_weights[known].max()), np.exp(change - change[good].max())
+    mean, square = np.average(ratio, weights=weights), np.average(ratio**2, weights=weights)
+    share = float(mean**2 / square)
+    return share, float(np.hypot(np.log(mean) + change[good].max(), np.sqrt(1.0 / share - 1.0)))
 
 
 def add_clusters(found: Exploration, seed: np.random.SeedSequence, n_walkers: int = 128) -> Exploration:
@@ -237,6 +248,7 @@ def integrate_posterior(
     importance_seed: np.random.SeedSequence,
     n_walkers: int,
     effort: EvidenceConfig,
+    fine_enough: float = FINE_ENOUGH,
 ) -> tuple[Exploration, ImportanceEvidence]:
     """Return what a search from the beginning finds, and its log-evidence: by clusters where weights are doubtful.
 
@@ -245,7 +257,7 @@ def integrate_posterior(
     NumericalError
         As `explore`.
     """
-    found = explore(posterior, explore_seed, n_walkers, anew=True)
+    found = explore(posterior, explore_seed, n_walkers, anew=True, fine_enough=fine_enough)
     importance = weigh_proposal(found, importance_seed, effort)
     if importance.is_doubtful:
         other = add_clusters(found, explore_seed, n_walkers)

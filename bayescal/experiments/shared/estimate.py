@@ -30,7 +30,7 @@ from bayescal.inference.diagnostics import (
     measure_longest_stand,
     measure_sensitivity,
 )
-from bayescal.inference.exploration import Exploration, integrate_posterior
+from bayescal.inference.exploration import CORRECTABLE, FINE_ENOUGH, Exploration, integrate_posterior
 from bayescal.inference.importance import ImportanceEvidence
 from bayescal.inference.leave_one_out import LeftOut, leave_out, refit_doubtful
 from bayescal.inference.overdispersed import (
@@ -361,7 +361,10 @@ def _estimate(
 ) -> tuple[Estimate, Exploration]:
     explore_seed, importance_seed, ensemble_seed, bridge_seed, _, correct_seed, *_ = _spawn(seed, name)
     expect(_plan(sampler, effort))
-    found, importance = integrate_posterior(posterior, explore_seed, importance_seed, sampler.walkers, effort)
+    fine_enough = FINE_ENOUGH if subject is None else CORRECTABLE
+    found, importance = integrate_posterior(
+        posterior, explore_seed, importance_seed, sampler.walkers, effort, fine_enough
+    )
     far = draw_far_out(found, _seed_for(seed, name, "tails"))
     found, importance = widen_tails(found, importance, far, importance_seed, effort)
     sample = sample_posterior(found, ensemble_seed, sampler.ensembles, sampler.walkers, sampler.burn_in, sampler.steps)

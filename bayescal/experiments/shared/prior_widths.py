@@ -17,7 +17,15 @@ from bayescal.errors import NumericalError
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.shared.estimate import Fit, Subject, shift_evidence
 from bayescal.inference.correction import correct_evidence
-from bayescal.inference.exploration import ACCEPTABLE, GOOD_ENOUGH, Exploration, explore, explore_near, weigh_proposal
+from bayescal.inference.exploration import (
+    ACCEPTABLE,
+    CORRECTABLE,
+    GOOD_ENOUGH,
+    Exploration,
+    explore,
+    explore_near,
+    weigh_proposal,
+)
 from bayescal.inference.importance import ImportanceEvidence
 from bayescal.inference.schema import EvidenceConfig, SamplerConfig
 from bayescal.inference.target import Fittable
@@ -121,14 +129,16 @@ def _weigh(
     search = task.factor > 1.0
     try:
         for enough in (ACCEPTABLE, GOOD_ENOUGH):
-            exploration = explore_near(posterior, starts, explore_seed, walkers, search=search, enough=enough)
+            exploration = explore_near(
+                posterior, starts, explore_seed, walkers, search=search, enough=enough, fine_enough=CORRECTABLE
+            )
             importance = weigh_proposal(exploration, importance_seed, effort)
             if not importance.is_doubtful or task.behind > OUT_OF_QUESTION:
                 return exploration, importance
             starts, search = np.stack([mode.y for mode in exploration.modes]), False
     except NumericalError:
         pass  # no start led to a mode: the search from the beginning finds one, or says why not
-    exploration = explore(posterior, explore_seed, walkers, anew=True)
+    exploration = explore(posterior, explore_seed, walkers, anew=True, fine_enough=CORRECTABLE)
     return exploration, weigh_proposal(exploration, importance_seed, effort)
 
 

@@ -71,6 +71,7 @@ POSE_DRAWS = 200  # of the posterior, that predict poses
 ERROR_DRAWS = 200  # of the posterior, from which errors common to all rows are drawn for tables
 PROPOSED = 8  # draws of the proposal for each that is used
 IMPROBABLE = 0.01  # probability by the noise, of all poses together, below which a pose's residuals contradict it
+MATTERS = 0.03  # nats, rms, that a frozen density may leave out of posterior and evidence
 DISTRUSTED = 0.5  # mean of a pose's precision below which a robust density takes it for an outlier
 
 
@@ -258,11 +259,11 @@ class ReadingSubject(Subject):
         return {"prior": own.natural(y[there]), "prior_replicated": made[there].astype(np.float32)}
 
     def find_costly(self, exploration: Exploration) -> CostlyDensity | None:
-        """Return the density that leaves nothing out, where a fast form of it for single rows was explored."""
+        """Return the density that leaves nothing out, where a fast form of it was explored that differs."""
         explored = cast("CalibrationPosterior", exploration.straight.posterior)
-        if explored.likelihood.lone is None or explored.likelihood.frozen is not None:
-            return None
-        return weigh_beside(explored, exploration)
+        if explored.likelihood.frozen is not None:
+            return weigh_beside(explored, exploration) if exploration.left_out > MATTERS else None
+        return None if explored.likelihood.lone is None else weigh_beside(explored, exploration)
 
     def measure_misfit(self, posterior: Fittable, mode: Array) -> ChiSquare:
         """Return χ² of what no pose explains at the mode (n,)."""
@@ -308,6 +309,8 @@ def weigh_beside(explored: CalibrationPosterior, exploration: Exploration) -> Co
             found = whole.density(*at) - explored.likelihood.density(*at)
         return np.where(np.isfinite(found), found, -np.inf)
 
+    if explored.likelihood.frozen is not None:  # which tells of the geometry what the whole does
+        return CostlyDensity(straight.log_density, excess, np.zeros((explored.n_parameters,) * 2))
     # what the whole density knows of the geometry more; of the errors it is taken to know the same
     y = exploration.modes[0].y
     (theta, change), zeta = explored.around(y), explored.zeta(y)
