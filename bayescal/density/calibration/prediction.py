@@ -73,19 +73,26 @@ def predict_readings(
     common = np.zeros((len(y), *held.data.sd.shape))
     if posterior.errors.has_columns:
         common = posterior.likelihood.draw_common(*posterior.at(y), rng).at(held.data, held.error_gain)
+    groups: dict[bytes, list[int]] = {}
     for channel in np.flatnonzero(predicted):
         others = _apart(held, int(channel)) & (True if by is None else by)
+        groups.setdefault(others.tobytes(), []).append(int(channel))
+    for key, channels in groups.items():
+        others = np.frombuffer(key, dtype=bool)
         there = held.data.present[:, others].sum(axis=1)
-        enough = held.data.present[:, channel] & (there >= q)
-        for pose in np.flatnonzero(held.data.present[:, channel] & ~enough):
-            lost.append((int(pose), int(channel), f"{there[pose]} other readings for {q} coordinates"))
-        if enough.any():
-            where = np.flatnonzero(enough)
-            mean, spread = _predict(posterior, held.pick(where), int(channel), others, y, common[:, where], rng)
-            told = np.isfinite(mean).all(axis=0) & np.isfinite(spread).all(axis=0)
-            lost += [(int(pose), int(channel), NOT_DETERMINED) for pose in where[~told]]
+        for channel in channels:
+            for pose in np.flatnonzero(held.data.present[:, channel] & (there < q)):
+                lost.append((int(pose), channel, f"{there[pose]} other readings for {q} coordinates"))
+        where = np.flatnonzero(held.data.present[:, channels].any(axis=1) & (there >= q))
+        if not len(where):
+            continue
+        found = _predict(posterior, held.pick(where), channels, others, y, common[:, where], rng)
+        for channel, mean, spread in zip(channels, *found, strict=True):
+            known, here = np.isfinite(mean + spread).all(axis=0), held.data.present[where, channel]
+            lost += [(int(pose), channel, NOT_DETERMINED) for pose in where[here & ~known]]
+            told = here & known
             if told.any():
-                parts.append((where[told], int(channel), mean[:, told], spread[:, told]))
+                parts.append((where[told], channel, mean[:, told], spread[:, told]))
     return replace(_collect(held, parts), lost=tuple(lost))
 
 
@@ -209,38 +216,40 @@ def _apart(held: CalibrationLikelihood, channel: int) -> np.ndarray:
 def _predict(
     posterior: CalibrationPosterior,
     held: CalibrationLikelihood,
-    channel: int,
+    channels: Sequence[int],
     others: np.ndarray,
     y: Array,
     common: Array,
     rng: np.random.Generator,
 ) -> tuple[Array, Array]:
-    """Return predicted means and noisy values of a channel, both (T, P), by draws (T, P, K) of common errors."""
+    """Return means and noisy values of C channels by the others, both (C, T, P); common errors by draws (T, P, K)."""
     rest = replace(held, data=held.data.only(others), expansion=None)
     theta, tails = posterior.theta(y), posterior.errors.tails(posterior.zeta(y))
     own, tau = held.noise(posterior.errors, posterior.zeta(y))
-    mean, spread = (np.empty((len(y), held.data.n_poses)) for _ in range(2))
+    mean, spread = (np.empty((len(channels), len(y), held.data.n_poses)) for _ in range(2))
     given = {name: value[None] for name, value in held.data.given.items()}
     for part in rest.batches(len(y)):
         white = rest.whiten(own[part], tau[part])
         at = rest.stand(theta[part], white)
         here = held.model.near(held.data.values).linearise(theta[part][:, None], at.pose, False, given)
         error = held.comparison.subtract(held.data.values, here.values)
-        slope = held.comparison.pull_back(error, here.values, here.by_pose)[..., channel, :]
-        error_left, shift = at.error, np.zeros(error.shape[:-1])
+        slopes = held.comparison.pull_back(error, here.values, here.by_pose)
+        error_left, moved = at.error, np.zeros(at.pose.shape)
         if posterior.errors.has_columns:  # what errors common to all rows make of the pose, to first order
             moved, left = find_step(at.slope, white.vector(np.where(rest.data.present, common[part], 0.0)))
             error_left = at.error - left
-            shift = common[part][..., channel] - np.einsum("tpq,tpq->tp", slope, moved)
-        # what the others' noise tells of this reading's, as in Gaussian regression
-        told_by = white.vector(_covary(held, own[part], channel, rest.data.present))
-        slope = slope - np.einsum("tpk,tpkq->tpq", told_by, at.slope)
-        own_noise = own[part][..., channel] ** 2 + tau[part][..., channel] ** 2 - (told_by**2).sum(axis=-1)
-        variance = _spread_of_pose(slope, at) + own_noise
-        predicted = held.data.values[:, channel] - error[..., channel] + shift
-        mean[part] = predicted + np.einsum("tpk,tpk->tp", told_by, error_left)
         square = np.einsum("tpk,tpk->tp", error_left, error_left)
-        spread[part] = np.sqrt(variance * tails.pick(part).draw_widening(square, rest.n_spare, rng))
+        for k, channel in enumerate(channels):
+            slope = slopes[..., channel, :]
+            shift = common[part][..., channel] - np.einsum("tpq,tpq->tp", slope, moved)
+            # what the others' noise tells of this reading's, as in Gaussian regression
+            told_by = white.vector(_covary(held, own[part], channel, rest.data.present))
+            slope = slope - np.einsum("tpk,tpkq->tpq", told_by, at.slope)
+            own_noise = own[part][..., channel] ** 2 + tau[part][..., channel] ** 2 - (told_by**2).sum(axis=-1)
+            variance = _spread_of_pose(slope, at) + own_noise
+            predicted = held.data.values[:, channel] - error[..., channel] + shift
+            mean[k, part] = predicted + np.einsum("tpk,tpk->tp", told_by, error_left)
+            spread[k, part] = np.sqrt(variance * tails.pick(part).draw_widening(square, rest.n_spare, rng))
     return mean, mean + spread * rng.standard_normal(mean.shape)
 
 
