@@ -125,6 +125,7 @@ class ConditionalMap:
 def fit_conditional(posterior: Target, y: Array) -> ConditionalMap | None:
     """Return the map of a posterior about a mode (n,); None where nothing is known in closed form.
 
+    None, too, where sizes of errors are held at the end of their range by data that contradict a model: nothing varies.
     The same for the same posterior: its random numbers are.
     """
     linear = posterior.linear_geometry(y)
@@ -132,7 +133,7 @@ def fit_conditional(posterior: Target, y: Array) -> ConditionalMap | None:
         return None
     rng = np.random.default_rng(1803)
     draws = sample_scales(linear.log_mass, y[posterior.n_geometry :], N_DRAWS, N_DRAWS, rng).draws
-    return _fit(linear, draws, rng)
+    return _fit(linear, draws, rng) if (np.ptp(draws, axis=0) > 0.0).all() else None
 
 
 def _fit(linear: LinearGeometry, draws: Array, rng: np.random.Generator) -> ConditionalMap:

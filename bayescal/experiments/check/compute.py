@@ -9,7 +9,7 @@ from functools import cache
 
 import numpy as np
 import pandas as pd
-from scipy.stats import binom
+from scipy.stats import binom, norm, t
 
 from bayescal.errors import NumericalError
 from bayescal.experiments.check.faults import Finding, look_at_data
@@ -26,7 +26,7 @@ PRIOR, POSTERIOR = "prior", "posterior"
 POINTS = 40
 SIMULATED = 20_000
 FALSE_ALARMS = 0.01  # of all parameters together
-OFF = 3.5  # standard errors of a coverage
+OFF = 3.5  # standard errors of a coverage, where many data sets tell these; more of fewer, as of Student's t
 OFF_SHARE = 0.02
 
 type Arrays = dict[str, Array]
@@ -212,7 +212,8 @@ def judge_ranks(whence: str, names: tuple[str, ...], rank: Array, z: Array, qual
     said += f", in {len(rank)} of {n} data sets" if len(rank) < n else f", in {n} data sets"
     said += f"; in {100 * poor:.0f} % of them ensembles took over from importance sampling" if poor else ""
     chance = np.sqrt(COVERAGE * (1.0 - COVERAGE) / rank.size)  # few data sets may all be held
-    off = abs(held - COVERAGE) > max(OFF * max(error, chance), OFF_SHARE)
+    limit = float(t.isf(norm.sf(OFF), len(rank) - 1))
+    off = abs(held - COVERAGE) > max(limit * max(error, chance), OFF_SHARE)
     if not off and not uneven:
         return Finding(check, "", "good", f"all ranks are uniform; {said}.")
     how = "too narrow" if held < COVERAGE else "too wide"
