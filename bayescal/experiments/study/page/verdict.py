@@ -128,14 +128,14 @@ def _state_accuracy(study: StudyResults) -> list[Statement]:
     """Say how large the errors of measured poses are, of all variants that fit equally well."""
     use = study.use
     seen, errors = [name for name in study.find_leaders() if study.fit(name)[use]], list[str]()
-    for scale in study.error_scales:
+    for scale in study.error_scales if seen else ():  # an instrument may stand beside other variants alone
         sizes = {}
         for which in ("mean", "max"):
             values = [scale.read(study.fit(name)[use], which) for name in seen]
             sizes[which] = " to ".join(dict.fromkeys(format_significant(x, 2) for x in (min(values), max(values))))
         mean, largest = (f"{sizes[which]} {scale.unit}".replace(" °", "°") for which in ("mean", "max"))
         errors.append(f"{mean} mean and {largest} largest {scale.what} error")
-    if not seen or not errors:
+    if not errors:
         return []
     noise = study.summary.get("measurement_noise_um", {}).get(use)
     measured = "" if noise is None else f"; the measurement's own noise is {format_significant(noise, 2)} µm rms"
