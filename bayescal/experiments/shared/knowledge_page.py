@@ -31,10 +31,12 @@ def name_titles(tables: Mapping[str, pd.DataFrame]) -> dict[str, str]:
     return {str(row["variant"]): str(row["title"]) for row in list_rows(tables.get("variants", pd.DataFrame()))}
 
 
-def show_accuracy(tables: Mapping[str, pd.DataFrame], variant: str = "", asked: Asked = None) -> Section | None:
+def show_accuracy(
+    tables: Mapping[str, pd.DataFrame], variant: str = "", asked: Asked = None, aligned: bool = False
+) -> Section | None:
     """Return how accurate each variant's tool is, or its coordinates where no tool is stated.
 
-    All others are folded behind a ``variant`` that is named.
+    All others are folded behind a ``variant`` that is named. ``aligned``: whether base and tool were aligned for it.
     """
     if "accuracy" not in tables:
         return None
@@ -44,6 +46,11 @@ def show_accuracy(tables: Mapping[str, pd.DataFrame], variant: str = "", asked: 
         "together (posterior); the noise of one set of readings comes on top. A dash: its own sensors do not "
         "determine it."
     )
+    if aligned:
+        text += (
+            " Frames of the instrument are not known: this is what remains once base and tool are aligned, one motion "
+            "each, the same at all poses."
+        )
     first = tables["accuracy"]["variant"] == variant
     every, titles = tables["accuracy"], name_titles(tables)
     blocks: list[Block] = [_tabulate_accuracy(every[first] if first.any() else every, titles, asked)]

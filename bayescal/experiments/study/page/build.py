@@ -29,7 +29,7 @@ type PageBlock = Callable[[StudyResults], Section | None]
 
 def show_accuracy(study: StudyResults) -> Section | None:
     """Return how accurate the tool is; None where that was not computed."""
-    return knowledge_page.show_accuracy(study.tables, study.chosen, study.units)
+    return knowledge_page.show_accuracy(study.tables, study.chosen, study.units, study.aligned)
 
 
 def show_next(study: StudyResults) -> Section | None:

@@ -440,6 +440,11 @@ class StudyResults:
         return self.summary.get("instrument")
 
     @property
+    def aligned(self) -> bool:
+        """Whether accuracy is what remains after base and tool were aligned: an instrument's frames are not known."""
+        return len((self.instrument or {}).get("free_frames", ())) == 2
+
+    @property
     def tau_scale(self) -> float | None:
         """Scale of the prior of the variant to use's τ, µm; None where it has no τ."""
         own = self.table("tau_scale", self.chosen)["own_um"]

@@ -73,6 +73,7 @@ def _say_uncertainty(study: StudyResults) -> str:
     what = "tool" if study.summary.get("states_tool", True) else "coordinates"
     amounts = {row["coordinate"]: format_amount(row["after"], row["unit"], 2, study.units) for row in known}
     said = f"{what} {say_accuracy(amounts)}, rms over the workspace"
+    said += " once base and tool are aligned" if study.aligned else ""
     lengths = [row for row in known if row["unit"] == "mm"] or known[:1]
     worst = max(lengths, key=lambda row: row.get("worst", 0.0))
     if "worst" not in worst:
