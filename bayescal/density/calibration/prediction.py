@@ -74,9 +74,9 @@ def predict_readings(
     if posterior.errors.has_columns:
         common = posterior.likelihood.draw_common(*posterior.at(y), rng).at(held.data, held.error_gain)
     groups: dict[bytes, list[int]] = {}
-    for channel in np.flatnonzero(predicted):
-        others = _apart(held, int(channel)) & (True if by is None else by)
-        groups.setdefault(others.tobytes(), []).append(int(channel))
+    for place in np.flatnonzero(predicted):
+        others = _apart(held, int(place)) & (True if by is None else by)
+        groups.setdefault(others.tobytes(), []).append(int(place))
     for key, channels in groups.items():
         others = np.frombuffer(key, dtype=bool)
         there = held.data.present[:, others].sum(axis=1)
