@@ -132,7 +132,6 @@ def test_wrong_usage(refuse, study, arguments, expected):
         ("study.toml", "seed = 11", '"a\\nb" = 11', "unknown key"),
         ("study.toml", "[data]", "[data", "study.toml: not valid TOML"),
         ("study.toml", "data/targets.csv", "data/target.csv", "data/target.csv: no such file"),
-        ("study.toml", "sd = 2.0", "sd = [1.0, 2.0]", "parameters.l: found 2 values, expected 1 or 6"),
         ("mechanism.toml", "radius_mm = 155.0", "radius_cm = 15.5", "mechanism.toml, line 7: base.radius_cm: unknown"),
         ("data/targets.csv", "x_mm", "x_m", "data/targets.csv, line 3: found column 'x_m', did you mean 'x_mm'?"),
         ("data/targets.csv", "C01,base,B02,", "C01,base,B02,?", "data/targets.csv, line 5: x_mm: found '?"),
@@ -145,6 +144,11 @@ def test_wrong_usage(refuse, study, arguments, expected):
 def test_bad_input_is_one_line_and_nothing_written(refuse, study, command, name, old, new, expected):
     studies.edit(Path(name), old, new)
     assert expected in refuse(command, study, "--out", "new/out")
+
+
+def test_priors_of_another_length(refuse, study):
+    studies.edit(Path("study.toml"), "sd = 2.0", "sd = [1.0, 2.0]")
+    assert "parameters.l: found 2 values, expected 1 or 6" in refuse("run", study, "--out", "new/out")
 
 
 def test_unknown_claims(refuse, study):

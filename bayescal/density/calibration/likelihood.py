@@ -398,7 +398,7 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
     def anchored(self, sampling: Sampling, errors: Errors) -> Self:
         """Return the same density that looks for poses from those of the least-squares solution."""
         alone = errors.without_columns() if errors.list_acts(self.data) else errors
-        (y, pose), m = self._fit(sampling, errors), sampling.size
+        (y, pose), m = self._fit(sampling, alone if errors.is_common_known else errors), sampling.size
         theta, zeta = sampling.theta_from_y(y[None, :m])[0], np.zeros((NEARBY, alone.n_parameters))
         white = self.whiten(*self.noise(alone, zeta[:1]))
         every = sampling.theta_from_y(self._draw_near(sampling, y[:m], pose, white))
@@ -409,20 +409,25 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
         frozen = FrozenRows.build(found, errors, theta)
         lone = LoneRows.build(found, errors if errors.is_common_known else errors.without_columns(), theta)
         fast = replace(found, frozen=frozen, lone=lone)
-        return fast if lone is None or fast._is_close(every, errors) else replace(fast, lone=None)
+        return fast if fast._is_close(every, errors) else replace(fast, lone=None)
 
     def _is_close(self, theta: Array, errors: Errors) -> bool:
         """Whether the fast form for single rows is close to what leaves nothing out, at machines (N, D) far off.
 
-        It is not where frames that are free take poses further than a straight step follows.
+        It is not where frames that are free take poses further than a straight step follows. Of readings that the
+        machine contradicts all is off by as much more.
         """
-        if not self._is_by_row(errors):
+        if self.lone is None or not self._is_by_row(errors):
             return True
         at = theta, errors, np.zeros((len(theta), errors.n_parameters))
         with np.errstate(all="ignore"):
-            error = self.density(*at) - self.whole.density(*at)
-        error = error[np.isfinite(error)]
-        return not len(error) or float(np.median(np.abs(error - np.median(error)))) < ROUGH
+            error, square = self.density(*at) - self.whole.density(*at), self.lone.evaluate(self, *at)[1].sum(axis=1)
+        good = np.isfinite(error) & np.isfinite(square)
+        if not good.any():
+            return True
+        expected = self.n_spare.sum() + FAR**2 * (theta != theta[:1]).any(axis=0).sum()
+        misfit = max(float(np.median(square[good])) / expected, 1.0)
+        return float(np.median(np.abs(error[good] - np.median(error[good])))) < ROUGH * misfit
 
     def _draw_near(self, sampling: Sampling, y: Array, pose: Array, white: Whitening) -> Array:
         """Return coordinates (N, m) thrice as far off the best ones (m,) as the posterior's, always the same."""

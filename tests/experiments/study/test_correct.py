@@ -7,10 +7,11 @@ from dataclasses import replace
 import exact_problems as problems
 import numpy as np
 import pytest
+import studies
 
-from bayescal.experiments.study.readings import weigh_beside
+from bayescal.experiments.study.readings import MATTERS, ReadingSubject, weigh_beside
 from bayescal.inference.correction import correct_draws, correct_evidence, move_sample, sample_exactly
-from bayescal.inference.exploration import explore
+from bayescal.inference.exploration import CORRECTABLE, explore
 from bayescal.inference.importance import estimate_by_importance
 from bayescal.inference.sampling import sample_posterior
 
@@ -78,3 +79,27 @@ def test_moved_draws_have_the_means_of_the_whole_density_and_so_have_ensembles()
     assert walked.straight.shape == few.straight.shape
     assert np.abs(away).max() < 0.25  # the slow way
     np.testing.assert_allclose(walked.log_density[0, 0], costly.log_density(walked.straight[0, 0]), rtol=1e-9)
+
+
+def test_what_a_frozen_density_leaves_out_is_corrected(tmp_path):
+    """Where joints are free, too, errors' columns follow the machine, which frozen ones do not."""
+    path, free = studies.write_tiny_study(tmp_path), ("a_x", "a_y", "b_x", "b_y", "l")
+    studies.edit(path, 'free = ["l"]', f"free = [{', '.join(map(repr, free))}]")
+    studies.edit(
+        path, "l = {", "\n".join(f'{name} = {{ prior = "normal", sd = 2.0 }}' for name in free[:4]) + "\nl = {"
+    )
+    studies.edit(path, 'terms = ["independent"]', 'terms = ["independent", "linear"]')
+    posterior = studies.load_study(path).variants["six_pus/none"].posterior().anchored()
+    found = explore(posterior, np.random.SeedSequence(1), fine_enough=CORRECTABLE)
+    assert found.straight.posterior.likelihood.frozen is not None
+    assert found.left_out > MATTERS
+    costly = ReadingSubject(posterior).find_costly(found)
+    correction = correct_evidence(costly, found, np.random.SeedSequence(3))
+    frozen, whole = (
+        estimate_by_importance(density, found.proposal, np.random.default_rng(2), 3000)
+        for density in (found.straight.log_density, costly.log_density)
+    )
+    error = np.hypot(whole.standard_error, correction.standard_error)
+    assert error < 0.1
+    assert frozen.log_evidence + correction.log_ratio == pytest.approx(whole.log_evidence, abs=4 * error)
+    assert abs(frozen.log_evidence - whole.log_evidence) > MATTERS
