@@ -8,7 +8,7 @@ THREADS := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 .PHONY: study real audits reproduce seal test test-runs test-browser test-dask test-slow check docs dist data picture benchmark hostile clean help
 
 help:
-	@echo "make study      the telescope study: environment, run, ranking, report (one to two minutes on two cores)"
+	@echo "make study      the telescope study: environment, run, ranking, report (two to three minutes on two cores)"
 	@echo "make real       a real machine, really measured: the Hangprinter HP4 (about five minutes)"
 	@echo "make audits     all shipped identifiability audits"
 	@echo "make reproduce  the papers: RR-8096, Yu 2023 and Sika 2008, all that their pages in docs name"
