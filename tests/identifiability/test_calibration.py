@@ -103,8 +103,9 @@ def count_kept_of(name, n, shares):
     ]
 
 
+@pytest.mark.runs
 def test_requirements_are_kept_as_often_as_claimed():
-    claimed, found = count_kept_of("m2_hexapod", 60, (1.9,))
+    claimed, found = count_kept_of("m2_hexapod", 120, (1.9,))
     assert all(0.6 < p < 0.9 for p in claimed)
     assert all(one.agrees for one in found)
     halved = [compare_kept(one.kept, one.n, p / 2.0, DRAWS) for one, p in zip(found, claimed, strict=True)]
@@ -115,7 +116,7 @@ def test_requirements_are_kept_as_often_as_claimed():
 @pytest.mark.parametrize("name", ["telescope_six_pus_linear", "telescope_six_pus_none", "m2_hexapod"])
 def test_three_hundred_machines_keep_requirements_as_often_as_claimed(name):
     """Limits from mostly broken to mostly kept; each count has a chance of one in a hundred to be out of its band."""
-    claimed, found = count_kept_of(name, 300, (1.2, 1.8, 2.3, 3.2))
+    claimed, found = count_kept_of(name, 300, (1.8, 2.3, 3.2, 4.2))
     assert min(claimed) < 0.6 < 0.95 < max(claimed)
     assert sum(not one.agrees for one in found) <= 1
 

@@ -26,6 +26,7 @@ from bayescal.experiments.shared.readings.inputs import Variant
 from bayescal.experiments.shared.readings.knowledge import (
     foresee,
     inform,
+    look,
     look_around,
     name_data,
     name_place,
@@ -227,7 +228,11 @@ class Planned:
 
     def forecast(self) -> Forecast:
         """Return how the tool errs over the workspace, located by the machine's own sensors."""
-        return foresee(self.variant, self.posterior, self.expected, self.around, self.see_errors(self.around.pose))
+        return self._foresee(self.expected, self.around)
+
+    def _foresee(self, machine: Array, around: View) -> Forecast:
+        """Return the same of another machine, in the posterior's coordinates."""
+        return foresee(self.variant, self.posterior, machine, around, self.see_errors(around.pose))
 
     def describe(self, directions: Sequence[Direction]) -> list[Ridge]:
         """Return the ridges among directions: how far the parameters move together, and what readings show of it."""
@@ -414,8 +419,7 @@ class Planned:
     def simulate(self, n: int, rng: np.random.Generator, fitted: Sequence[int]) -> tuple[Calibrations, np.ndarray]:
         """Return n simulated calibrations of some parameters, and how many keep each requirement.
 
-        Machines of the priors are read at the planned poses with noise and fitted, machine and poses together. What
-        the tool then errs by is taken to first order.
+        Machines of the priors are read at the planned poses with noise and fitted, machine and poses together.
         """
         chosen, variant = np.array(fitted, dtype=int), self.variant
         assert not self.sizes  # the same readings would err alike
@@ -441,7 +445,7 @@ class Planned:
         simulated = Calibrations(
             tuple(self.names[k] for k in chosen), errors[converged][:, chosen], claimed[converged], converged, redrawn
         )
-        return simulated, self._count_kept(errors[converged], rng)
+        return simulated, self._count_kept(y[converged], errors[converged], rng)
 
     def _hold_others(self, chosen: np.ndarray) -> Variant:
         """Return the variant with all but some parameters held where they are expected."""
@@ -473,14 +477,25 @@ class Planned:
         noise = white.repeat(n).colour(np.asarray(rng.standard_normal(values.shape)))
         return y, Comparison(model.channels).add(values, noise), redrawn
 
-    def _count_kept(self, errors: Array, rng: np.random.Generator) -> np.ndarray:
-        forecast = self.forecast()
-        if not (np.isfinite(forecast.slope).all() and self.requirements):
-            return np.zeros(len(self.requirements), dtype=int)
-        error = np.einsum("wti,bi->bwt", forecast.slope, errors)
-        root = np.swapaxes(root_of(forecast.noise), -1, -2)
-        error += np.einsum("wtk,bwk->bwt", root, rng.standard_normal((*error.shape[:2], root.shape[-1])))
-        return np.array([int(one.keeps(error).sum()) for one in self.requirements])
+    def _count_kept(self, y: Array, errors: Array, rng: np.random.Generator) -> np.ndarray:
+        """Return how many machines y (n, m), fitted with errors (n, m), keep each requirement in use.
+
+        Tolerances can be wide and errors long, along what the plan hardly tells. The slope halfway from the machine to
+        its fit makes what the tool errs by exact to second order; that of the nominal machine would not.
+        """
+        kept = np.zeros(len(self.requirements), dtype=int)
+        if not self.requirements:
+            return kept
+        for halfway, error in zip(y + 0.5 * errors, errors, strict=True):
+            machine = np.concatenate([halfway, self.expected[len(halfway) :]])
+            around = look(self.posterior, self.variant, machine, self.around.pose, self.variant.internal)
+            forecast = self._foresee(machine, around)
+            if not (len(around.pose) and np.isfinite(forecast.slope).all() and np.isfinite(forecast.noise).all()):
+                continue
+            root = root_of(forecast.noise)
+            noise = rng.standard_normal((len(root), 1, root.shape[1])) @ root
+            kept += [bool(one.keeps(forecast.effect(error) + noise[:, 0])) for one in self.requirements]
+        return kept
 
     def average(self, n: int, rng: np.random.Generator) -> Array:
         """Return the posterior covariance averaged over n machines of the priors, in units of the tolerances."""

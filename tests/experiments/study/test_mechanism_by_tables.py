@@ -4,6 +4,8 @@ import shutil
 
 import numpy as np
 import pytest
+import studies
+import telescope_machines
 
 import bayescal
 from bayescal.experiments.frame.load import load
@@ -11,7 +13,6 @@ from bayescal.experiments.shared.calibrating import load_calibrated
 from bayescal.files.csv_tables import format_table
 from bayescal.machines.read import load_mechanism
 from bayescal.machines.readings import Legs
-from tests import studies, telescope_machines
 
 N_POSES = 14
 STUDY = """kind = "study"
