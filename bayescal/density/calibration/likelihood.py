@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Self
 
 import numpy as np
@@ -28,7 +28,8 @@ from bayescal.numerics.threads import map_in_threads
 
 STEP = 1e-4  # of a coordinate, for the slope of the logarithms of volumes
 NEARBY, FAR = 8, 3.0  # machines by which the density is tried about its anchor, and how many deviations they are off
-ROUGH = 6.0  # nats between the fast form and the whole, that far off: hardly a tenth of it where machines are
+GOOD, ROUGH = 0.1, 0.4  # of what the log-density differs by among them: a fast form that is off by it is good, or bad
+LEAST_DIFFERENCE = 15.0  # nats that these count at least for: few parameters differ by less than errors of a matrix do
 LEAST_SHARE = 1e-3  # of a variance, that an unknown noise is taken to have
 
 
@@ -38,12 +39,14 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
 
     ``frozen`` and ``lone``: fast forms of it about a machine that explains the readings, where errors are functions of
     the pose, and where each pose is by itself. ``straight``: whether coordinates are such that the machine's ridges are
-    straight; those of each parameter by itself are standard normal under the prior.
+    straight; those of each parameter by itself are standard normal under the prior. ``hidden``: whether errors that are
+    functions of the pose may hide parameters, which coordinates then follow.
     """
 
     frozen: FrozenRows | None = None
     lone: LoneRows | None = None
     straight: bool = True
+    hidden: bool = True
 
     def pick(self, which: np.ndarray) -> Self:
         """Return the density of the readings of some poses, in no fast form."""
@@ -58,7 +61,7 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
         self, priors: Mapping[str, Prior], fixed: Mapping[str, float], common: Mapping[str, tuple[str, ...]]
     ) -> Sampling:
         """Return each parameter by itself, or as the machine's ridges are straight; see `Elimination.sampling`."""
-        straighten = self.model.straighten if self.straight else _leave
+        straighten = partial(self.model.straighten, hidden=self.hidden) if self.straight else _leave
         return build_sampling(self.layout, priors, fixed, common, straighten)
 
     def noise(self, errors: Errors, zeta: Array) -> tuple[Array, Array]:
@@ -409,25 +412,28 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
         frozen = FrozenRows.build(found, errors, theta)
         lone = LoneRows.build(found, errors if errors.is_common_known else errors.without_columns(), theta)
         fast = replace(found, frozen=frozen, lone=lone)
-        return fast if fast._is_close(every, errors) else replace(fast, lone=None)
+        off = fast._find_roughness(every, errors)
+        if lone is not None and off > GOOD:  # slopes whose scale changes with the machine, or poses that go far
+            other = replace(fast, lone=lone.followed)
+            fast, off = min((fast, off), (other, other._find_roughness(every, errors)), key=lambda one: one[1])
+        return fast if off < ROUGH else replace(fast, lone=None)
 
-    def _is_close(self, theta: Array, errors: Errors) -> bool:
-        """Whether the fast form for single rows is close to what leaves nothing out, at machines (N, D) far off.
+    def _find_roughness(self, theta: Array, errors: Errors) -> float:
+        """Return by how much the fast form for single rows is off from what leaves nothing out, at machines (N, D).
 
-        It is not where frames that are free take poses further than a straight step follows. Of readings that the
-        machine contradicts all is off by as much more.
+        As a share of what these differ by: along ridges that bend they lie far off, and all is off by as much more.
         """
         if self.lone is None or not self._is_by_row(errors):
-            return True
+            return 0.0
         at = theta, errors, np.zeros((len(theta), errors.n_parameters))
         with np.errstate(all="ignore"):
-            error, square = self.density(*at) - self.whole.density(*at), self.lone.evaluate(self, *at)[1].sum(axis=1)
-        good = np.isfinite(error) & np.isfinite(square)
+            whole = self.whole.density(*at)
+            error = self.density(*at) - whole
+        good = np.isfinite(error)
         if not good.any():
-            return True
-        expected = self.n_spare.sum() + FAR**2 * (theta != theta[:1]).any(axis=0).sum()
-        misfit = max(float(np.median(square[good])) / expected, 1.0)
-        return float(np.median(np.abs(error[good] - np.median(error[good])))) < ROUGH * misfit
+            return 0.0
+        off, differ = (float(np.median(np.abs(one[good] - np.median(one[good])))) for one in (error, whole))
+        return off / max(differ, LEAST_DIFFERENCE)
 
     def _draw_near(self, sampling: Sampling, y: Array, pose: Array, white: Whitening) -> Array:
         """Return coordinates (N, m) thrice as far off the best ones (m,) as the posterior's, always the same."""
@@ -466,6 +472,8 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
             return None
         if sampling.curved_ridges():  # which no closed form follows
             return None
+        if self.lone is not None:
+            return self.lone.linear_rows(self, theta[0], change, errors)
         _, at = self.explain(theta, errors, y[None, sampling.size :])
         error, slope, by_parameters = self.linearise_raw(theta, at.pose, with_parameters=True)
         both = np.concatenate([-by_parameters @ change, error[..., None]], axis=-1)
@@ -536,7 +544,7 @@ type CalibrationPosterior = Posterior[CalibrationLikelihood, Sampling, Errors]
 
 
 DAMPING, LARGEST_DAMPING = 1e-3, 1e12
-GAIN = 1e-12  # of the squares, below which the search has arrived
+GAIN = 1e-11  # of the squares, below which the search has arrived
 STILL = 1e-8  # of a coordinate, below which a step that leads nowhere is the last: shorter ones lead nowhere, too
 MAX_ITERATIONS = 200
 
@@ -585,12 +593,13 @@ class JointFit:
             stood = self._settle(other, white, columns, pose + follow, damping)
             there = self._rows(other, white, stood)
             rest, new = self._cost(other, there[0], columns)
+            done = abs(cost - new) < GAIN * max(cost, 1.0)
             if not new < cost:
+                still = (done and damping <= DAMPING) or np.max(np.abs(move), initial=0.0) < STILL
                 damping *= 4.0
-                if damping > LARGEST_DAMPING or np.max(np.abs(move), initial=0.0) < STILL:
+                if still or damping > LARGEST_DAMPING:
                     break
                 continue
-            done = cost - new < GAIN * max(cost, 1.0)
             y, pose, here, residual, cost, damping = other, stood, there, rest, new, damping / 3.0
             if done:
                 break

@@ -17,7 +17,7 @@ the unit matrix, and C = C⁰ + diag(τ²) is factorised by columns.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,6 +25,7 @@ import numpy as np
 from bayescal.density.calibration.measurements import Comparison
 from bayescal.density.calibration.poses import Stand
 from bayescal.density.calibration.terms import Errors
+from bayescal.density.components import LinearRows
 from bayescal.density.elimination import Whitening, find_step, invert
 from bayescal.density.low_rank import factor_by_columns
 from bayescal.machines.readings import Bound
@@ -34,6 +35,7 @@ from bayescal.numerics.scratch import Scratch
 if TYPE_CHECKING:
     from bayescal.density.calibration.likelihood import CalibrationLikelihood
 
+ROUNDS = 3  # of following readings to a pose, each by slopes that are off by some per cent
 ILL = 1e8  # condition of the columns of model errors, beyond which rows are not turned to them
 
 
@@ -76,6 +78,11 @@ class LoneRows:
         What log-densities have beside those of the rows, at the anchor.
     drift : ndarray, shape (D, P)
         How that follows the parameters.
+    gain : ndarray, shape (P, q, C), optional
+        Inverse of the slopes by a pose of the readings that are bound, where these are followed to the pose that a
+        machine takes: then their errors' scale, and that of their slopes, may be another than the anchor's.
+    slope : ndarray, shape (P, C, q)
+        The same slopes, at the anchor.
     """
 
     bound: Bound
@@ -96,6 +103,8 @@ class LoneRows:
     channels: np.ndarray
     offset: Array
     drift: Array
+    slope: Array
+    gain: Array | None = None
     scratch: Scratch = field(default_factory=Scratch)
 
     @classmethod
@@ -131,8 +140,8 @@ class LoneRows:
             return None
         to_rows, follow = np.linalg.inv(seen), invert(slope, 0.0) @ whitening
         turn, own, other = to_rows @ left, bound.places, np.delete(np.arange(n), bound.places)
-        error, by_pose, _ = likelihood.linearise_raw(theta[None], likelihood.start[None])
-        error, by_pose = error[0][..., other, None], by_pose[0][:, other]
+        (error,), (raw,), _ = likelihood.linearise_raw(theta[None], likelihood.start[None])
+        error, by_pose = error[..., other, None], raw[:, other]
         known = to_rows @ np.swapaxes(to_rows, -1, -2)
         for term in errors.known:  # what rows have in common counts for each of them alone
             acted = turn @ term.act(data)
@@ -159,7 +168,13 @@ class LoneRows:
             channels if errors.has_noise else channels[:0],
             likelihood.offset(white, at)[0] + np.linalg.slogdet(to_rows)[1],
             drift,
+            raw[:, own],
         )
+
+    @property
+    def followed(self) -> LoneRows:
+        """The same with readings followed to the pose that a machine takes, whatever the scale of their slopes."""
+        return replace(self, gain=np.linalg.pinv(self.slope), scratch=Scratch())
 
     def evaluate(
         self, likelihood: CalibrationLikelihood, theta: Array, errors: Errors, zeta: Array
@@ -214,6 +229,19 @@ class LoneRows:
                 hessian[last, last] -= by_own.T @ by_own
         return gradient, hessian
 
+    def linear_rows(self, likelihood: CalibrationLikelihood, theta: Array, change: Array, errors: Errors) -> LinearRows:
+        """Return the rows as linear in the geometry about θ (D,), with dθ/dy (D, m)."""
+        slope, here = self._differentiate_rows(theta, change), self._find_rows(theta[None])[..., 0].T
+        both = np.concatenate([slope, here[..., None]], axis=-1)
+
+        def square(zeta: Array) -> tuple[Array, float]:
+            factor = np.linalg.cholesky(self._cover(likelihood, errors, zeta))
+            rows = np.linalg.solve(factor, both).reshape(-1, both.shape[-1])
+            return rows.T @ rows, float(np.log(np.diagonal(factor, axis1=1, axis2=2)).sum())
+
+        m = change.shape[1]
+        return LinearRows(np.zeros((m, m)), self.drift.sum(axis=1) @ change, square)
+
     def _cover(self, likelihood: CalibrationLikelihood, errors: Errors, zeta: Array) -> Array:
         """Return the rows' covariance at ζ (k,), (P, m, m)."""
         if not len(self.channels):
@@ -225,6 +253,9 @@ class LoneRows:
         """Return derivatives of the rows by the geometry's coordinates at θ (D,), (P, m, m')."""
         by_pose, by_parameters = self.bound.differentiate(theta)
         moved = by_parameters @ change
+        if self.gain is not None:
+            placed = np.linalg.pinv(by_pose) @ moved
+            moved, by_pose = moved + (self.slope - by_pose) @ placed, self.slope
         step = self.follow @ moved
         return np.asarray(self.loss @ step - self.turn @ (moved - by_pose @ step))
 
@@ -240,16 +271,27 @@ class LoneRows:
         """Return machines (B, D) where they explain the readings best, by a step from the poses that stay."""
         assert likelihood.expansion is not None
         error = np.empty((len(theta), *likelihood.data.sd.shape))
-        error[..., self.bound.places] = self._compare(self.bound.read(theta)).transpose(2, 1, 0)
+        raw = likelihood.expansion.predict(theta)[1]
+        own = self._compare(self.bound.read(theta))
+        if self.gain is not None:
+            placed, rest = self._place(own)
+            own = rest + np.einsum("bpcq,qpb->cpb", raw[..., self.bound.places, :], placed)
+        error[..., self.bound.places] = own.transpose(2, 1, 0)
         error[..., self.others] = self.left
-        slope = white.rows(likelihood.expansion.predict(theta)[1])
+        slope = white.rows(raw)
         step, left = find_step(slope, white.vector(error))
         return Stand(likelihood.start + step, left, slope)
 
     def read(self, likelihood: CalibrationLikelihood, theta: Array, pose: Array) -> Array:
         """Return the readings (B, P, K) of machines (B, D) at poses (B, P, q) close to those that stay."""
         step = np.broadcast_to(pose, (len(theta), *likelihood.start.shape)) - likelihood.start
-        moved = self.bound.read(theta) + self.bound.follow(np.ascontiguousarray(step.transpose(2, 1, 0)))
+        if self.gain is None:
+            moved = self.bound.read(theta) + self.bound.follow(np.ascontiguousarray(step.transpose(2, 1, 0)))
+        else:
+            assert likelihood.expansion is not None
+            slope = likelihood.expansion.predict(theta)[1][..., self.bound.places, :]
+            placed, rest = self._place(self._compare(self.bound.read(theta)))
+            moved = self.values - rest + np.einsum("bpcq,bpq->cpb", slope, step - placed.transpose(2, 1, 0))
         read = np.empty((len(theta), *likelihood.data.sd.shape))
         read[..., self.bound.places] = moved.transpose(2, 1, 0)
         read[..., self.others] = self.unlike + (self.by_pose @ step[..., None])[..., 0]
@@ -265,10 +307,24 @@ class LoneRows:
     def _find_rows(self, theta: Array) -> Array:
         """Return rows, shape (m, P, B)."""
         error = self._compare(self.bound.read(theta))  # (C, P, B)
+        if self.gain is not None:
+            placed, rest = self._place(error)
+            error = rest + (self.slope @ placed.transpose(1, 0, 2)).transpose(1, 0, 2)
+            rows = self.turn @ error.transpose(1, 0, 2) + self.rest[..., None]
+            return np.ascontiguousarray(rows.transpose(1, 0, 2))
         step = self.follow @ error.transpose(1, 0, 2) + self.step[..., None]
         moved = error - self.bound.follow(np.ascontiguousarray(step.transpose(1, 0, 2)))
         rows = self.turn @ moved.transpose(1, 0, 2) - self.loss @ step + self.rest[..., None]
         return np.ascontiguousarray(rows.transpose(1, 0, 2))
+
+    def _place(self, error: Array) -> tuple[Array, Array]:
+        """Return by which steps (q, P, B) errors (C, P, B) of readings vanish, as far as they do, and what is left."""
+        assert self.gain is not None
+        placed, rest = np.zeros((self.gain.shape[1], *error.shape[1:])), error
+        for _ in range(ROUNDS):
+            placed = placed + (self.gain @ rest.transpose(1, 0, 2)).transpose(1, 0, 2)
+            rest = error - self.bound.follow(np.ascontiguousarray(placed))
+        return placed, rest
 
     def _compare(self, read: Array) -> Array:
         """Return measured minus read, (C, P, B)."""

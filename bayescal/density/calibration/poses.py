@@ -284,6 +284,15 @@ class PoseElimination:
         found.error[going] = np.where((size > NEAR)[..., None], np.nan, found.error[going])  # wandering: no pose
         return found
 
+    def approach_poses(self, theta: Array, white: Whitening) -> Array:
+        """Return where machines (C, D) that are much alike explain the readings, (C, P, q), by their mean's slopes."""
+        middle, own = theta.mean(axis=0, keepdims=True), white.pick(slice(1))
+        at = self.stand(middle, own)
+        _, slope, by_parameters = self.linearise(middle, at.pose, own, with_parameters=True)
+        moves = -invert(slope[0], 0.0) @ np.nan_to_num(by_parameters[0])
+        pose, known = at.pose + np.moveaxis(moves @ (theta - middle).T, -1, 0), np.isfinite(at.error).all(axis=-1)
+        return np.where(known[..., None], pose, self.start)
+
     def _improve(self, found: Stand, going: np.ndarray, theta: Array, white: Whitening) -> Array:
         """Move some of the machines by a step, or two where H is as good as that of the next pose; return the sizes."""
         theta, white = theta[going], white.pick(going)

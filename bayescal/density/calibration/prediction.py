@@ -135,7 +135,7 @@ def predict_poses(
     factor = np.linalg.cholesky(related[:, places][:, :, places])
     for part in rest.batches(len(y)):
         white = rest.whiten(own[part], tau[part])
-        at = rest.stand(theta[part], white)
+        at = rest.stand(theta[part], white, rest.approach_poses(theta[part], white))
         here = held.model.near(held.data.values).linearise(theta[part][:, None], at.pose, False, given)
         left = held.comparison.subtract(held.data.values, here.values)
         slope = held.comparison.pull_back(left, here.values, here.by_pose)[..., places, :]
@@ -230,7 +230,7 @@ def _predict(
     given = {name: value[None] for name, value in held.data.given.items()}
     for part in rest.batches(len(y)):
         white = rest.whiten(own[part], tau[part])
-        at = rest.stand(theta[part], white)
+        at = rest.stand(theta[part], white, rest.approach_poses(theta[part], white))
         here = held.model.near(held.data.values).linearise(theta[part][:, None], at.pose, False, given)
         error = held.comparison.subtract(held.data.values, here.values)
         slopes = held.comparison.pull_back(error, here.values, here.by_pose)

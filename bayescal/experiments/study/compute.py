@@ -71,5 +71,5 @@ def _judge(task: tuple[StudyInputs, Mapping[str, Any]]) -> dict[str, pd.DataFram
 def weigh(inputs: StudyInputs, task: WidthTask) -> ImportanceEvidence:
     """Return the evidence of a variant with wider or narrower priors."""
     own, config = Task(task.variant), inputs.config
-    known = inputs.subject(own).posterior
+    known = inputs.variants[task.variant].posterior()
     return weigh_widths(inputs.subject(own, task.factor), known, task, config.seed, config.sampler, config.evidence)

@@ -189,7 +189,7 @@ def fit_variant(inputs: ReadingInputs, name: str) -> ReadingFit:
     packed = fit.pack(subject.build_tree(fit, name, known), ONLY_SAVED)
     learn = learn_posterior(variant, posterior, fit.kept, known)
     with stage("held-back poses"):
-        held = [hold_back(inputs, (name, 0), fit.kept)] if variant.verification.any() else []
+        held = [hold_back(inputs, (name, 0), (posterior, fit.kept))] if variant.verification.any() else []
     with stage("accuracy"):
         return ReadingFit(
             **vars(packed),
@@ -351,24 +351,28 @@ def list_folds(inputs: ReadingInputs, variant: Variant) -> list[np.ndarray]:
     return [np.isin(np.arange(n), order[k::folds]) for k in range(min(folds, n))]
 
 
-def hold_back(inputs: ReadingInputs, task: tuple[str, int], known: Array | None = None) -> Held:
+def hold_back(
+    inputs: ReadingInputs, task: tuple[str, int], known: tuple[CalibrationPosterior, Array] | None = None
+) -> Held:
     """Return how the held-back poses of a variant's fold are predicted from the others.
 
-    Where these are the poses for verification, ``known`` are draws (T, n) of the posterior that has been found already.
+    Where these are the poses for verification, ``known`` is the posterior that was fitted already, with draws (T, n).
     """
     variant, fold = inputs.variants[task[0]], task[1]
     held = list_folds(inputs, variant)[fold]
-    posterior, effort = variant.posterior(~held).anchored(), inputs.config.validation.draws
+    effort = inputs.config.validation.draws
     seeds = np.random.SeedSequence([inputs.config.seed, 7, fold, zlib.crc32(variant.name.encode())])
     first, second, third = seeds.spawn(3)
     rng = np.random.default_rng(second)
     efficiency, pareto_k = 1.0, float("nan")
     if known is None:
+        posterior = variant.posterior(~held).anchored()
         found = explore(posterior, first, inputs.config.sampler.walkers, max_pilots=0)  # draws are weighed anyway
         drawn = resample(found.straight.log_density, found.proposal, rng, PROPOSED * effort, effort)
         y, efficiency, pareto_k = found.straight.y_from_x(drawn.draws), drawn.efficiency, drawn.pareto_k
     else:
-        y = known[np.linspace(0, len(known) - 1, min(effort, len(known))).astype(int)]
+        posterior, every = known
+        y = every[np.linspace(0, len(every) - 1, min(effort, len(every))).astype(int)]
     likelihood = variant.likelihood(held)
     with np.errstate(all="ignore"):
         elpd = compute_elpd(posterior.predict_density(likelihood, y))

@@ -416,12 +416,13 @@ class ReadingModel(ABC):
         del theta, values, pose, given
         return None
 
-    def straighten(self, known: Coordinates) -> Coordinates | None:
+    def straighten(self, known: Coordinates, hidden: bool) -> Coordinates | None:
         """Return coordinates of the free parameters in which ridges of posteriors are straight, from those as they are.
 
-        None, as by default, where they are straight as they stand.
+        ``hidden``: whether errors that are functions of the pose hide parameters. None, as by default, where they are
+        straight as they stand.
         """
-        del known
+        del known, hidden
         return None
 
     @property

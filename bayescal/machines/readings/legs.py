@@ -300,14 +300,15 @@ class Legs(ReadingModel):
         places = np.array(own)
         return BoundLegs.build(self.machine, self._own(theta), values[:, places], pose, places)
 
-    def straighten(self, known: Coordinates) -> Coordinates:
+    def straighten(self, known: Coordinates, hidden: bool) -> Coordinates:
         """Return coordinates that follow directions and joints; see `bayescal.machines.coordinates`.
 
-        Lengths follow the joints so that the legs close at home: what errs with the pose leaves joints hardly known.
+        Where errors hide joints, lengths follow these so that the legs close at home.
         """
-        machine, home = self.machine, self.home_pose
-        straight, start = replace(known, legs=compute_leg_lines(machine)), machine.mechanism.initial_actuator_positions
-        turn = matrix_from_rotation_vector(home[None, 3:])
+        straight, machine, home = replace(known, legs=compute_leg_lines(self.machine)), self.machine, self.home_pose
+        if not hidden:
+            return straight
+        start, turn = machine.mechanism.initial_actuator_positions, matrix_from_rotation_vector(home[None, 3:])
         return close_at_mean(straight, machine, home[None, :3], turn, start[None])
 
     # --- commands --------------------------------------------------------------------------------------------------

@@ -43,7 +43,7 @@ def predict(inputs):
     """Return the first variant and its held-back poses by draws of machines near nominal."""
     variant = inputs.variants["all"]
     known = 0.2 * np.random.default_rng(1).standard_normal((40, variant.posterior().n_parameters))
-    return variant, hold_back(inputs, ("all", 0), known)
+    return variant, hold_back(inputs, ("all", 0), (variant.posterior(), known))
 
 
 def make_study(lost, predictions, tool):

@@ -81,7 +81,8 @@ class Variant:
 
     def likelihood(self, which: np.ndarray) -> CalibrationLikelihood:
         """Return the density of the readings of some poses, by a mask (P,)."""
-        return CalibrationLikelihood(self.model, self.data.pick(which), self.workspace.volume, self.start[which])
+        found = CalibrationLikelihood(self.model, self.data.pick(which), self.workspace.volume, self.start[which])
+        return replace(found, hidden=self.errors.has_columns and not self.errors.is_common_known)
 
     def posterior(self, which: np.ndarray | None = None, factor: float = 1.0) -> CalibrationPosterior:
         """Return the posterior of some poses, those for calibration by default; ``factor`` widens all priors."""
