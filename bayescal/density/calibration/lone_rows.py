@@ -35,7 +35,7 @@ from bayescal.numerics.scratch import Scratch
 if TYPE_CHECKING:
     from bayescal.density.calibration.likelihood import CalibrationLikelihood
 
-ROUNDS = 3  # of following readings to a pose, each by slopes that are off by some per cent
+ROUNDS = 3  # of following readings to a pose by slopes that are off by some per cent
 ILL = 1e8  # condition of the columns of model errors, beyond which rows are not turned to them
 
 
@@ -321,9 +321,14 @@ class LoneRows:
         """Return by which steps (q, P, B) errors (C, P, B) of readings vanish, as far as they do, and what is left."""
         assert self.gain is not None
         placed, rest = np.zeros((self.gain.shape[1], *error.shape[1:])), error
-        for _ in range(ROUNDS):
-            placed = placed + (self.gain @ rest.transpose(1, 0, 2)).transpose(1, 0, 2)
-            rest = error - self.bound.follow(np.ascontiguousarray(placed))
+        for _ in range(ROUNDS):  # each as far as it leaves least: slopes of another scale are no matter
+            step = np.ascontiguousarray((self.gain @ rest.transpose(1, 0, 2)).transpose(1, 0, 2))
+            moved = self.bound.follow(step)
+            square = np.einsum("cpb,cpb->pb", moved, moved)
+            length = np.divide(
+                np.einsum("cpb,cpb->pb", moved, rest), square, out=np.zeros_like(square), where=square > 0
+            )
+            placed, rest = placed + length * step, rest - length * moved
         return placed, rest
 
     def _compare(self, read: Array) -> Array:
