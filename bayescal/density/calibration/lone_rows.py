@@ -254,7 +254,7 @@ class LoneRows:
         by_pose, by_parameters = self.bound.differentiate(theta)
         moved = by_parameters @ change
         if self.gain is not None:
-            placed = np.linalg.pinv(by_pose) @ moved
+            placed = np.linalg.pinv(np.nan_to_num(by_pose)) @ moved
             moved, by_pose = moved + (self.slope - by_pose) @ placed, self.slope
         step = self.follow @ moved
         return np.asarray(self.loss @ step - self.turn @ (moved - by_pose @ step))

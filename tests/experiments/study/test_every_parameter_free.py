@@ -13,11 +13,21 @@ from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.inference.exploration import explore
 from bayescal.inference.mode import find_mode
 
-pytestmark = pytest.mark.slow
-
 RIDGES = Path(__file__).parents[3] / "experiments" / "telescope" / "ridges.toml"
 
 
+@pytest.mark.runs
+@pytest.mark.parametrize("name", ["stiffness/none", "stiffness/linear"])
+def test_ridges_of_stiffness_have_a_fast_form_and_a_proposal(name):
+    """Closures are forces, whose scale goes with the stiffness: only readings followed to the pose do without it."""
+    inputs = StudyInputs.load(load_experiment(RIDGES), RIDGES.parent, only=[name])
+    posterior = inputs.variants[name].posterior().anchored()
+    assert posterior.likelihood.lone.gain is not None
+    found = explore(posterior, np.random.SeedSequence(1), max_pilots=0)
+    assert found.efficiency > 0.2
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["stiffness/none", "stiffness/linear"])
 def test_climbs_from_long_flexures_lead_back(name):
     inputs = StudyInputs.load(load_experiment(RIDGES), RIDGES.parent)
