@@ -544,7 +544,7 @@ type CalibrationPosterior = Posterior[CalibrationLikelihood, Sampling, Errors]
 
 
 DAMPING, LARGEST_DAMPING = 1e-3, 1e12
-GAIN = 1e-11  # of the squares, below which the search has arrived
+GAIN = 1e-12  # of the squares, below which the search has arrived
 STILL = 1e-8  # of a coordinate, below which a step that leads nowhere is the last: shorter ones lead nowhere, too
 MAX_ITERATIONS = 200
 
