@@ -78,11 +78,8 @@ class LoneRows:
         What log-densities have beside those of the rows, at the anchor.
     drift : ndarray, shape (D, P)
         How that follows the parameters.
-    gain : ndarray, shape (P, q, C), optional
-        Inverse of the slopes by a pose of the readings that are bound, where these are followed to the pose that a
-        machine takes: then their errors' scale, and that of their slopes, may be another than the anchor's.
     slope : ndarray, shape (P, C, q)
-        The same slopes, at the anchor.
+        How the readings that are bound follow a pose, at the anchor.
     """
 
     bound: Bound
@@ -104,7 +101,6 @@ class LoneRows:
     offset: Array
     drift: Array
     slope: Array
-    gain: Array | None = None
     scratch: Scratch = field(default_factory=Scratch)
 
     @classmethod
@@ -174,7 +170,8 @@ class LoneRows:
     @property
     def followed(self) -> LoneRows:
         """The same with readings followed to the pose that a machine takes, whatever the scale of their slopes."""
-        return replace(self, gain=np.linalg.pinv(self.slope), scratch=Scratch())
+        bound = FollowedBound(self.bound, self.comparison, self.values, self.slope, np.linalg.pinv(self.slope))
+        return replace(self, bound=bound, scratch=Scratch())
 
     def evaluate(
         self, likelihood: CalibrationLikelihood, theta: Array, errors: Errors, zeta: Array
@@ -253,9 +250,6 @@ class LoneRows:
         """Return derivatives of the rows by the geometry's coordinates at θ (D,), (P, m, m')."""
         by_pose, by_parameters = self.bound.differentiate(theta)
         moved = by_parameters @ change
-        if self.gain is not None:
-            placed = np.linalg.pinv(np.nan_to_num(by_pose)) @ moved
-            moved, by_pose = moved + (self.slope - by_pose) @ placed, self.slope
         step = self.follow @ moved
         return np.asarray(self.loss @ step - self.turn @ (moved - by_pose @ step))
 
@@ -271,27 +265,16 @@ class LoneRows:
         """Return machines (B, D) where they explain the readings best, by a step from the poses that stay."""
         assert likelihood.expansion is not None
         error = np.empty((len(theta), *likelihood.data.sd.shape))
-        raw = likelihood.expansion.predict(theta)[1]
-        own = self._compare(self.bound.read(theta))
-        if self.gain is not None:
-            placed, rest = self._place(own)
-            own = rest + np.einsum("bpcq,qpb->cpb", raw[..., self.bound.places, :], placed)
-        error[..., self.bound.places] = own.transpose(2, 1, 0)
+        error[..., self.bound.places] = self._compare(self.bound.read(theta)).transpose(2, 1, 0)
         error[..., self.others] = self.left
-        slope = white.rows(raw)
+        slope = white.rows(likelihood.expansion.predict(theta)[1])
         step, left = find_step(slope, white.vector(error))
         return Stand(likelihood.start + step, left, slope)
 
     def read(self, likelihood: CalibrationLikelihood, theta: Array, pose: Array) -> Array:
         """Return the readings (B, P, K) of machines (B, D) at poses (B, P, q) close to those that stay."""
         step = np.broadcast_to(pose, (len(theta), *likelihood.start.shape)) - likelihood.start
-        if self.gain is None:
-            moved = self.bound.read(theta) + self.bound.follow(np.ascontiguousarray(step.transpose(2, 1, 0)))
-        else:
-            assert likelihood.expansion is not None
-            slope = likelihood.expansion.predict(theta)[1][..., self.bound.places, :]
-            placed, rest = self._place(self._compare(self.bound.read(theta)))
-            moved = self.values - rest + np.einsum("bpcq,bpq->cpb", slope, step - placed.transpose(2, 1, 0))
+        moved = self.bound.read(theta) + self.bound.follow(np.ascontiguousarray(step.transpose(2, 1, 0)))
         read = np.empty((len(theta), *likelihood.data.sd.shape))
         read[..., self.bound.places] = moved.transpose(2, 1, 0)
         read[..., self.others] = self.unlike + (self.by_pose @ step[..., None])[..., 0]
@@ -307,32 +290,60 @@ class LoneRows:
     def _find_rows(self, theta: Array) -> Array:
         """Return rows, shape (m, P, B)."""
         error = self._compare(self.bound.read(theta))  # (C, P, B)
-        if self.gain is not None:
-            placed, rest = self._place(error)
-            error = rest + (self.slope @ placed.transpose(1, 0, 2)).transpose(1, 0, 2)
-            rows = self.turn @ error.transpose(1, 0, 2) + self.rest[..., None]
-            return np.ascontiguousarray(rows.transpose(1, 0, 2))
         step = self.follow @ error.transpose(1, 0, 2) + self.step[..., None]
         moved = error - self.bound.follow(np.ascontiguousarray(step.transpose(1, 0, 2)))
         rows = self.turn @ moved.transpose(1, 0, 2) - self.loss @ step + self.rest[..., None]
         return np.ascontiguousarray(rows.transpose(1, 0, 2))
 
-    def _place(self, error: Array) -> tuple[Array, Array]:
-        """Return by which steps (q, P, B) errors (C, P, B) of readings vanish, as far as they do, and what is left."""
-        assert self.gain is not None
-        placed, rest = np.zeros((self.gain.shape[1], *error.shape[1:])), error
+    def _compare(self, read: Array) -> Array:
+        """Return measured minus read, (C, P, B)."""
+        return compare(self.comparison, self.values, read)
+
+
+def compare(comparison: Comparison, values: Array, read: Array) -> Array:
+    """Return measured values (C, P, 1) minus what is read, (C, P, B)."""
+    if comparison.is_plain:
+        return np.asarray(values - read)
+    return comparison.subtract(values.T, read.transpose(2, 1, 0)).transpose(2, 1, 0)
+
+
+@dataclass(frozen=True, eq=False)
+class FollowedBound(Bound):
+    """Readings followed to the pose that a machine takes, there compared by the slopes of the anchor.
+
+    Where errors and slopes have another scale than the anchor's, as closures of stiffness models have with another
+    stiffness, that pose does not know of it.
+    """
+
+    bound: Bound
+    comparison: Comparison
+    values: Array  # (C, P, 1)
+    slope: Array  # (P, C, q): of the anchor
+    gain: Array  # (P, q, C): its inverse
+
+    @property
+    def places(self) -> np.ndarray:  # type: ignore[override]
+        """Those of the readings that are followed."""
+        return self.bound.places
+
+    def read(self, theta: Array) -> Array:
+        """Return the readings, (C, P, B); see `Bound.read`."""
+        rest = error = compare(self.comparison, self.values, self.bound.read(theta))
+        placed = np.zeros((self.gain.shape[1], *error.shape[1:]))
         for _ in range(ROUNDS):  # each as far as it leaves least: slopes of another scale are no matter
             step = np.ascontiguousarray((self.gain @ rest.transpose(1, 0, 2)).transpose(1, 0, 2))
             moved = self.bound.follow(step)
-            square = np.einsum("cpb,cpb->pb", moved, moved)
-            length = np.divide(
-                np.einsum("cpb,cpb->pb", moved, rest), square, out=np.zeros_like(square), where=square > 0
-            )
+            square, along = (np.einsum("cpb,cpb->pb", moved, one) for one in (moved, rest))
+            length = np.divide(along, square, out=np.zeros_like(square), where=square > 0)
             placed, rest = placed + length * step, rest - length * moved
-        return placed, rest
+        return np.asarray(self.values - rest - self.follow(placed))
 
-    def _compare(self, read: Array) -> Array:
-        """Return measured minus read, (C, P, B)."""
-        if self.comparison.is_plain:
-            return np.asarray(self.values - read)
-        return self.comparison.subtract(self.values.T, read.transpose(2, 1, 0)).transpose(2, 1, 0)
+    def differentiate(self, theta: Array) -> tuple[Array, Array]:
+        """Return the anchor's slopes, and those by the parameters; see `Bound.differentiate`."""
+        by_pose, by_parameters = self.bound.differentiate(theta)
+        placed = np.linalg.pinv(np.nan_to_num(by_pose)) @ by_parameters
+        return self.slope, by_parameters + (self.slope - by_pose) @ placed
+
+    def follow(self, step: Array) -> Array:
+        """Return what steps (q, P, B) make of the readings, (C, P, B), at the anchor."""
+        return np.asarray((self.slope @ step.transpose(1, 0, 2)).transpose(1, 0, 2))

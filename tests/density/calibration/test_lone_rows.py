@@ -229,12 +229,11 @@ def test_followed_readings_do_not_hang_on_the_scale_of_their_slopes():
     """Closures of stiffness models are forces, which a stiffness that is free scales as a whole."""
     posterior = CASES["K in equilibrium"](np.random.default_rng(8)).anchored()
     y = posterior.approach() + 1e-3 * np.random.default_rng(1).standard_normal((5, posterior.n_parameters))
-    off = []
-    for lone in (posterior.likelihood.lone, posterior.likelihood.lone.followed):
-        scaled = replace(lone, bound=Scaled(lone.bound, 1.5, lone.values))
+    lone, off = posterior.likelihood.lone, []
+    scaled = replace(lone, bound=Scaled(lone.bound, 1.5, lone.values))
+    for pair in ((lone, scaled), (lone.followed, scaled.followed)):
         here, there = (
-            replace(posterior, likelihood=replace(posterior.likelihood, lone=one)).log_density(y)
-            for one in (lone, scaled)
+            replace(posterior, likelihood=replace(posterior.likelihood, lone=one)).log_density(y) for one in pair
         )
         off.append(float(np.abs(there - here).max()))
     assert off[0] > 1.0

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bayescal.density.calibration.lone_rows import FollowedBound
 from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.shared.readings.errors import drop_model_error
 from bayescal.experiments.study.inputs import StudyInputs
@@ -22,7 +23,7 @@ def test_ridges_of_stiffness_have_a_fast_form_and_a_proposal(name):
     """Closures are forces, whose scale goes with the stiffness: only readings followed to the pose do without it."""
     inputs = StudyInputs.load(load_experiment(RIDGES), RIDGES.parent, only=[name])
     posterior = inputs.variants[name].posterior().anchored()
-    assert posterior.likelihood.lone.gain is not None
+    assert isinstance(posterior.likelihood.lone.bound, FollowedBound)
     found = explore(posterior, np.random.SeedSequence(1), max_pilots=0)
     assert found.efficiency > 0.2
 
