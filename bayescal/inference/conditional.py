@@ -22,6 +22,9 @@ from bayescal.inference.target import Target
 from bayescal.numerics.geometry import Array
 
 N_DRAWS: Final = 600  # of the proposal of ζ
+LEAST, WANTED, MOST_DRAWS = 200, 1000, 8000
+"""Effective draws below which there are too few, about as many then, and most draws for that: the shape of a proposal
+that is fitted to some eighty is chance, and its efficiency anything from one to 40 per cent."""
 NODES_PER_FEATURE: Final = 6  # at which the map is fitted
 MOST_NODES: Final = 800
 WIDER: Final = 1.3  # standard deviations of half of the nodes in those of the draws
@@ -131,9 +134,12 @@ def fit_conditional(posterior: Target, y: Array) -> ConditionalMap | None:
     linear = posterior.linear_geometry(y)
     if linear is None or len(y) == posterior.n_geometry:
         return None
-    rng = np.random.default_rng(1803)
-    draws = sample_scales(linear.log_mass, y[posterior.n_geometry :], N_DRAWS, N_DRAWS, rng).draws
-    return _fit(linear, draws, rng) if (np.ptp(draws, axis=0) > 0.0).all() else None
+    rng, mode = np.random.default_rng(1803), y[posterior.n_geometry :]
+    scales = sample_scales(linear.log_mass, mode, N_DRAWS, N_DRAWS, rng)
+    if scales.efficiency * N_DRAWS < LEAST:
+        scales = sample_scales(linear.log_mass, mode, min(MOST_DRAWS, round(WANTED / scales.efficiency)), WANTED, rng)
+    varies = (np.ptp(scales.draws, axis=0) > 0.0).all()
+    return _fit(linear, scales.draws, rng) if varies else None
 
 
 def _fit(linear: LinearGeometry, draws: Array, rng: np.random.Generator) -> ConditionalMap:

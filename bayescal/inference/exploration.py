@@ -35,7 +35,9 @@ TRIAL_DRAWS = 2000
 FIRST_DRAWS, HOPELESS = 256, 0.05  # of a trial, and what they may show for it to end with them
 FINE_DRAWS, FINE_ENOUGH = 64, 0.9  # draws, and what share of them has to count by the density that leaves nothing out
 CORRECTABLE = 0.05  # the same where draws are moved and weighed by that density afterwards
-WIDE_SHARE, WIDE = 0.15, 1.8  # of a proposal by a conditional map, for the errors' tails, and how much wider it is
+WIDE_SHARE, WIDE = 0.15, 4.0
+"""Share of a proposal by a conditional map in which one of the errors is as many times as wide, each in turn: an error
+that another one makes up for has a shoulder, far out along its own coordinate alone."""
 CONDITIONAL_DOF = 100.0  # of the same: geometry given the errors has next to no tails
 OWN_SHARE, CLUSTER_DOF = 0.2, 6.0  # of the proposal so far beside clusters of a pilot's draws, and their tails
 PILOT_STEPS = 100
@@ -293,13 +295,16 @@ def _try_peaks(straight: Straightening, peaks: list[Peak], modes: list[Mode], rn
 
 
 def _propose_conditionally(straight: Straightening, peaks: list[Peak]) -> MixtureProposal:
-    """Return the mixture over peaks, the main one's errors with a wider component beside them."""
-    found, m = proposal_from_peaks(peaks, CONDITIONAL_DOF), straight.posterior.n_geometry
-    wide = found.factors[:1].copy()
-    wide[:, m:, m:] *= WIDE
-    weights = np.append(found.weights, WIDE_SHARE * found.weights[0])
+    """Return the mixture over peaks, beside the main one the same with one error wider, for each of them."""
+    found, main = proposal_from_peaks(peaks, CONDITIONAL_DOF), peaks[0]
+    n, m = straight.posterior.n_parameters, straight.posterior.n_geometry
+    covariance = np.tile(main.factor @ main.factor.T, (n - m, 1, 1))
+    covariance[np.arange(n - m), np.arange(m, n), np.arange(m, n)] *= WIDE**2
+    wide = np.full(n - m, WIDE_SHARE * found.weights[0] / (n - m))
+    weights = np.append(found.weights, wide)
     weights[0] *= 1.0 - WIDE_SHARE
-    means, factors = np.concatenate([found.means, found.means[:1]]), np.concatenate([found.factors, wide])
+    means = np.concatenate([found.means, np.tile(main.centre, (n - m, 1))])
+    factors = np.concatenate([found.factors, np.linalg.cholesky(covariance)])
     return MixtureProposal(weights, means, factors, CONDITIONAL_DOF)
 
 

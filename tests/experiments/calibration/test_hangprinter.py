@@ -11,6 +11,9 @@ from scipy.optimize import least_squares
 
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.run import run_experiment
+from bayescal.experiments.study.inputs import StudyInputs, Task
+from bayescal.inference.exploration import explore, weigh_proposal
+from bayescal.inference.schema import EvidenceConfig
 from bayescal.machines.read import read_reading_model
 
 PLAIN = "\n[model_error]\nterms = []\n"
@@ -31,6 +34,17 @@ def author(model):
     for name, value in zip(table["quantity"], table["value"], strict=True):
         theta[model.layout.names.index(name)] = value
     return theta
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_errors_that_make_up_for_each_other_are_proposed_as_they_are(seed):
+    """Noise, τ and four functions explain the same residuals: the density of their sizes has shoulders."""
+    _, config = load(FOLDER / "study.toml")
+    posterior = StudyInputs.load(config, FOLDER).subject(Task("buildup")).posterior
+    found = explore(posterior, np.random.SeedSequence(seed))
+    weighed = weigh_proposal(found, np.random.SeedSequence(10 + seed), EvidenceConfig(draws=4000))
+    assert weighed.efficiency > 0.3  # 0.5; 0.01 to 0.3 from sixty effective draws of the sizes
+    assert weighed.pareto_k < 0.6
 
 
 def line_changes(angle, radius):
