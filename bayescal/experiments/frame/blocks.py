@@ -41,16 +41,15 @@ def find_blocks(names: Iterable[str], where: Path, folder: Path | None) -> list[
 
 def add_blocks(page: Page, results: Results, blocks: Iterable[PageBlock]) -> Page:
     """Return a page with what some blocks show of the results; of one that fails, why."""
-    shown = [_show(one, results) for one in blocks]
-    return replace(page, sections=(*page.sections, *(one for one in shown if one is not None)))
-
-
-def _show(block: PageBlock, results: Results) -> Section | None:
-    try:
-        return block.show(results)
-    except Exception as error:  # a page without it is better than hours of computing without a page
-        said = " ".join(str(error).split())
-        return make_section(type(block).__name__, (f"This block could not be shown: {type(error).__name__}: {said}",))
+    sections = list(page.sections)
+    for one in blocks:
+        try:
+            section = one.show(results)
+        except Exception as error:  # a page without it is better than hours of computing without a page
+            said = f"{type(error).__name__}: {' '.join(str(error).split())}"
+            section = make_section(type(one).__name__, (f"This block could not be shown: {said}",))
+        sections += [] if section is None else [section]
+    return replace(page, sections=tuple(sections))
 
 
 def keep_code(folder: Path, kind: str, blocks: Iterable[str]) -> dict[str, str]:

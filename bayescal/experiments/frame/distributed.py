@@ -68,22 +68,13 @@ NEWEST = 0.3  # weight of the last batch in what a task is expected to take
 type Names = tuple[str, ...]
 
 
+@dataclass(frozen=True, eq=False)
 class Cluster(Engine):
-    """The workers of a scheduler.
+    """The workers of a scheduler."""
 
-    Attributes
-    ----------
-    client : distributed.Client
-    address : str
-        As it was asked for.
-    own : bool
-        Whether scheduler and workers belong to this run.
-    """
-
-    def __init__(self, client: Any, address: str, own: bool) -> None:
-        self.client = client
-        self.address = address
-        self.own = own
+    client: Any  # distributed.Client
+    address: str  # as it was asked for
+    own: bool  # whether scheduler and workers belong to this run
 
     def compute[S, T](
         self, function: Callable[[S, T], Any], shared: S, tasks: Mapping[str, T]
@@ -94,27 +85,23 @@ class Cluster(Engine):
         """
         if not tasks:
             return
-        feed = Feed(self.client, _work, f"bayescal-{uuid.uuid4().hex}", self._send(function, shared), tasks)
-        try:
-            yield from self._collect(feed)
-        finally:
-            with suppress(Exception):  # whatever came before matters more
-                self.client.cancel(feed.under_way)
-
-    def _collect(self, feed: Feed) -> Iterator[tuple[str, Record | Failure]]:
         from distributed import as_completed
 
-        ended = as_completed(feed.fill(), loop=self.client.loop)
-        seen = time.monotonic()
-        while not feed.is_done:
-            if not ended.has_ready():
-                time.sleep(POLL)
-                seen = self._look_for_workers(seen)
-            else:
-                batch = list(ended.next_batch(block=False))
-                for future, answer in zip(batch, self._fetch(batch), strict=True):
-                    yield from self._sort(feed, future.key, answer)
-            ended.update(feed.fill())
+        feed = Feed(self.client, _work, f"bayescal-{uuid.uuid4().hex}", self._send(function, shared), tasks)
+        try:
+            ended, seen = as_completed(feed.fill(), loop=self.client.loop), time.monotonic()
+            while not feed.is_done:
+                if not ended.has_ready():
+                    time.sleep(POLL)
+                    seen = self._look_for_workers(seen)
+                else:
+                    batch = list(ended.next_batch(block=False))
+                    for future, answer in zip(batch, self._fetch(batch), strict=True):
+                        yield from self._sort(feed, future.key, answer)
+                ended.update(feed.fill())
+        finally:
+            with suppress(Exception):  # whatever came before matters more
+                self.client.cancel([future for future, _ in feed.sent.values()])
 
     def _sort(self, feed: Feed, key: str, answer: Answer | Failure) -> Iterator[tuple[str, Record | Failure]]:
         """Yield what became of a batch's tasks; those of a batch that killed workers are tried one by one."""
@@ -124,7 +111,7 @@ class Cluster(Engine):
             return
         names = feed.end(key)
         if len(names) > 1 and answer[1].startswith(KILLED):
-            feed.send_alone(names)
+            feed.alone.extend(names)
         else:
             yield from ((name, answer) for name in names)
 
@@ -137,14 +124,19 @@ class Cluster(Engine):
 
     def _read(self, future: Any) -> Answer | Failure:
         """Return the answer of a batch that has ended, or why there is none."""
+        from distributed import KilledWorker
+
         try:
             answer: Answer = pickle.loads(future.result())
         except (CancelledError, OSError) as error:
             raise NumericalError(
                 f"the scheduler at {self.address} went away or dropped its tasks; go on with --resume"
             ) from error
-        except Exception as error:
-            return self._explain(error)
+        except KilledWorker as error:
+            said = f"{KILLED} {error.allowed_failures + 1} workers one after another, perhaps for want of memory"
+            return NumericalError, said
+        except (ImportError, pickle.UnpicklingError) as error:
+            return NumericalError, f"a worker lacks what it needs ({_one_line(error)})"
         return answer
 
     def _look_for_workers(self, seen: float) -> float:
@@ -161,19 +153,6 @@ class Cluster(Engine):
                 f"all workers of {self.address} were killed, perhaps for want of memory; go on with --resume"
             )
         return now
-
-    def _explain(self, error: BaseException) -> Failure:
-        """Return in words why dask gave a task up; what is no fault of the cluster's is raised."""
-        from distributed import KilledWorker
-
-        if isinstance(error, KilledWorker):
-            return (
-                NumericalError,
-                f"{KILLED} {error.allowed_failures + 1} workers one after another, perhaps for want of memory",
-            )
-        if isinstance(error, ImportError | pickle.UnpicklingError):
-            return NumericalError, f"a worker lacks what it needs ({_one_line(error)})"
-        raise error
 
     def _send[S, T](self, function: Callable[[S, T], Any], shared: S) -> Any:
         """Send what all tasks of a stage need to every worker that is there; return what stands for it."""
@@ -192,10 +171,7 @@ class Cluster(Engine):
 def connect(address: str, quiet: bool = True) -> Iterator[Cluster]:
     """Hold a connection to a scheduler, or to one of this machine's own for ``local:N``.
 
-    Raises
-    ------
-    InputError
-        Where dask is not installed, no scheduler answers, or versions differ between it, its workers and here.
+    InputError where dask is not installed, no scheduler answers, or versions differ between it, its workers and here.
     """
     distributed = _import_distributed()
     local = LOCAL.fullmatch(address)
@@ -354,26 +330,15 @@ class Feed:
     To send a task, to look after it and to fetch its result takes dask some 10 to 20 ms of processor time, whatever the
     task. A batch takes that once; it is as large as its tasks take `TARGET` seconds by those that have ended, so that
     progress comes back soon and a lost worker costs little.
-
-    Attributes
-    ----------
-    client : distributed.Client
-    work : callable
-        Takes the bytes of a batch's tasks and the parcel.
-    prefix : str
-        Of the batches' keys.
-    parcel : distributed.Future
-        What all tasks need.
-    tasks : mapping of str to object
     """
 
-    client: Any
-    work: Callable[[bytes, Any], bytes]
-    prefix: str
-    parcel: Any
+    client: Any  # distributed.Client
+    work: Callable[[bytes, Any], bytes]  # takes the bytes of a batch's tasks, and the parcel
+    prefix: str  # of the batches' keys
+    parcel: Any  # distributed.Future of what all tasks need
     tasks: Mapping[str, Any]
     waiting: deque[str] = field(init=False)
-    alone: deque[str] = field(init=False, default_factory=deque)
+    alone: deque[str] = field(init=False, default_factory=deque)  # tasks of a lost batch, each for one of its own
     sent: dict[str, tuple[Any, Names]] = field(init=False, default_factory=dict)
     seconds: float | None = field(init=False, default=None)
     _n_sent: int = field(init=False, default=0)
@@ -388,11 +353,6 @@ class Feed:
     def is_done(self) -> bool:
         """Whether nothing waits and nothing is under way."""
         return not (self.waiting or self.alone or self.sent)
-
-    @property
-    def under_way(self) -> list[Any]:
-        """The futures of batches that have not ended."""
-        return [future for future, _ in self.sent.values()]
 
     def fill(self) -> list[Any]:
         """Send batches as long as workers could run short of them; return their futures."""
@@ -416,10 +376,6 @@ class Feed:
             each = seconds / len(names)
             self.seconds = each if self.seconds is None else (1.0 - NEWEST) * self.seconds + NEWEST * each
         return names
-
-    def send_alone(self, names: Names) -> None:
-        """Let tasks of a lost batch wait, each for one of its own."""
-        self.alone.extend(names)
 
     def _take(self, room: int) -> Names:
         if self.alone:

@@ -35,20 +35,8 @@ class Engine(ABC):
     ) -> Iterator[tuple[str, Record | Failure]]:
         """Yield each task's name with its record, or in words why it failed, as they end, in any order.
 
-        Workers may begin before the first is asked for.
-
-        Parameters
-        ----------
-        function : callable
-            Takes ``shared`` and a task.
-        shared : object
-            What all tasks need.
-        tasks : mapping of str to object
-
-        Raises
-        ------
-        NumericalError
-            Where the engine itself fails; what was yielded before is good.
+        Workers may begin before the first is asked for. The function takes what all tasks share, and a task.
+        NumericalError where the engine itself fails; what was yielded before is good.
         """
 
 
@@ -57,10 +45,6 @@ class Processes(Engine):
     """Processes of this machine; one of them, or a single task, is this process.
 
     Where there are fewer tasks than processes, each takes what it can in threads.
-
-    Attributes
-    ----------
-    workers : int
     """
 
     workers: int = 1
@@ -72,26 +56,15 @@ class Processes(Engine):
         if self.workers == 1 or len(tasks) < 2:
             return ((name, run_guarded(function, shared, task, self.workers)) for name, task in tasks.items())
         threads = max(1, self.workers // len(tasks))
-        calls = [(run_guarded, function, shared, task, threads) for task in tasks.values()]
-        return _watch(_call_in_workers(self.workers, list(zip(tasks, calls, strict=True))))
+        calls = [(name, (run_guarded, function, shared, task, threads)) for name, task in tasks.items()]
+        return _name_kill(_call_in_workers(self.workers, calls), "; go on with --resume")
 
 
 def open_engine(workers: int = 1, scheduler: str | None = None, quiet: bool = True) -> AbstractContextManager[Engine]:
-    """Return what computes tasks, open as long as its context.
+    """Return what computes tasks, open as long as its context: processes, or the workers of a scheduler of dask.
 
-    Parameters
-    ----------
-    workers : int
-        Processes side by side, where there is no scheduler.
-    scheduler : str, optional
-        Of dask: its address, the JSON file that it writes, or ``local:N``.
-    quiet : bool
-        Say nothing of workers that are waited for.
-
-    Raises
-    ------
-    InputError
-        Where dask is not installed, or no scheduler answers, or its versions differ.
+    ``scheduler``: an address, the JSON file that a scheduler writes, or ``local:N``; ``quiet``: whether nothing is said
+    of workers that are waited for. InputError where dask is not installed, none answers, or its versions differ.
     """
     if scheduler is None:
         return nullcontext(Processes(workers))
@@ -100,35 +73,34 @@ def open_engine(workers: int = 1, scheduler: str | None = None, quiet: bool = Tr
     return connect(scheduler, quiet)
 
 
-def _watch[R](outcomes: Iterator[R]) -> Iterator[R]:
+def _name_kill[R](outcomes: Iterator[R], advice: str = "") -> Iterator[R]:
     try:
         yield from outcomes
     except TerminatedWorkerError as error:
-        raise NumericalError("a worker was killed, perhaps for want of memory; go on with --resume") from error
+        raise NumericalError(f"a worker was killed, perhaps for want of memory{advice}") from error
 
 
 @contextmanager
 def start_ahead(workers: int, modules: Sequence[str]) -> Iterator[Callable[[], None]]:
     """Start the processes that tasks will be handed to, and yield what waits for them; nothing leaves them halfway.
 
-    Starting them takes seconds, in which this process may do something else.
-
-    Parameters
-    ----------
-    workers : int
-        Processes; none is started for a single one.
-    modules : sequence of str
-        What they import; without any nothing is known of the tasks, and none is started.
+    Starting them takes seconds, in which this process may do something else. They import modules; without any nothing
+    is known of the tasks, and none is started, as for a single process.
     """
     if workers == 1 or not modules:
         yield lambda: None
         return
-    calls = [(str(k), (import_all, modules)) for k in range(workers)]
-    started = _call_in_workers(workers, calls)
+    started = _call_in_workers(workers, [(str(k), (import_all, modules)) for k in range(workers)])
+
+    def exhaust() -> None:
+        with suppress(TerminatedWorkerError):  # others are started
+            for _ in started:
+                pass
+
     try:
-        yield lambda: _exhaust(started)
+        yield exhaust
     finally:  # calls that are cancelled before they begin may leave an error in loky's thread
-        _exhaust(started)
+        exhaust()
 
 
 def stop_workers() -> None:
@@ -144,20 +116,11 @@ def import_all(modules: Iterable[str]) -> None:
             import_module(module)
 
 
-def _exhaust(calls: Iterator[object]) -> None:
-    with suppress(TerminatedWorkerError):  # others are started
-        for _ in calls:
-            pass
-
-
 def call_side_by_side[R](workers: int, calls: Mapping[str, Callable[[], R]]) -> dict[str, R]:
     """Return what calls give, by their names and in their order, as they are; what one raises is raised here."""
     if workers == 1 or len(calls) < 2:
         return {name: call() for name, call in calls.items()}
-    try:
-        found = dict(_call_in_workers(workers, [(name, (call,)) for name, call in calls.items()]))
-    except TerminatedWorkerError as error:
-        raise NumericalError("a worker was killed, perhaps for want of memory") from error
+    found = dict(_name_kill(_call_in_workers(workers, [(name, (call,)) for name, call in calls.items()])))
     return {name: found[name] for name in calls}
 
 

@@ -136,13 +136,7 @@ class Experiment[C: ExperimentConfig, I](ABC):
         return []
 
     def compare(self, results: Mapping[str, Results]) -> pd.DataFrame:
-        """Return several results directories of this kind side by side: an entry of their summaries a row.
-
-        Raises
-        ------
-        InputError
-            Where they cannot be compared.
-        """
+        """Return several results of this kind side by side, an entry of their summaries a row."""
         import pandas as pd
 
         columns = {name: _list_plain(one.summary) for name, one in results.items()}

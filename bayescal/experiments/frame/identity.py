@@ -26,22 +26,10 @@ NUMERIC = ("emcee", "numpy", "pandas", "scipy")
 def identify(
     config: ExperimentConfig, folder: Path, names: Iterable[str], modules: Mapping[str, str] | None = None
 ) -> dict[str, Any]:
-    """Return what determines an experiment's results.
+    """Return what determines an experiment's results: config, input files, and modules of somebody else's classes.
 
-    Parameters
-    ----------
-    config : ExperimentConfig
-    folder : Path
-        Where file names start.
-    names : iterable of str
-        The input files.
-    modules : mapping of str to str, optional
-        SHA-256 of the modules that somebody else's classes stand in.
-
-    Raises
-    ------
-    InputError
-        Where a file is not there.
+    ``names`` are those of the files, which start at ``folder``; InputError where one is not there. Modules come with
+    their SHA-256.
     """
     files = {}
     for name in sorted(set(names)):

@@ -44,7 +44,9 @@ def end_on_interrupt(message: str) -> Iterator[None]:
             if worker.pid is not None:
                 with suppress(ProcessLookupError):
                     os.kill(worker.pid, signal.SIGKILL)
-        remove_locks()
+        for path in HELD:
+            with suppress(OSError):
+                path.unlink()
         cursor = SHOW_CURSOR if sys.stderr.isatty() else ""
         os.write(2, f"{cursor}{message}\n".encode())
         os._exit(INTERRUPTED)
@@ -70,27 +72,18 @@ def shield_children() -> Iterator[None]:
     """
     before = {name: os.environ.get(name) for name in (WARNINGS, SAFE_PATH)}
     os.environ |= {WARNINGS: ",".join(filter(None, (before[WARNINGS], UNSAID))), SAFE_PATH: "1"}
+    can_block = hasattr(signal, "pthread_sigmask")
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if can_block else set()
     try:
-        with _block_interrupts():
-            yield
+        yield
     finally:
+        if can_block:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
         for name, value in before.items():
             if value is None:
                 del os.environ[name]
             else:
                 os.environ[name] = value
-
-
-@contextmanager
-def _block_interrupts() -> Iterator[None]:
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @cache
@@ -118,10 +111,7 @@ HELD: set[Path] = set()
 def hold_lock(path: Path, out: Path) -> Iterator[None]:
     """Hold the lock file of a results directory; the system lets go of it when the process ends, however it ends.
 
-    Raises
-    ------
-    InputError
-        Where another run holds it; the message names that run's process.
+    InputError where another run holds it; the message names that run's process.
     """
     if fcntl is None:
         yield
@@ -138,23 +128,9 @@ def hold_lock(path: Path, out: Path) -> Iterator[None]:
         HELD.discard(path)  # first: once the file is gone, another run's may stand there
         path.unlink(missing_ok=True)
         os.close(descriptor)
-        _remove_empty(made)
-
-
-def _remove_empty(folders: list[Path]) -> None:
-    """Remove directories, the innermost first, that were made and in which nothing was put: input was at fault."""
-    for folder in folders:
-        try:
-            folder.rmdir()
-        except OSError:
-            return
-
-
-def remove_locks() -> None:
-    """Remove the lock files of this process, which is about to end without unwinding."""
-    for path in HELD:
-        with suppress(OSError):
-            path.unlink()
+        with suppress(OSError):  # the innermost first, as long as nothing was put there: input was at fault
+            for folder in made:
+                folder.rmdir()
 
 
 def _acquire(path: Path, out: Path) -> int:
@@ -169,13 +145,7 @@ def _acquire(path: Path, out: Path) -> int:
                 f"{out}: another run (process {holder}) is under way there, expected none; wait for it or choose "
                 "another --out"
             ) from error
-        if _is_still_there(path, descriptor):
-            return descriptor
+        with suppress(FileNotFoundError):
+            if os.path.samestat(path.stat(), os.fstat(descriptor)):
+                return descriptor
         os.close(descriptor)  # its last holder removed the file in between: take the new one
-
-
-def _is_still_there(path: Path, descriptor: int) -> bool:
-    try:
-        return os.path.samestat(path.stat(), os.fstat(descriptor))
-    except FileNotFoundError:
-        return False

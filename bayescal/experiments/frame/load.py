@@ -47,12 +47,8 @@ def find_kind(kind: str, where: Path, folder: Path | None) -> AnyExperiment:
 def load(path: Path) -> tuple[AnyExperiment, ExperimentConfig]:
     """Return an experiment's kind and its checked config; its ``kind`` says which schema holds.
 
-    A file without a kind that names a ``study`` asks which pose to measure next.
-
-    Raises
-    ------
-    InputError
-        For anything at fault, with file, line, field, found and expected.
+    A file without a kind that names a ``study`` asks which pose to measure next. InputError for anything at fault, with
+    file, line, field, found and expected.
     """
     content, text = read_extended(path)
     kind = content.get("kind", "next" if "study" in content else None)
@@ -66,13 +62,7 @@ def load(path: Path) -> tuple[AnyExperiment, ExperimentConfig]:
 
 
 def read_inputs(experiment: AnyExperiment, config: ExperimentConfig, folder: Path) -> Any:
-    """Return what an experiment computes with, read if there is memory for its files.
-
-    Raises
-    ------
-    InputError
-        For anything at fault in the config or its files.
-    """
+    """Return what an experiment computes with, read if there is memory for its files; InputError for any fault."""
     names: list[str] = []
     with contextlib.suppress(InputError):  # reading says it better
         names = experiment.files(config, folder)

@@ -35,24 +35,12 @@ CGROUPS = (
 
 @dataclass(frozen=True)
 class Need:
-    """What an experiment will hold at once, beside Python and the libraries.
+    """What an experiment will hold at once, beside Python and the libraries."""
 
-    Attributes
-    ----------
-    shared : float
-        Bytes in the process that collects the results.
-    each : float
-        Bytes in every process that computes.
-    sizes : str
-        What it comes from, such as "10000 poses, 42 parameters".
-    remedy : str
-        What would take less.
-    """
-
-    shared: float = 0.0
-    each: float = 0.0
-    sizes: str = ""
-    remedy: str = ""
+    shared: float = 0.0  # bytes in the process that collects the results
+    each: float = 0.0  # bytes in every process that computes
+    sizes: str = ""  # what it comes from, such as "10000 poses, 42 parameters"
+    remedy: str = ""  # what would take less
 
     def sum_up(self, workers: int) -> float:
         """Return the bytes of all processes, the first of which computes itself where it is alone."""
@@ -73,16 +61,9 @@ def estimate_arrays(
 ) -> Need:
     """Return the need of an experiment from the sizes of its arrays of doubles.
 
-    Parameters
-    ----------
-    counts : mapping of str to int
-        What there is many of, in words, and how many.
-    held : iterable of sequences of float
-        Of arrays that every process has: how many alike, then their shape.
-    remedy : str
-        What would take less.
-    kept : iterable of sequences of float, optional
-        The same of the process that collects the results.
+    ``counts``: what there is many of, in words, and how many; ``held``: of arrays that every process has, how many
+    alike, then their shape; ``kept``: the same of the process that collects the results; ``remedy``: what would take
+    less.
     """
     sizes = join_words([f"{number} {what}" for what, number in counts.items()])
     return Need(_count_bytes(kept), _count_bytes(held), sizes, remedy)
@@ -111,14 +92,7 @@ def check_tables(files: Iterable[Path]) -> None:
 
 
 def check_memory(need: Need, workers: int) -> None:
-    """Raise InputError where an experiment needs more memory than there is.
-
-    Parameters
-    ----------
-    need : Need
-    workers : int
-        Processes of this machine that compute; zero where others do.
-    """
+    """Raise InputError where there is too little memory; with no workers of this machine others compute."""
     available, wanted = measure_available(), need.sum_up(workers)
     if need.sizes and available is not None and wanted > available:
         fewer = " or fewer workers" if workers > 1 else ""

@@ -30,16 +30,7 @@ class Failed:
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """A run under way: where its tasks are computed and kept.
-
-    Attributes
-    ----------
-    engine : Engine
-        Computes them; this process where nothing is said.
-    store : Store or None
-        Keeps finished tasks; None where nothing is kept.
-    progress : Progress
-    """
+    """A run under way: the engine that computes its tasks, and the store that keeps finished ones, if one does."""
 
     engine: Engine = field(default_factory=Processes)
     store: Store | None = None
@@ -60,11 +51,8 @@ class Run:
         stage : str
             What is done, in a word or two; tasks are kept under it and their names.
         function : callable
-            Of a module, for it may run in another process: takes ``shared`` and a task. Its numbers must depend on
-            these alone.
-        shared : object
-            What all tasks need.
-        tasks : mapping of str to object
+            Of a module, for it may run in another process: takes ``shared``, what all tasks need, and a task. Its
+            numbers must depend on these alone.
         returns : iterable of type
             Dataclasses that the function's results are made of, beside what `records.encode` takes anyway.
 
@@ -172,7 +160,7 @@ class Run:
                 if self.store is not None:
                     self.store.save_task(names[name], outcome)
                 result = decode(outcome, classes)
-                progress.advance(name)
+                progress.done += 1
                 yield name, result
 
     def once[S, R](self, stage: str, function: Callable[[S], R], shared: S, returns: Iterable[Any] = ()) -> R:

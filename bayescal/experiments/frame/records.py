@@ -28,16 +28,8 @@ type Record = dict[str, Array]
 def encode(value: Any) -> Record:
     """Return a value as named arrays.
 
-    Parameters
-    ----------
-    value : object
-        Made of None, numbers, texts, numpy arrays, tables with a plain index, dictionaries with texts as keys, lists,
-        tuples and dataclasses.
-
-    Raises
-    ------
-    TypeError
-        For anything else.
+    It is made of None, numbers, texts, numpy arrays, tables with a plain index, dictionaries, lists, tuples and
+    dataclasses; TypeError for anything else.
     """
     arrays: Record = {}
     tree = _encode(value, arrays)
@@ -86,19 +78,9 @@ def _encode_column(column: pd.Series, arrays: Record) -> Any:
 
 
 def decode(record: Mapping[str, Array], classes: Iterable[type] = ()) -> Any:
-    """Return the value of a record.
+    """Return the value of a record from `encode`; ValueError, KeyError or TypeError where it is none.
 
-    Parameters
-    ----------
-    record : mapping of str to ndarray
-        From `encode`.
-    classes : iterable of type
-        Dataclasses that may occur; those of their fields are found by themselves.
-
-    Raises
-    ------
-    ValueError, KeyError, TypeError
-        Where it is no record, or holds another dataclass.
+    Dataclasses that may occur are those given and, found by themselves, those of their fields.
     """
     known = {_name(one): one for one in find_dataclasses(classes)}
     return _decode(json.loads(bytes(record[TREE].astype(np.uint8))), record, known)

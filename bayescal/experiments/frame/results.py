@@ -42,20 +42,10 @@ NUMBER = (int, float)
 
 @dataclass(frozen=True, eq=False)
 class Results:
-    """What an experiment found.
+    """What an experiment found; the frame adds provenance, where it comes from, and the folder where it stands.
 
-    Attributes
-    ----------
-    summary : dict
-        JSON-ready: what ``summary.json`` holds.
-    tables : dict of name to DataFrame
-        Those that are not empty are written as CSV.
-    files : mapping of name to str or callable
-        Further files, by their names in the results directory: texts, or what writes one to the path it is given.
-    provenance : dict
-        Where they come from; added by the frame.
-    folder : Path or None
-        Where they stand; added by the frame.
+    The summary is JSON-ready. Tables are written as CSV unless they are empty. Further files are texts by their names
+    in the results directory, or what writes one to the path it is given.
     """
 
     summary: dict[str, Any]
@@ -84,17 +74,7 @@ class Results:
 
 
 def write_results(results: Results, folder: Path, tables_in: str = "", digits: int = 9) -> None:
-    """Write tables, summary, further files and provenance into an empty directory.
-
-    Parameters
-    ----------
-    results : Results
-    folder : Path
-    tables_in : str
-        Folder of the tables, the results directory itself by default.
-    digits : int
-        Significant ones of the tables' numbers; zero for all.
-    """
+    """Write tables (numbers to so many significant digits, zero for all), summary, files and provenance to a folder."""
     kinds, empty, lengths = {}, {}, {}
     (folder / tables_in).mkdir(exist_ok=True)
     for name, table in results.tables.items():
@@ -126,17 +106,6 @@ def list_written(folder: Path) -> list[str] | None:
     return names if isinstance(names, list) else None
 
 
-def _check_lengths(folder: Path, tables: Mapping[str, pd.DataFrame], lengths: object) -> None:
-    """Raise InputError for a table that was cut between two rows, which says nothing of what it lacks.
-
-    Results of earlier versions do not know how long their tables are.
-    """
-    for name, table in tables.items():
-        known = lengths.get(name, len(table)) if isinstance(lengths, dict) else len(table)
-        if known != len(table):
-            raise InputError(f"{folder / name}: found {len(table)} rows, expected {known} as were written")
-
-
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
     """Write a JSON object, which has no number for what is not finite."""
     path.write_text(json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
@@ -165,18 +134,8 @@ def check_results(folder: Path, but: Callable[[str], bool] = lambda name: False)
 def read_results(folder: Path, only: Collection[str] | None = None, checked: bool = True) -> Results:
     """Read a results directory, all its tables or only some: whoever uses results gets them here.
 
-    Parameters
-    ----------
-    folder : Path
-    only : collection of str, optional
-        Names of tables; all by default.
-    checked : bool
-        Whether its files must be those that its manifest has.
-
-    Raises
-    ------
-    InputError
-        Where it is none, a file was edited, is missing or was added, or a cell is not what its column holds.
+    ``checked``: whether its files must be those that its manifest has. InputError where it is none, a file was edited,
+    is missing or was added, or a cell is not what its column holds.
     """
     import pandas as pd  # a third of a second, for those who have tables
 
@@ -195,11 +154,13 @@ def read_results(folder: Path, only: Collection[str] | None = None, checked: boo
             raise InputError(f"{folder / PROVENANCE_FILE}: tables: found {name!r}, expected names of CSV files")
     summary = read_json(folder / SUMMARY_FILE)
     kinds = {name: columns for name, columns in kinds.items() if only is None or Path(name).stem in only}
-    found = {name: _read_table(folder / name, columns) for name, columns in kinds.items()}
-    _check_lengths(folder, found, provenance.get(LENGTHS))
-    tables = {Path(name).stem: table for name, table in found.items()}
-    for name, columns in empty.items():
-        tables[name] = pd.DataFrame(columns=columns)
+    lengths, tables = provenance.get(LENGTHS), {}
+    for name, columns in kinds.items():
+        table = tables[Path(name).stem] = _read_table(folder / name, columns)
+        known = lengths.get(name, len(table)) if isinstance(lengths, dict) else len(table)  # earlier versions: none
+        if known != len(table):  # cut between two rows, which says nothing of what it lacks
+            raise InputError(f"{folder / name}: found {len(table)} rows, expected {known} as were written")
+    tables |= {name: pd.DataFrame(columns=columns) for name, columns in empty.items()}
     return Results(summary, tables, {}, provenance, folder)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib.metadata import version
@@ -55,17 +56,7 @@ MANY_PICTURES = 10  # fewer are drawn before other processes have started
 
 @dataclass(frozen=True, eq=False)
 class Finished:
-    """A finished run.
-
-    Attributes
-    ----------
-    out : Path
-        The results directory.
-    experiment : Experiment
-    results : Results
-        As they are read back from there.
-    page : Page
-    """
+    """A finished run: its results directory, the kind, the results as they are read back from there, the page."""
 
     out: Path
     experiment: AnyExperiment
@@ -95,45 +86,22 @@ class Finished:
 
 @dataclass(frozen=True, eq=False)
 class Admitted:
-    """An experiment that has passed the gate: nothing in its config and files forbids to compute it.
-
-    Attributes
-    ----------
-    experiment : Experiment
-    inputs : object
-        What it computes with.
-    need : Need
-        Memory that it takes.
-    blocks : list of PageBlock
-    code : dict of str to str
-        Files of kind and blocks that results keep.
-    identity : dict
-        What determines its results, ``files`` among it.
-    """
+    """An experiment that has passed the gate: nothing in its config and files forbids to compute it."""
 
     experiment: AnyExperiment
-    inputs: Any
-    need: Need
+    inputs: Any  # what it computes with
+    need: Need  # memory that it takes
     blocks: list[PageBlock]
-    code: dict[str, str]
-    identity: dict[str, Any]
+    code: dict[str, str]  # files of kind and blocks that results keep
+    identity: dict[str, Any]  # what determines its results, ``files`` among it
 
 
 def admit(config: ExperimentConfig, folder: Path, workers: int) -> Admitted:
     """Return an experiment read and checked: the one gate of all that computes, and of all that only looks.
 
-    Parameters
-    ----------
-    config : ExperimentConfig
-    folder : Path
-        Where the config's file names start.
-    workers : int
-        Processes of this machine that will compute; zero where others do.
-
-    Raises
-    ------
-    InputError
-        For everything at fault in the config and its files, and for what there is no memory for.
+    ``folder`` is where the config's file names start, ``workers`` how many processes of this machine will compute, zero
+    where others do. InputError for everything at fault in the config and its files, and for what there is no memory
+    for.
     """
     experiment = find_kind(config.kind, folder, folder)
     with threadpool_limits(1):
@@ -155,32 +123,9 @@ def run_experiment(
     quiet: bool = True,
     scheduler: str | None = None,
 ) -> Finished:
-    """Run an experiment and put its results in ``out``.
+    """Run an experiment and put its results in ``out``; parameters and errors are those of `bayescal.run_experiment`.
 
-    Parameters
-    ----------
-    config : ExperimentConfig
-        From `bayescal.load_experiment`.
-    folder : Path
-        Where the config's file names start.
-    out : Path
-        Results directory; replaced as a whole when everything is done.
-    workers : int
-        Processes side by side; the numbers do not depend on it.
-    resume : bool
-        Take up an interrupted run of the same config.
-    quiet : bool
-        Say nothing of the progress.
-    scheduler : str, optional
-        Of dask, whose workers compute in place of processes: an address, a scheduler's JSON file, or ``local:N``.
-
-    Raises
-    ------
-    InputError
-        For input at fault, results of another config or another run in ``out``, or nothing to resume. Nothing is
-        written then.
-    NumericalError
-        Where a computation fails; the finished tasks are kept for ``resume``.
+    Results of another config or another run in ``out``, and nothing to resume, are input at fault, too.
     """
     with threadpool_limits(1):
         admitted = admit(config, folder, workers if scheduler is None else 0)
@@ -221,13 +166,9 @@ def _tell_effort(admitted: Admitted, workers: int) -> str:
 
 
 def _compute(admitted: Admitted, run: Run, discard: Callable[[], None] = lambda: None) -> Results:
-    """Return an experiment's results.
+    """Return an experiment's results; a NumericalError says besides what is probably wrong with the inputs.
 
-    Raises
-    ------
-    NumericalError
-        Says besides what is probably wrong with the inputs. What a kind refuses only now is one, too, since it was
-        accepted before; nothing is kept of such a run.
+    What a kind refuses only now is one, too, since it was accepted before; nothing is kept of such a run.
     """
     experiment, inputs = admitted.experiment, admitted.inputs
     try:
@@ -245,42 +186,27 @@ def _compute(admitted: Admitted, run: Run, discard: Callable[[], None] = lambda:
 def check_file(path: Path) -> tuple[AnyExperiment, ExperimentConfig, list[str], list[str], list[str]]:
     """Read all that the experiment of a file computes with; return its kind and config, and as `check_experiment`.
 
-    Raises
-    ------
-    InputError
-        `SeveralFaultsError` with all that is wrong with config and files, as far as one does not depend on the other.
+    `SeveralFaultsError` with all that is wrong with config and files, as far as one does not depend on the other.
     """
     try:
         experiment, config = load(path)
         with name_faults(path):
             return experiment, config, *check_experiment(config, path.parent)
     except InputError as error:
-        more = [one for one in _list_file_faults(path) if not any(line.endswith(one) for line in error.lines)]
+        of_files: list[str] = []
+        with suppress(InputError):  # the files that a config names, however far it can itself be read
+            content, _ = read_extended(path)
+            kind = find_kind(str(content.get("kind")), path, path.parent)
+            of_files = kind.list_file_faults(content, path.parent)
+        more = [one for one in of_files if not any(line.endswith(one) for line in error.lines)]
         raise SeveralFaultsError([*error.lines, *more]) from error
-
-
-def _list_file_faults(path: Path) -> list[str]:
-    """Return what is wrong with the files that a config names, however far it can itself be read."""
-    try:
-        content, _ = read_extended(path)
-        experiment = find_kind(str(content.get("kind")), path, path.parent)
-        return experiment.list_file_faults(content, path.parent)
-    except InputError:
-        return []
 
 
 def check_experiment(config: ExperimentConfig, folder: Path) -> tuple[list[str], list[str], list[str]]:
     """Put an experiment through the gate of a run with a process per core; return what is known without computing.
 
-    Returns
-    -------
-    files, outlook, doubts : list of str
-        What belongs to it; what its inputs can determine, and the memory that a run takes; what may be wrong with them.
-
-    Raises
-    ------
-    InputError
-        As `admit`.
+    The files that belong to it; what its inputs can determine, and the memory that a run takes; what may be wrong with
+    them. InputError as `admit`.
     """
     workers = cpu_count()
     admitted = admit(config, folder, workers)
@@ -351,25 +277,16 @@ def _write_page(
 
 
 def write_report(folder: Path, trust: bool = False, workers: int = 1) -> Path:
-    """Write the page of a results directory anew, from its files alone.
+    """Write the page of a results directory anew, from its files alone, many pictures side by side.
 
-    Parameters
-    ----------
-    folder : Path
-    trust : bool
-        Run the code of a kind that is not built in, which results keep, though nobody has trusted it.
-    workers : int
-        Processes that draw many pictures side by side; they are the same for any number.
-
-    Raises
-    ------
-    InputError
-        Where a file is missing or not what an experiment of its kind writes, and for code that nobody has allowed to
-        run; nothing is written then.
+    With ``trust`` the code of a kind that is not built in, which results keep, is run though nobody has trusted it.
+    InputError where a file is missing or not what an experiment of its kind writes, and for code that nobody has
+    allowed to run; nothing is written then.
     """
     try:
         with trusting(trust):
-            results = _read_for_page(folder)
+            check_results(folder, is_of_page)  # whole but for the page, which is about to be written
+            results = read_results(folder, checked=False)
             experiment = find_results_kind(folder, results)
             names = [find_kept(folder, results, "BLOCKS", str(name)) for name in results.config.get("blocks", [])]
             blocks = find_blocks(names, folder, folder / CODE)
@@ -387,12 +304,6 @@ def write_report(folder: Path, trust: bool = False, workers: int = 1) -> Path:
     return folder / PAGE
 
 
-def _read_for_page(folder: Path) -> Results:
-    """Return results that are whole but for their page, which is about to be written."""
-    check_results(folder, is_of_page)
-    return read_results(folder, checked=False)
-
-
 def find_results_kind(folder: Path, results: Results) -> AnyExperiment:
     """Return the kind of a results directory; see `write_report`."""
     found = results.provenance.get("kind")
@@ -404,13 +315,7 @@ def find_results_kind(folder: Path, results: Results) -> AnyExperiment:
 
 
 def compare_results(folders: Sequence[Path], trust: bool = False) -> tuple[AnyExperiment, pd.DataFrame]:
-    """Return the kind of results, and what it says of them side by side.
-
-    Raises
-    ------
-    InputError
-        Where a directory holds no results, kinds differ, or the kind finds them not comparable.
-    """
+    """Return the kind of results, and what it says of them side by side; InputError where they do not compare."""
     results = {str(folder): read_results(folder) for folder in folders}
     kinds = [one.provenance.get("kind") for one in results.values()]
     for folder, kind in zip(results, kinds, strict=True):

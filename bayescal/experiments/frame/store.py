@@ -35,20 +35,11 @@ CHECKSUM = "checksum"
 
 @dataclass(frozen=True)
 class Store:
-    """The results directory of an experiment and the work in progress beside it.
-
-    Attributes
-    ----------
-    out : Path
-    run : str
-        What determines the run's numbers, as a hash; a task of another run counts as not finished.
-    again : bool
-        Whether results of the same config, of other data, may be replaced.
-    """
+    """The results directory of an experiment and the work in progress beside it."""
 
     out: Path
-    run: str = ""
-    again: bool = False
+    run: str = ""  # what determines the run's numbers, as a hash; a task of another run counts as not finished
+    again: bool = False  # whether results of the same config, of other data, may be replaced
 
     @property
     def partial(self) -> Path:
@@ -97,22 +88,17 @@ class Store:
         """Refuse what `begin` would refuse, and results of another config, before anything is written."""
         self.check_results(identity)
         if resume:
-            self._check_resumed(identity)
+            if not (self.partial / IDENTITY_FILE).is_file():
+                raise InputError(f"{self.partial}: found no interrupted run, expected one to resume")
+            if changes := list_differences(read_json(self.partial / IDENTITY_FILE), identity):
+                raise InputError(f"{self.partial}: cannot resume, the config differs: {'; '.join(changes)}")
         self._check_partial()
         check_writable(self.partial)
 
     def begin(self, identity: dict[str, Any], resume: bool) -> Store:
-        """Make the partial directory ready: empty, or with the finished tasks of the run to resume.
+        """Make the partial directory ready, empty or with the tasks of the run to resume; return a store that knows it.
 
-        Returns
-        -------
-        Store
-            That knows the run.
-
-        Raises
-        ------
-        InputError
-            Where there is nothing to resume, or it differs in what matters; the message names the differences.
+        InputError where there is nothing to resume, or it differs in what matters; the message names the differences.
         """
         self.check(identity, resume)
         begun = replace(self, run=hash_identity(identity))
@@ -122,13 +108,6 @@ class Store:
         self.partial.mkdir(parents=True)
         write_atomically(self.partial / IDENTITY_FILE, json.dumps(identity, indent=1).encode())
         return begun
-
-    def _check_resumed(self, identity: dict[str, Any]) -> None:
-        if not (self.partial / IDENTITY_FILE).is_file():
-            raise InputError(f"{self.partial}: found no interrupted run, expected one to resume")
-        changes = list_differences(read_json(self.partial / IDENTITY_FILE), identity)
-        if changes:
-            raise InputError(f"{self.partial}: cannot resume, the config differs: {'; '.join(changes)}")
 
     def discard(self) -> None:
         """Remove the work in progress, and nothing else that stands there: it is of no use any more."""
@@ -146,9 +125,7 @@ class Store:
         """Refuse to work in a directory that no run has made, or that holds what no run has."""
         if not self.partial.exists():
             return
-        if not self.partial.is_dir():
-            raise InputError(f"{self.partial}: exists and is no interrupted run, expected nothing there; remove it")
-        there = list(self.partial.iterdir())
+        there = list(self.partial.iterdir()) if self.partial.is_dir() else [self.partial]
         if there and not any(path.name.removesuffix(".tmp") == IDENTITY_FILE for path in there):
             raise InputError(f"{self.partial}: exists and is no interrupted run, expected nothing there; remove it")
         for path in there:

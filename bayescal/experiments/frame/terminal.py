@@ -36,13 +36,7 @@ UNBOUNDED = 10_000  # letters
 
 @dataclass(eq=False)
 class Watch:
-    """What tasks under way are at: a folder that each writes a file to, named by its place among all.
-
-    Attributes
-    ----------
-    names : tuple of str
-        Of the tasks.
-    """
+    """What tasks of some names are at that are under way: a folder that each writes a file to, named by its place."""
 
     names: tuple[str, ...]
     _folder: TemporaryDirectory[str] = field(
@@ -87,15 +81,8 @@ class Stage:
     """A stage of a run under way: how many of its tasks are done; of the quiet kind it says nothing."""
 
     def __init__(self, name: str, total: int, done: int, watch: Watch | None = None) -> None:
-        self.name, self.total, self.done = name, total, done
-        self.found = done
-        self.began = time.monotonic()
-        self.watch = watch
-
-    def advance(self, what: str = "") -> None:
-        """Count a task as done."""
-        del what
-        self.done += 1
+        self.name, self.total, self.found, self.done = name, total, done, done
+        self.began, self.watch = time.monotonic(), watch
 
     def read(self) -> dict[str, Report]:
         """Return what tasks under way are at."""
@@ -205,15 +192,7 @@ def _repeat(call: Callable[[], None], every: float) -> Iterator[None]:
 
 @dataclass(frozen=True)
 class Shown:
-    """A column of a table on a terminal.
-
-    Attributes
-    ----------
-    title : str
-    rank : int
-        Columns of the largest rank are left out first; those of rank zero never.
-    justify : str
-    """
+    """A column of a table on a terminal; those of the largest rank are left out first, those of rank zero never."""
 
     title: str
     rank: int = 0
@@ -221,36 +200,24 @@ class Shown:
 
 
 def print_table(console: Console, columns: Sequence[Shown], rows: Sequence[Sequence[str]], width: int = 0) -> None:
-    """Print a table with the columns that have room, and say which have none.
-
-    Parameters
-    ----------
-    console : Console
-    columns : sequence of Shown
-    rows : sequence of sequences of str
-        A text for each column.
-    width : int
-        In letters; that of the console by default.
-    """
+    """Print a table with the columns that have room, and say which have none; ``width`` in letters."""
     room, kept = width or console.width, list(range(len(columns)))
-    table = _build(columns, rows, kept)
+
+    def build() -> Table:
+        table = Table()
+        for k in kept:
+            table.add_column(columns[k].title, justify=columns[k].justify, overflow="fold")
+        for row in rows:
+            table.add_row(*(row[k] for k in kept))
+        return table
+
     unbounded = console.options.update(max_width=UNBOUNDED)
-    while console.measure(table, options=unbounded).maximum > room and any(columns[k].rank for k in kept):
+    while console.measure(build(), options=unbounded).maximum > room and any(columns[k].rank for k in kept):
         kept.remove(max(kept, key=lambda k: (columns[k].rank, k)))
-        table = _build(columns, rows, kept)
-    console.print(table, width=room)
+    console.print(build(), width=room)
     left = [column.title for k, column in enumerate(columns) if k not in kept]
     if left:
         console.print(f"no room here for: {join_words(left)} (in the report)", width=room)
-
-
-def _build(columns: Sequence[Shown], rows: Sequence[Sequence[str]], kept: Sequence[int]) -> Table:
-    table = Table()
-    for k in kept:
-        table.add_column(columns[k].title, justify=columns[k].justify, overflow="fold")
-    for row in rows:
-        table.add_row(*(row[k] for k in kept))
-    return table
 
 
 def print_text(console: Console, text: str) -> None:
