@@ -28,15 +28,7 @@ UNFIT = re.compile(r"[^A-Za-z0-9_.-]")
 
 
 class ClassName(str):
-    """A class's name as a config gives it, with its options; and the class where the config was read from a file.
-
-    Attributes
-    ----------
-    registry : str
-    options : mapping of str to object
-        As they stand in the config.
-    found : type or None
-    """
+    """A class's name as a config gives it, with its options there; and the class where it was read from a file."""
 
     registry: str
     options: Mapping[str, Any]
@@ -59,17 +51,10 @@ class ClassName(str):
 
 @dataclass(frozen=True)
 class ClassMark:
-    """Marks a text that names a class of a registry: the field holds a `ClassName`.
-
-    Attributes
-    ----------
-    registry : str
-    beside : bool
-        Whether options stand beside the name, in its section (see `OwnSection`).
-    """
+    """Marks a text that names a class of a registry: the field holds a `ClassName`."""
 
     registry: str
-    beside: bool = False
+    beside: bool = False  # whether options stand beside the name, in its section (see `OwnSection`)
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> CoreSchema:
         """Return the schema of a name, or of a table with a name and options."""
@@ -125,16 +110,10 @@ def label_class(name: str) -> str:
 
 
 class OwnSection(Section):
-    """A section that chooses a class, whose options are all keys that stand beside the section's own.
-
-    Attributes
-    ----------
-    chooses : str
-        The field that names the class.
-    """
+    """A section that chooses a class, whose options are all keys that stand beside the section's own."""
 
     model_config = ConfigDict(extra="allow")
-    chooses: ClassVar[str] = "kind"
+    chooses: ClassVar[str] = "kind"  # the field that names the class
 
     @property
     def options(self) -> dict[str, Any]:
@@ -150,18 +129,22 @@ class OwnSection(Section):
 
 
 def check_options(found: type, options: Mapping[str, Any]) -> Section:
-    """Return options as the section of their class.
+    """Return options as the section of their class; ValidationError where they are none.
 
-    Raises
-    ------
-    ValidationError
-        Where they are none; an unknown key is told those that the class knows.
+    An unknown key is told those that the class knows.
     """
     schema = _schema_of(found)
     try:
         return schema.model_validate(dict(options))
     except ValidationError as error:
-        raise _name_unknown_keys(error, schema) from error
+        faults = [one for one in error.errors() if one["type"] == "extra_forbidden" and len(one["loc"]) == 1]
+        if not faults:
+            raise
+        key = str(faults[0]["loc"][0])
+        words = describe_unknown_key(schema.model_fields, key).replace("{", "{{").replace("}", "}}")
+        told = PydanticCustomError("value_error", words)
+        unknown = InitErrorDetails(type=told, loc=(key,), input=faults[0]["input"])
+        raise ValidationError.from_exception_data(schema.__name__, [unknown]) from error
 
 
 def _schema_of(found: type) -> type[Section]:
@@ -169,16 +152,6 @@ def _schema_of(found: type) -> type[Section]:
     if not (isinstance(schema, type) and issubclass(schema, BaseModel)):
         raise ValueError(f"found class {found.__name__} whose Config is {schema!r}, expected a subclass of Section")
     return schema  # type: ignore[return-value]  # a plain pydantic model does as well
-
-
-def _name_unknown_keys(error: ValidationError, schema: type[Section]) -> ValidationError:
-    unknown = [fault for fault in error.errors() if fault["type"] == "extra_forbidden" and len(fault["loc"]) == 1]
-    if not unknown:
-        return error
-    key = str(unknown[0]["loc"][0])
-    words = describe_unknown_key(schema.model_fields, key).replace("{", "{{").replace("}", "}}")
-    fault = InitErrorDetails(type=PydanticCustomError("value_error", words), loc=(key,), input=unknown[0]["input"])
-    return ValidationError.from_exception_data(schema.__name__, [fault])
 
 
 @dataclass(frozen=True)
@@ -192,20 +165,10 @@ class Choice[T]:
 def choose[T](
     what: str, name: str, base: type[T], field: str, where: Path, options: Mapping[str, Any] | None = None
 ) -> Choice[T]:
-    """Return the class that a config names, and its options.
+    """Return the class of a registry that a config names, a subclass of a base, and its options.
 
-    Parameters
-    ----------
-    what : str
-        The registry.
-    name : str
-        A `ClassName`, or a plain name.
-    base : type
-        What it must be a subclass of.
-    field, where : str, Path
-        Where the name stands, for the message; names of files start there.
-    options : mapping, optional
-        Where they stand beside the name, and not with it.
+    ``field`` and ``where`` say where the name stands, for the message; names of files start there. ``options`` are
+    those that stand beside the name, and not with it.
     """
     known = isinstance(name, ClassName) and name.found is not None and issubclass(name.found, base)
     found = name.found if known else find_class(what, name, base, field, where, where)  # type: ignore[attr-defined]
@@ -232,41 +195,31 @@ def name_failures(found: type, field: str, where: Path) -> Iterator[None]:
 
 def find_files(section: Section, folder: Path) -> list[str]:
     """Return the names in all fields of a config that are marked as `InputFile`, and the files of its classes."""
-    return list(dict.fromkeys(_find(section, folder)))
+    found: list[str] = []
+    for one, mark in _walk(section):
+        if isinstance(one, ClassName):
+            found += list_sources(one.registry, one, folder)
+        elif isinstance(one, str) and mark is not None and one not in mark.but:
+            found.append(one)
+    return list(dict.fromkeys(found))
 
 
 def find_classes(section: Section, folder: Path) -> list[type]:
     """Return the classes that a config names, those in files relative to a folder."""
-    names = [one for one in _walk(section) if isinstance(one, ClassName)]
+    names = [one for one, _ in _walk(section) if isinstance(one, ClassName)]
     return [one.found or load_class(one.registry, one, folder) for one in names]
 
 
-def _walk(value: Any) -> Iterator[Any]:
-    """Yield everything in a section that holds nothing else."""
+def _walk(value: Any, mark: FileMark | None = None) -> Iterator[tuple[Any, FileMark | None]]:
+    """Yield everything in a section that holds nothing else, with the mark of a field that may name a file."""
     if isinstance(value, Section):
-        inner: Any = [getattr(value, name) for name in type(value).model_fields]
-    elif isinstance(value, dict | list | tuple):
-        inner = value.values() if isinstance(value, dict) else value
-    else:
-        yield value
-        return
-    for one in inner:
-        yield from _walk(one)
-
-
-def _find(value: Any, folder: Path) -> Iterator[str]:
-    if isinstance(value, ClassName):
-        yield from list_sources(value.registry, value, folder)
-    elif isinstance(value, Section):
-        for name, mark in _mark_fields(type(value)).items():
-            inner = getattr(value, name)
-            if isinstance(inner, str) and mark is not None:
-                yield from (() if inner in mark.but else (inner,))
-            else:
-                yield from _find(inner, folder)
+        for name, own in _mark_fields(type(value)).items():
+            yield from _walk(getattr(value, name), own)
     elif isinstance(value, dict | list | tuple):
         for one in value.values() if isinstance(value, dict) else value:
-            yield from _find(one, folder)
+            yield from _walk(one)
+    else:
+        yield value, mark
 
 
 @cache

@@ -27,10 +27,7 @@ from pydantic_core import SchemaSerializer, SchemaValidator
 def find_local_imports(path: Path) -> dict[str, Path]:
     """Return the files that a file imports from beside itself, and these in turn, by their modules' names.
 
-    Parameters
-    ----------
-    path : Path
-        A Python file; one that cannot be read as such imports nothing here, and fails when it is imported.
+    One that cannot be read as Python imports nothing here, and fails when it is imported.
     """
     root = path.resolve().parent
     found: dict[str, Path] = {}
@@ -128,19 +125,10 @@ class _Beside(MetaPathFinder):
 
 
 def import_from(name: str, path: Path, local: Mapping[str, Path], contents: Mapping[Path, bytes]) -> None:
-    """Import a file under a name, from contents that were read, and let it import from beside itself.
+    """Import a file under a name in `sys.modules`, from contents that were read, and let it import from beside itself.
 
-    What modules of the same names were before, of other files, is forgotten.
-
-    Parameters
-    ----------
-    name : str
-        Where it is put in `sys.modules`.
-    path : Path
-    local : mapping of str to Path
-        See `find_local_imports`.
-    contents : mapping of Path to bytes
-        Of the file and of these.
+    What it imports are the files of `find_local_imports`; contents are those of all these. What modules of the same
+    names were before, of other files, is forgotten.
     """
     for one in local:
         sys.modules.pop(one, None)

@@ -33,21 +33,14 @@ from bayescal.errors import InputError
 class Registry:
     """Where classes of a sort are listed.
 
-    Attributes
-    ----------
-    modules : tuple of str
-        Packages that list what is theirs in a mapping of the registry's name: a class, or ``module:Class``, by name.
-    group : str
-        Entry points under which installed packages offer the same.
-    base : str
-        ``module:Class`` of what all of them are.
-    members : tuple of str
-        Texts that each of them has as attributes, beside its methods. A ``name`` is what tables and files call it.
+    Modules are packages that list theirs in a mapping of the registry's name: a class, or ``module:Class``, by name.
+    Members are texts that each class has as attributes, beside its methods; a ``name`` is what tables and files call
+    it.
     """
 
     modules: tuple[str, ...]
-    group: str
-    base: str
+    group: str  # entry points under which installed packages offer the same
+    base: str  # ``module:Class`` of what all of them are
     members: tuple[str, ...] = ()
 
 
@@ -119,24 +112,9 @@ def _refer(found: type) -> str:
 def find_class[T](what: str, name: str, base: type[T], field: str, where: Path, folder: Path | None) -> type[T]:
     """Return a class by its name, or by ``file.py:Class``, or by the ``module:Class`` of an entry point.
 
-    Parameters
-    ----------
-    what : str
-        One of `REGISTRIES`.
-    name : str
-    base : type
-        What it must be a subclass of.
-    field : str
-        Where the name stands, for the message.
-    where : Path
-        The file it stands in.
-    folder : Path or None
-        Where a file's name starts; None where only known names may be given.
-
-    Raises
-    ------
-    InputError
-        For an unknown name, a module that fails to import, and what is no such class.
+    ``what`` is one of `REGISTRIES`; ``field`` and the file ``where`` say where the name stands, for the message; a
+    file's name starts at ``folder``, None where only known names may be given. InputError for an unknown name, a module
+    that fails to import, and what is no subclass of ``base``.
     """
     try:
         found = load_class(what, name, folder)
@@ -167,7 +145,11 @@ def load_class(what: str, name: str, folder: Path | None) -> type:
             f"the entry point {REGISTRIES[what].group!r}"
         )
     try:
-        module = _import_file(location, folder or Path()) if beside else _import_installed(location)
+        if beside:
+            module = _import_file(location, folder or Path())
+        else:
+            with _leave_current_folder():
+                module = importlib.import_module(location)
     except InputError as error:
         raise InputError(f"found {name!r}: {error}") from error
     except Exception as error:
@@ -218,12 +200,7 @@ def list_sources(what: str, name: str, folder: Path) -> list[str]:
 def hash_modules(classes: Iterable[type]) -> dict[str, str]:
     """Return the SHA-256 of the modules that somebody else's classes and their bases stand in, by module.
 
-    Files beside a config are none of them: they belong to its files.
-
-    Raises
-    ------
-    InputError
-        Where a module is no file.
+    Files beside a config are none of them: they belong to its files. InputError where a module is no file.
     """
     found = {}
     for name in sorted({base.__module__ for one in classes for base in one.__mro__}):
@@ -241,11 +218,6 @@ def hash_modules(classes: Iterable[type]) -> dict[str, str]:
 def is_own(found: type) -> bool:
     """Whether a class is somebody else's, and not the library's."""
     return found.__module__.partition(".")[0] != "bayescal"
-
-
-def _import_installed(module: str) -> ModuleType:
-    with _leave_current_folder():
-        return importlib.import_module(module)
 
 
 def _import_file(location: str, folder: Path) -> ModuleType:

@@ -36,15 +36,9 @@ type Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$", max_length=LONGEST
 
 @dataclass(frozen=True)
 class FileMark:
-    """Marks a field that names an input file, whose content then belongs to the experiment's identity.
+    """Marks a field that names an input file, whose content then belongs to the experiment's identity."""
 
-    Attributes
-    ----------
-    but : tuple of str
-        Values that name no file.
-    """
-
-    but: tuple[str, ...] = ()
+    but: tuple[str, ...] = ()  # values that name no file
 
 
 InputFile = Annotated[str, FileMark()]

@@ -29,27 +29,13 @@ NAMED = re.compile(r"(?P<file>[^:]+\.py):\w+")
 
 @dataclass(frozen=True)
 class Policy:
-    """What becomes of code that is not the library's own.
+    """What becomes of code that is not the library's own."""
 
-    Attributes
-    ----------
-    own : bool
-        Whether any is run, that of installed packages among it.
-    everything : bool
-        Whether files are trusted unasked.
-    ask : callable, optional
-        Asks a question at the terminal; without it untrusted code is refused.
-    say : callable, optional
-        Takes the line that names the files that are run.
-    said : set of str
-        What was said before.
-    """
-
-    own: bool = True
-    everything: bool = False
-    ask: Callable[[str], bool] | None = None
-    say: Callable[[str], None] | None = None
-    said: set[str] = field(default_factory=set)
+    own: bool = True  # whether any is run, that of installed packages among it
+    everything: bool = False  # whether files are trusted unasked
+    ask: Callable[[str], bool] | None = None  # asks at the terminal; without it untrusted code is refused
+    say: Callable[[str], None] | None = None  # takes the line that names the files that are run
+    said: set[str] = field(default_factory=set)  # what was said before
 
 
 _POLICY: ContextVar[Policy | None] = ContextVar("policy", default=None)
@@ -83,17 +69,8 @@ def are_own_classes_allowed() -> bool:
 def permit(files: Mapping[Path, bytes], folder: Path) -> None:
     """Let the code of files be run, and say so; whoever sits at a terminal is asked for what they have not trusted.
 
-    Parameters
-    ----------
-    files : mapping of Path to bytes
-        What is run, the file that is named first.
-    folder : Path
-        Where that name starts, for the message.
-
-    Raises
-    ------
-    InputError
-        Where nobody has trusted one of them; nothing of them has been run then.
+    The file that is named comes first; its name starts at ``folder``, for the message. InputError where nobody has
+    trusted one of them; nothing of them has been run then.
     """
     policy, hashes = _find_policy(), {path: hash_file(content) for path, content in files.items()}
     if set(hashes.values()) <= _trusted_here:
@@ -106,7 +83,9 @@ def permit(files: Mapping[Path, bytes], folder: Path) -> None:
             changed = set(map(str, unknown)) & set(kept.values())
             state = f"code ({code}) that {'was changed since it was trusted' if changed else 'nobody has trusted'}"
             asked = f"Found {state}; it can do whatever you can. Have you read it, and shall it be run?"
-            if policy.ask is None or asked in policy.said or not _ask(policy, asked):
+            again = asked in policy.said
+            policy.said.add(asked)  # once a command, whatever the answer
+            if policy.ask is None or again or not policy.ask(asked):
                 place = folder.parent if (folder.parent / "provenance.json").is_file() else folder
                 raise InputError(f"{state}, expected: read it, then bayescal trust {place}")
             with suppress(OSError):  # where nothing can be kept, it is asked for again
@@ -117,11 +96,6 @@ def permit(files: Mapping[Path, bytes], folder: Path) -> None:
     if policy.say is not None and said not in policy.said:
         policy.said.add(said)
         policy.say(said)
-
-
-def _ask(policy: Policy, question: str) -> bool:
-    policy.said.add(question)  # once a command, whatever the answer
-    return policy.ask is not None and policy.ask(question)
 
 
 def vouch(contents: Iterable[bytes]) -> None:
