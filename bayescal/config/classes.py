@@ -217,7 +217,7 @@ def _walk(value: Any, mark: FileMark | None = None) -> Iterator[tuple[Any, FileM
             yield from _walk(getattr(value, name), own)
     elif isinstance(value, dict | list | tuple):
         for one in value.values() if isinstance(value, dict) else value:
-            yield from _walk(one)
+            yield from _walk(one, mark)
     else:
         yield value, mark
 

@@ -192,5 +192,6 @@ def test_a_denied_slip_is_said_and_not_refused(written, tmp_path, monkeypatch):
     for k in (1, 2, 3):
         studies.edit(path, f'label = "M{k}"', f'label = "M{k}"\ndenied_slips = ["rows"]')
     kind, config = load(path)
+    assert {f"month_{k}.csv" for k in (1, 2, 3)} <= set(kind.files(config, tmp_path))  # results belong to all of them
     denied = kind.read(config, tmp_path).denied
     assert denied[1] == f"Session 'M2': {found.say()}"
