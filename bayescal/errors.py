@@ -56,20 +56,11 @@ class SeveralFaultsError(InputError):
 
 
 class PoseInputError(InputError):
-    """One pose of many is at fault; whoever knows its name puts it in place of the number.
-
-    Attributes
-    ----------
-    index : int
-        Which pose, counted from zero.
-    fault : str
-        What was found and what was expected.
-    """
+    """One pose of many, counted from zero, is at fault; whoever knows its name puts it in place of the number."""
 
     def __init__(self, index: int, fault: str) -> None:
         super().__init__(f"fit {index}: {fault}")
-        self.index = index
-        self.fault = fault
+        self.index, self.fault = index, fault
 
 
 class NumericalError(BayescalError):

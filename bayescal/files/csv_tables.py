@@ -11,6 +11,7 @@ import math
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
@@ -106,51 +107,34 @@ class Table:
 def read_table(path: Path, columns: Sequence[str] | None, optional: Sequence[str] = ()) -> Table:
     """Read a CSV file with these columns, in any order, and some that may be there; None takes them as they are.
 
-    Raises
-    ------
-    InputError
-        For a missing or unreadable file, an unknown or missing column, a row of another length, or no rows.
+    InputError for a missing or unreadable file, an unknown or missing column, a row of another length, or no rows; a
+    quoted cell must end on its line.
     """
     text = read_text(path, "a CSV table")
     numbered = [(n, row) for n, row in enumerate(text.splitlines(), start=1) if row.strip() and not row.startswith("#")]
     if not numbered:
         raise InputError(f"{path}: found no header, expected the columns {', '.join(columns or ['...'])}")
-    parsed = [_parse_row(path, line, row) for line, row in numbered]
-    header = tuple(cell.strip() for cell in parsed[0])
-    _check_header(path, *numbered[0], header, columns, optional)
-    for (line, _), row in zip(numbered[1:], parsed[1:], strict=True):
-        if len(row) != len(header):
-            raise InputError(f"{path}, line {line}: found {len(row)} cells, expected {len(header)}")
-    if len(parsed) == 1:
-        raise InputError(f"{path}: found no rows, expected at least one")
-    return Table(path, header, tuple(tuple(row) for row in parsed[1:]), tuple(line for line, _ in numbered[1:]))
-
-
-def _parse_row(path: Path, line: int, row: str) -> list[str]:
-    """Return the cells of one line; a quoted cell must end on its line."""
-    try:
-        return next(csv.reader([row], strict=True))
-    except csv.Error as error:
-        raise InputError(f"{path}, line {line}: found no CSV row ({error}), expected cells with commas") from error
-
-
-def _check_header(
-    path: Path,
-    line: int,
-    text: str,
-    header: tuple[str, ...],
-    columns: Sequence[str] | None,
-    optional: Sequence[str],
-) -> None:
-    """Raise InputError for a header that something else than commas separates, or whose names are not those wanted."""
-    sign = next((sign for sign in SEPARATORS if sign in text and "," not in text), "")
-    names = tuple(cell.strip() for cell in text.split(sign)) if sign else header
-    faults = _list_header_faults(names, columns, optional)
+    parsed: list[tuple[str, ...]] = []
+    for line, row in numbered:
+        try:
+            parsed.append(tuple(next(csv.reader([row], strict=True))))
+        except csv.Error as error:
+            raise InputError(f"{path}, line {line}: found no CSV row ({error}), expected cells with commas") from error
+    line, row = numbered[0]
+    sign = next((sign for sign in SEPARATORS if sign in row and "," not in row), "")
+    header = tuple(cell.strip() for cell in (row.split(sign) if sign else parsed[0]))
+    faults = _list_header_faults(header, columns, optional)
     if sign:
         faults.insert(0, f"found cells separated by {SEPARATORS[sign]}, expected commas, and decimals with points")
     if faults:
         first, *others = (f"{path}, line {line}: {fault}" for fault in faults)
         raise InputError(first, others)
+    for (line, _), cells in zip(numbered[1:], parsed[1:], strict=True):
+        if len(cells) != len(header):
+            raise InputError(f"{path}, line {line}: found {len(cells)} cells, expected {len(header)}")
+    if len(parsed) == 1:
+        raise InputError(f"{path}: found no rows, expected at least one")
+    return Table(path, header, tuple(parsed[1:]), tuple(line for line, _ in numbered[1:]))
 
 
 def _list_header_faults(header: tuple[str, ...], columns: Sequence[str] | None, optional: Sequence[str]) -> list[str]:
@@ -197,10 +181,7 @@ def read_matrix(path: Path, n_columns: int) -> Array:
 def read_by_leg(path: Path, columns: Sequence[str], n_legs: int) -> Array:
     """Read a table with a row for each leg, named in the column ``leg``; shape (N, columns), in the order of the legs.
 
-    Raises
-    ------
-    InputError
-        Where a leg is missing, stands twice or is none of the machine's.
+    InputError where a leg is missing, stands twice or is none of the machine's.
     """
     table = read_table(path, ("leg", *columns))
     legs = table.text("leg")
@@ -217,12 +198,8 @@ def read_by_leg(path: Path, columns: Sequence[str], n_legs: int) -> Array:
 
 def format_table(comments: Sequence[str], columns: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
     """Return the text of a CSV file with comment lines above the header; no spreadsheet takes a text for a formula."""
-    lines = [f"# {' '.join(comment.splitlines())}" for comment in comments]
-    lines += [",".join(map(_write_cell, row)) for row in (columns, *rows)]
-    return "\n".join(lines) + "\n"
-
-
-def _write_cell(value: object) -> str:
-    text = guard_cell(value) if isinstance(value, str) else str(value)
-    quoted = text.replace('"', '""')
-    return f'"{quoted}"' if any(sign in text for sign in ',"\r\n') else text
+    text = StringIO()
+    text.writelines(f"# {' '.join(comment.splitlines())}\n" for comment in comments)
+    guarded = ([guard_cell(one) if isinstance(one, str) else str(one) for one in row] for row in (columns, *rows))
+    csv.writer(text, lineterminator="\n").writerows(guarded)
+    return text.getvalue()

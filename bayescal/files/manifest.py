@@ -75,22 +75,10 @@ def list_written(folder: Path) -> list[str] | None:
 def check_whole(
     folder: Path, expected: bool, but: Callable[[str], bool] = lambda name: False, additions: bool = False
 ) -> None:
-    """Check a directory by its manifest.
+    """Check a directory by its manifest; InputError names what was edited, is missing or was added.
 
-    Parameters
-    ----------
-    folder : Path
-    expected : bool
-        Whether it must have one; one that was written by an earlier version has none, which is said.
-    but : callable
-        Tells of a name that its file may be anything.
-    additions : bool
-        Whether files may stand there that were not written with the others.
-
-    Raises
-    ------
-    InputError
-        Names what was edited, is missing or was added, unless that is overlooked.
+    ``expected``: whether it must have one; an earlier version has written none, which is said. ``but`` tells of a name
+    that its file may be anything; ``additions``: whether files may stand there that were not written with the others.
     """
     if not (folder / MANIFEST).is_file():
         if expected:

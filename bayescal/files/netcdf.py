@@ -15,13 +15,7 @@ if TYPE_CHECKING:
 
 
 def read_netcdf(path: Path, group: str | None = None) -> xr.Dataset:
-    """Return a file's data, or those of one of its groups.
-
-    Raises
-    ------
-    OSError, ValueError, KeyError
-        For a file that is missing or damaged, or has no such group.
-    """
+    """Return a file's data, or a group's; OSError, ValueError, KeyError where it is missing, damaged or without it."""
     import h5py
     import xarray as xr  # takes a second, for those who need it
 

@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
@@ -81,21 +80,10 @@ MACHINES: dict[str, Kind | None] = {
 
 
 def start_project(folder: Path, machine: str, instrument: str | None) -> list[Path]:
-    """Write a project with simulated measurements into a new folder, and return its files.
+    """Write a project with simulated measurements into a new or an empty folder, and return its files.
 
-    Parameters
-    ----------
-    folder : Path
-        Is not there yet, or empty.
-    machine : str
-        One of `MACHINES`.
-    instrument : str or None
-        One of `INSTRUMENTS`; None for a machine of one function, which brings its sensors.
-
-    Raises
-    ------
-    InputError
-        For another machine or instrument, and for a folder that holds something. Nothing is written then.
+    The machine is one of `MACHINES`, the instrument one of `INSTRUMENTS`, None for a machine of one function, which
+    brings its sensors. InputError for another one, and for a folder that holds something; nothing is written then.
     """
     kind = look_up(MACHINES, machine, "--machine", Path("init"))
     if kind is None and instrument is not None:
@@ -109,7 +97,9 @@ def start_project(folder: Path, machine: str, instrument: str | None) -> list[Pa
     try:
         _write_files(partial, kind, machine, instrument)
         vouch(path.read_bytes() for path in list_code(partial))
-        _simulate(partial)
+        make_directory(partial / "data")
+        for name, text in compute_experiment(load(partial / "simulate.toml")[1], partial).files.items():
+            write_atomically(partial / "data" / name, str(text).encode())
         make_directory(folder)
         for path in partial.iterdir():
             path.replace(folder / path.name)
@@ -128,40 +118,21 @@ def _write_files(folder: Path, kind: Kind | None, machine: str, instrument: str 
             write_atomically(folder / name, path.read_bytes())
         return
     loader = Environment(loader=FileSystemLoader(source), undefined=StrictUndefined, keep_trailing_newline=True)
-    known = _describe(kind, machine, str(instrument))
+    rng, n_legs = np.random.default_rng(1), len(kind.base_azimuth)
+    offsets = {symbol: (sd * rng.standard_normal(n_legs)).round(5).tolist() for symbol, sd in kind.tolerances.items()}
+    known = {
+        **vars(kind),
+        **{"base_azimuth": list(kind.base_azimuth), "platform_azimuth": list(kind.platform_azimuth)},
+        **{"name": machine, "machine": machine, "instrument": instrument, "by": INSTRUMENTS[str(instrument)]},
+        **{"offsets": offsets, "free": str(list(kind.tolerances)).replace("'", '"')},
+    }
     for name in files:
         if instrument not in LEFT_OUT.get(name, ()):
             write_atomically(folder / name, loader.get_template(name).render(known).encode())
-    for use, moves in _spread(kind).items():
-        columns = [f"drho_{leg}" for leg in range(1, len(kind.base_azimuth) + 1)]
+    spread = qmc.Halton(n_legs, rng=1).random(N_CALIBRATION + N_VERIFICATION)
+    moves = REACH * kind.range * (2.0 * spread - 1.0)
+    for use, some in (("calibration", moves[:N_CALIBRATION]), ("verification", moves[N_CALIBRATION:])):
+        columns = [f"drho_{leg}" for leg in range(1, n_legs + 1)]
         comment = f"Displacements of the actuators from home, mm, a row a pose: the simulated poses for {use}."
-        text = format_table([comment], columns, [[f"{move:.3f}" for move in row] for row in moves])
+        text = format_table([comment], columns, [[f"{move:.3f}" for move in row] for row in some])
         write_atomically(folder / f"{use}_configurations.csv", text.encode())
-
-
-def _describe(kind: Kind, machine: str, instrument: str) -> dict[str, Any]:
-    """Return what the templates have to know."""
-    rng, n_legs = np.random.default_rng(1), len(kind.base_azimuth)
-    offsets = {symbol: (sd * rng.standard_normal(n_legs)).round(5).tolist() for symbol, sd in kind.tolerances.items()}
-    lists = {"base_azimuth": list(kind.base_azimuth), "platform_azimuth": list(kind.platform_azimuth)}
-    return {
-        **vars(kind),
-        **lists,
-        **{"name": machine, "machine": machine, "instrument": instrument, "by": INSTRUMENTS[instrument]},
-        **{"offsets": offsets, "free": str(list(kind.tolerances)).replace("'", '"')},
-    }
-
-
-def _spread(kind: Kind) -> dict[str, np.ndarray]:
-    """Return displacements spread evenly, and others for verification, mm."""
-    drawn = qmc.Halton(len(kind.base_azimuth), rng=1).random(N_CALIBRATION + N_VERIFICATION)
-    moves = REACH * kind.range * (2.0 * drawn - 1.0)
-    return {"calibration": moves[:N_CALIBRATION], "verification": moves[N_CALIBRATION:]}
-
-
-def _simulate(folder: Path) -> None:
-    """Write the measurements of the project's simulation."""
-    _, config = load(folder / "simulate.toml")
-    make_directory(folder / "data")
-    for name, text in compute_experiment(config, folder).files.items():
-        write_atomically(folder / "data" / name, str(text).encode())
