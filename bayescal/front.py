@@ -12,7 +12,7 @@ import tempfile
 import weakref
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from io import StringIO
 from pathlib import Path
@@ -53,20 +53,13 @@ type AnyMachine = Path | str | ReadingMachine | type[ReadingMachine] | MachineFi
 
 @dataclass(frozen=True, eq=False, repr=False)
 class MachineFiles:
-    """A machine with the files that it is read from; see `load_machine`.
+    """A machine with the files that it is read from, by their names in one folder; see `load_machine`.
 
-    Attributes
-    ----------
-    files : dict of str to bytes
-        By their names in one folder.
-    entry : str
-        The machine's own file there.
-    seen : ReadingModel or Mechanism
-        What it reads; of a mechanism's file the legs alone, whose parameters depend on a variant's model.
+    ``seen`` is what it reads; of a mechanism's file the legs alone, whose parameters depend on a variant's model.
     """
 
     files: dict[str, bytes]
-    entry: str
+    entry: str  # the machine's own file
     seen: ReadingModel | Mechanism
 
     @property
@@ -180,13 +173,10 @@ def _list_sources(found: type) -> tuple[str, dict[str, bytes]]:
             f"class {found.__name__}: found no file that defines it, expected one: write it to a file beside the "
             "notebook and import it from there"
         )
-    local = {one.name: one for one in find_local_imports(path).values()}
-    content = path.read_bytes()
+    name, content = path.name, path.read_bytes()
     if found.__module__ == "__main__":  # a script is not run again for the sake of a class
-        return f"{path.stem}.py", {f"{path.stem}.py": _extract(content.decode(), found.__name__).encode()} | {
-            name: one.read_bytes() for name, one in local.items()
-        }
-    return path.name, {path.name: content} | {name: one.read_bytes() for name, one in local.items()}
+        name, content = f"{path.stem}.py", _extract(content.decode(), found.__name__).encode()
+    return name, {name: content} | {one.name: one.read_bytes() for one in find_local_imports(path).values()}
 
 
 def _extract(source: str, name: str) -> str:
@@ -416,7 +406,7 @@ class _Project:
         path = self.write(content, name)
         with _leave_out(self.folder):
             where = self.folder / "results" / path.stem if out is None else out
-            return run_experiment(path, where, workers=workers, quiet=quiet).keep(self)
+            return replace(run_experiment(path, where, workers=workers, quiet=quiet), project=self)
 
 
 @contextmanager

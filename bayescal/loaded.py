@@ -7,12 +7,12 @@ import shutil
 import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from html import escape
 from io import StringIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -39,28 +39,12 @@ type Table = pd.DataFrame | Mapping[str, Any] | Path | str
 
 @dataclass(frozen=True, eq=False)
 class LoadedResults:
-    """A results directory of any kind.
-
-    Attributes
-    ----------
-    results : Results
-        Summary, tables and provenance as they were written.
-    trust : bool
-        Whether the code of classes of its own that the results keep is run, trusted or not.
-    force : bool
-        Whether files are taken that are not as they were written.
-    project : object
-        What the files that the results were made of are kept by; None where nobody keeps them.
-    """
+    """A results directory of any kind."""
 
     results: Results
-    trust: bool = False
-    force: bool = False
-    project: Any = None
-
-    def keep(self, project: Any) -> Self:
-        """Return the same results with what their files are kept by."""
-        return replace(self, project=project)
+    trust: bool = False  # whether the code of own classes that the results keep is run, trusted or not
+    force: bool = False  # whether files are taken that are not as they were written
+    project: Any = None  # what the files are kept by that the results were made of, if they are kept
 
     @property
     def folder(self) -> Path:
@@ -97,10 +81,7 @@ class LoadedResults:
     def to_toml(self, folder: Path | str | None = None) -> str:
         """Return the config that gives these results; written with machine and readings to a folder if one is named.
 
-        Raises
-        ------
-        InputError
-            Of results that were loaded: their config stands where they were made.
+        InputError for results that were loaded: their config stands where they were made.
         """
         if self.project is None:
             raise InputError(f"{self.folder}: found loaded results, expected those of calibrate, audit or simulate")
@@ -160,8 +141,10 @@ class Audit(LoadedResults):
 
     def plot_contraction(self, axes: Axes | None = None) -> Axes:
         """Draw the contraction of every parameter, and return the axes."""
+        from matplotlib.figure import Figure
+
         found = {name: one["contraction"] for name, one in self.summary["parameters"].items()}
-        axes = _make_axes(axes)
+        axes = axes or Figure(layout="constrained").subplots()
         axes.barh(list(found), list(found.values()))
         axes.invert_yaxis()
         axes.set_xlim(0.0, 1.0)
@@ -234,10 +217,7 @@ class StudyResult(LoadedResults):
     def posterior(self, variant: str | None = None) -> xr.DataTree:
         """Return the posterior of a variant, the best by default, as ArviZ takes it.
 
-        Raises
-        ------
-        InputError
-            For an unknown variant, and where the run has not kept the draws.
+        InputError for an unknown variant, and where the run has not kept the draws.
         """
         import xarray as xr
 
@@ -254,11 +234,13 @@ class StudyResult(LoadedResults):
 
         In prior standard deviations: 0 is nominal, an interval as long as ±1.6 has learnt nothing.
         """
+        from matplotlib.figure import Figure
+
         table = self.parameters[self.parameters["variant"] == self._check(variant)]
         table = table[np.isfinite(table["prior_sd"])]
         middle = (table["mean"] - table["nominal"]) / table["prior_sd"]
         ends = [((table[end] - table["mean"]) / table["prior_sd"]).abs() for end in ("q05", "q95")]
-        axes = _make_axes(axes)
+        axes = axes or Figure(layout="constrained").subplots()
         axes.errorbar(middle, table["parameter"], xerr=np.stack(ends), fmt="o", markersize=3.0)
         axes.axvline(0.0, color="0.6", linewidth=0.8)
         axes.invert_yaxis()
@@ -275,13 +257,7 @@ class StudyResult(LoadedResults):
 
 @dataclass(frozen=True, eq=False)
 class VariantResult:
-    """One variant of a study: its posterior, and the machine as calibrated.
-
-    Attributes
-    ----------
-    study : StudyResult
-    name : str
-    """
+    """One variant of a study: its posterior, and the machine as calibrated."""
 
     study: StudyResult
     name: str
@@ -420,12 +396,3 @@ def load_results(folder: Path | str, trust: bool = False, force: bool = False) -
     with overlooking(force):
         results = read_results(Path(folder))
     return CLASSES.get(str(results.provenance.get("kind")), LoadedResults)(results, trust, force)
-
-
-def _make_axes(axes: Axes | None) -> Axes:
-    """Return the axes given, or those of a new figure."""
-    if axes is not None:
-        return axes
-    from matplotlib.figure import Figure
-
-    return Figure(layout="constrained").subplots()
