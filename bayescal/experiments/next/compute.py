@@ -18,7 +18,7 @@ from bayescal.density.calibration.measurements import Comparison
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.next.inputs import NextInputs, Subject
 from bayescal.identifiability.reading_rows import (
-    View,
+    Slopes,
     differentiate_poses,
     linearise_near,
     typical_covariance,
@@ -40,37 +40,29 @@ SHOWN = 10  # poses of the list to come
 SEED, COURSE_SEED = 11, 12
 
 
-@dataclass(frozen=True, eq=False)
-class Ahead:
-    """Further poses in the order in which to measure them.
-
-    Attributes
-    ----------
-    standings : dict of int to Standing
-        How requirements are expected to stand after so many of them.
-    """
-
-    steps: list[Step]
-    standings: dict[int, Standing]
-
-
 def compute_next(inputs: NextInputs) -> Results:
     """Return what is known, which pose to measure next and whether to stop."""
+    config, seed = inputs.config, inputs.config.seed + SEED
     with threadpool_limits(1), np.errstate(all="ignore"):
-        states, probabilities = _find_states(inputs)
-        names = list(states)
+        states = {
+            name: find_state(one, None, _count_draws(one, config.draws), seed) for name, one in inputs.subjects.items()
+        }
+        names, probabilities = list(states), softmax([one.belief.log_evidence for one in states.values()])
         best = names[int(np.argmax(probabilities))]
-        state = states[best]
-        telling = None
-        if inputs.config.aim == "variants":  # what each candidate is expected to tell of which variant is right, nats
+        state, most, allowed = states[best], config.ahead, states[best].subject.allowed
+        if config.aim == "variants":  # the one that is expected to tell most of which variant is right, nats
             predicted = [one.predict(state) for one in states.values()]
             differences, covariances = (np.stack(part) for part in zip(*predicted, strict=True))
             telling = compare_variants(probabilities, differences, covariances)
-        ahead = _look_ahead(inputs, state, telling)
+            most, allowed = 1, allowed & (telling >= np.nanmax(telling[allowed]))
+        steps = list(islice(look_ahead(state.weight, state.covariance, state.rows, allowed), most))
+        standings = dict(_foretell(inputs, state, steps)) if inputs.requirements else {}
+        chosen = np.array([step.candidate for step in steps[:SHOWN]])
+        order = {"order": np.arange(1, len(chosen) + 1), "candidate": chosen + 1}
         tables = {
-            "next_poses": _list_poses(state, ahead),
-            "requirements": _tabulate_requirements(inputs, state, ahead),
-            "course": _follow_course(inputs, state, ahead),
+            "next_poses": pd.DataFrame(order | state.list_poses(chosen)),
+            "requirements": _tabulate_requirements(inputs, state, standings),
+            "course": _follow_course(inputs, state, standings),
             "variants": pd.DataFrame(
                 {
                     "variant": names,
@@ -79,28 +71,15 @@ def compute_next(inputs: NextInputs) -> Results:
                 }
             ),
         }
-        summary = _summarise(inputs, state, best, float(probabilities.max()), ahead)
+        summary = _summarise(inputs, state, best, float(probabilities.max()), steps[0], standings)
         return Results(summary if inputs.slip is None else summary | {"slip": inputs.slip.record()}, tables)
 
 
-# --- what is known -----------------------------------------------------------------------------------------------
-
-
-def _find_states(inputs: NextInputs) -> tuple[dict[str, State], Array]:
-    """Return what is known by each variant, and how probable these are, shape (K,)."""
-    seed = inputs.config.seed + SEED
-    states = {
-        name: find_state(one, None, _count_draws(one, inputs.config.draws), seed)
-        for name, one in inputs.subjects.items()
-    }
-    return states, softmax([one.belief.log_evidence for one in states.values()])
-
-
 def _count_draws(subject: Subject, wanted: int) -> int:
-    return max(FEWEST_DRAWS, min(wanted, MOST_ERRORS // subject.n_workspace))
+    return max(FEWEST_DRAWS, min(wanted, MOST_ERRORS // len(subject.workspace.values)))
 
 
-def _follow_course(inputs: NextInputs, last: State, ahead: Ahead) -> pd.DataFrame:
+def _follow_course(inputs: NextInputs, last: State, standings: dict[int, Standing]) -> pd.DataFrame:
     """Return how requirements were kept after the first poses, each time updated from before, and what is expected."""
     if not inputs.requirements:
         return pd.DataFrame()
@@ -114,7 +93,7 @@ def _follow_course(inputs: NextInputs, last: State, ahead: Ahead) -> pd.DataFram
             start = state.belief.y
         rough = state.belief.pareto_k > PARETO_K_LIMIT and state.belief.way == "updated"
         rows.append({**_describe_standing(inputs, n, "measured", state.standing), "rough": rough})
-    for n, standing in sorted(ahead.standings.items()):
+    for n, standing in sorted(standings.items()):
         rows.append({**_describe_standing(inputs, n_poses + n, "expected", standing), "rough": False})
     return pd.DataFrame(rows)
 
@@ -129,19 +108,6 @@ def _describe_standing(inputs: NextInputs, n: int, what: str, standing: Standing
         "standard_error": standing.standard_error,
         **shares,
     }
-
-
-# --- what may come -----------------------------------------------------------------------------------------------
-
-
-def _look_ahead(inputs: NextInputs, state: State, telling: Array | None) -> Ahead:
-    """Return the poses to measure next: by the requirements one after the other, or the one that tells most."""
-    allowed = state.subject.allowed
-    if telling is not None:
-        allowed = allowed & (telling >= np.nanmax(telling[allowed]))
-    found = look_ahead(state.weight, state.covariance, state.rows, allowed)
-    steps = list(islice(found, 1 if telling is not None else inputs.config.ahead))
-    return Ahead(steps, dict(_foretell(inputs, state, steps)) if inputs.requirements else {})
 
 
 def _foretell(inputs: NextInputs, state: State, steps: list[Step]) -> Iterator[tuple[int, Standing]]:
@@ -168,21 +134,11 @@ def find_goal(inputs: NextInputs, state: State) -> float:
     return wanted if best >= wanted else wanted * best
 
 
-def _list_poses(state: State, ahead: Ahead) -> pd.DataFrame:
-    """Return the poses to come, as the machine is sent there."""
-    chosen = np.array([step.candidate for step in ahead.steps[:SHOWN]])
-    order = {"order": np.arange(1, len(chosen) + 1), "candidate": chosen + 1}
-    return pd.DataFrame(order | state.list_poses(chosen))
-
-
-# --- results -----------------------------------------------------------------------------------------------------
-
-
-def _tabulate_requirements(inputs: NextInputs, state: State, ahead: Ahead) -> pd.DataFrame:
+def _tabulate_requirements(inputs: NextInputs, state: State, standings: dict[int, Standing]) -> pd.DataFrame:
     """Return each requirement with the error that is kept with the stated probability, now and after the next pose."""
     if not inputs.requirements:
         return pd.DataFrame()
-    wanted, after = inputs.config.probability, ahead.standings[1]
+    wanted, after = inputs.config.probability, standings[1]
     rows = []
     for k, one in enumerate(inputs.requirements):
         limit = inputs.config.requirements[one.name]
@@ -201,9 +157,10 @@ def _tabulate_requirements(inputs: NextInputs, state: State, ahead: Ahead) -> pd
     return pd.DataFrame(rows)
 
 
-def _summarise(inputs: NextInputs, state: State, best: str, of_best: float, ahead: Ahead) -> dict[str, Any]:
-    config, belief = inputs.config, state.belief
-    first = ahead.steps[0]
+def _summarise(
+    inputs: NextInputs, state: State, best: str, of_best: float, first: Step, standings: dict[int, Standing]
+) -> dict[str, Any]:
+    config, belief, wanted = inputs.config, state.belief, inputs.config.probability
     summary = {
         "name": config.name,
         "title": config.title,
@@ -213,7 +170,7 @@ def _summarise(inputs: NextInputs, state: State, best: str, of_best: float, ahea
         "stated_probability": config.probability,
         "n_poses": state.subject.n_poses,
         "n_candidates": inputs.n_candidates,
-        "n_workspace": state.subject.n_workspace,
+        "n_workspace": len(state.subject.workspace.values),
         "ahead": config.ahead,
         "n_draws": len(belief.draws),
         "variant": best,
@@ -221,7 +178,7 @@ def _summarise(inputs: NextInputs, state: State, best: str, of_best: float, ahea
         "found": belief.way,
         "efficiency": belief.efficiency,
         "pareto_k": belief.pareto_k,
-        "stays": state.stays,
+        "stays": "the noise of the machine's own sensors stays",  # what errs where the geometry is known exactly
         "next_candidate": first.candidate + 1,
         "next_pose": state.describe_pose(first.candidate),
         "shown": [asdict(one) for one in state.subject.list_shown()],
@@ -231,27 +188,18 @@ def _summarise(inputs: NextInputs, state: State, best: str, of_best: float, ahea
     }
     if inputs.requirements:
         goal = find_goal(inputs, state)
-        enough = [n for n, standing in ahead.standings.items() if standing.probability >= goal]
+        enough = [n for n, standing in standings.items() if standing.probability >= goal]
         summary["requirements"] = {
             "probability": state.standing.probability,
             "standard_error": state.standing.standard_error,
-            "after_next": ahead.standings[1].probability,
+            "after_next": standings[1].probability,
             "at_best": state.at_best.probability,
             "goal": goal,
             "poses_needed": min(enough, default=None),
         }
-    return {**summary, "decision": _decide(inputs, summary)}
-
-
-def _decide(inputs: NextInputs, summary: dict[str, Any]) -> str:
-    """Return ``stop``, ``measure``, or ``hopeless`` where not even an exactly known geometry would do."""
-    wanted = inputs.config.probability
-    if inputs.config.aim == "variants":
-        return "stop" if summary["variant_probability"] >= wanted else "measure"
-    standing = summary["requirements"]
-    if standing["probability"] >= wanted:
-        return "stop"
-    return "hopeless" if standing["at_best"] <= 1.0 - wanted else "measure"
+    reached = of_best if config.aim == "variants" else state.standing.probability
+    hopeless = config.aim == "requirements" and state.at_best.probability <= 1.0 - wanted  # even with geometry known
+    return {**summary, "decision": "stop" if reached >= wanted else "hopeless" if hopeless else "measure"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -267,19 +215,14 @@ class State:
         return self.subject.posterior
 
     @cached_property
-    def _draws(self) -> Array:
-        """Draws of the posterior of the readings, (S, n)."""
-        return self.belief.draws
-
-    @cached_property
     def _y(self) -> Array:
-        """Their mean, shape (n,)."""
-        return np.asarray(self._draws.mean(axis=0))
+        """Mean of the draws of the posterior of the readings, shape (n,)."""
+        return np.asarray(self.belief.draws.mean(axis=0))
 
     @cached_property
     def theta(self) -> Array:
         """Draws of the true machine, shape (S, D)."""
-        return self._posterior.theta(self._draws)
+        return self._posterior.theta(self.belief.draws)
 
     @cached_property
     def calibrated(self) -> Array:
@@ -304,24 +247,23 @@ class State:
 
     # --- what poses say ----------------------------------------------------------------------------------------------
 
+    def _differentiate(self, pose: Array, given: Given) -> Slopes:
+        return differentiate_poses(self._posterior, self.subject.measured.half, self._y, pose, given)
+
     @cached_property
     def rows(self) -> Array:
         """What all channels say of the parameters at each candidate, its pose eliminated, shape (C, K, m)."""
-        every = np.ones(len(self.subject.measured.internal), dtype=bool)
-        there, seen = self._see(self._candidates, every, self.subject.candidates.given)
-        rows = np.zeros((len(self._candidates), *seen.rows.shape[1:]))
-        rows[there] = seen.rows
+        slopes = self._differentiate(self._candidates, self.subject.candidates.given)
+        seen = slopes.seen_by(np.ones(len(self.subject.measured.internal), dtype=bool)).rows
+        rows = np.zeros((len(self._candidates), *seen.shape[1:]))
+        rows[slopes.places] = seen
         return rows
 
     @cached_property
     def slope(self) -> Array:
         """Where the tool errs as its own channels locate it, by the parameters, shape (W, c, m)."""
-        return self._see(self._workspace, self.subject.measured.internal, self.subject.workspace.given)[1].tool
-
-    def _see(self, pose: Array, some: np.ndarray, given: Given) -> tuple[np.ndarray, View]:
-        """Return which poses the machine can take, and these as some channels see them."""
-        slopes = differentiate_poses(self._posterior, self.subject.measured.half, self._y, pose, given)
-        return slopes.places, slopes.seen_by(some)
+        slopes = self._differentiate(self._workspace, self.subject.workspace.given)
+        return slopes.seen_by(self.subject.measured.internal).tool
 
     @cached_property
     def weight(self) -> Array:
@@ -354,14 +296,9 @@ class State:
         """Errors of the tool over the workspace."""
         subject, own = self.subject, np.flatnonzero(self.subject.measured.internal)
         own = own[self._posterior.likelihood.data.present[:, own].any(axis=0)]
-        sd = typical_noise(self._posterior, self._draws)[:, own]
+        sd = typical_noise(self._posterior, self.belief.draws)[:, own]
         given = subject.workspace.given
         return ToolRemaining(subject.model, own, self.calibrated, self._workspace, given, sd, self.seed)
-
-    @property
-    def stays(self) -> str:
-        """What errs where the geometry is known exactly, in words that end a sentence."""
-        return "the noise of the machine's own sensors stays"
 
     @cached_property
     def standing(self) -> Standing:
@@ -375,7 +312,7 @@ class State:
 
     def after(self, covariance: Array) -> Standing:
         """Return how they are expected to stand with another covariance of the parameters, (m, m)."""
-        m, y = self._posterior.n_geometry, self._draws.copy()
+        m, y = self._posterior.n_geometry, self.belief.draws.copy()
         y[:, :m] = self._y[:m] + move_draws(y[:, :m] - self._y[:m], self.covariance, covariance)
         return self._judge(self._posterior.theta(y))
 
@@ -389,7 +326,7 @@ class State:
         subject, pose, candidates = self.subject, self._candidates[chosen], self.subject.candidates
         given = {name: value[chosen] for name, value in candidates.given.items()}
         read = subject.model.read(self.calibrated, pose, given)[:, subject.measured.internal]
-        home = np.array(list(subject._home.values()))
+        home = subject.model.command_range.mean(axis=1)
         moves = candidates.values[chosen] - home if candidates.commanded else pose[:, :0]
         every = np.concatenate([moves, pose, read], axis=1)
         return {

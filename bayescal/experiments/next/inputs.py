@@ -23,12 +23,9 @@ from bayescal.experiments.shared.search_memory import list_readings
 from bayescal.experiments.shared.slip_search import find_slip
 from bayescal.experiments.shared.slips import FoundSlip
 from bayescal.identifiability.pose_volume import PoseVolume, find_workspace_actuators
-from bayescal.identifiability.reading_rows import (
-    differentiate_poses,
-    typical_given,
-)
+from bayescal.identifiability.reading_rows import differentiate_poses, typical_given
 from bayescal.identifiability.requirements import COMPONENTS, Requirement
-from bayescal.machines.readings import Channel, Coordinate, Given, ReadingModel, legs_of
+from bayescal.machines.readings import Channel, Coordinate, Given, Legs, ReadingModel, legs_of
 from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array
 from bayescal.numerics.units import Units
 from bayescal.pose_selection import (
@@ -57,26 +54,14 @@ EXPECTED = "Own sensors, expected"
 
 @dataclass(frozen=True, eq=False)
 class NextInputs:
-    """What was measured so far, and what may come.
-
-    Attributes
-    ----------
-    origin : str
-        Of the data, in words.
-    subjects : dict of str to Subject
-        Those that may be right, with the poses measured so far.
-    units : dict of str to str
-        Of each requirement, as the config states it.
-    slip : FoundSlip or None
-        What would explain the data many times better than they are.
-    """
+    """What was measured so far, and what may come."""
 
     config: NextConfig
-    origin: str
-    subjects: dict[str, Subject]
+    origin: str  # of the data, in words
+    subjects: dict[str, Subject]  # variants that may be right, with the poses measured so far
     n_candidates: int
-    units: dict[str, str]
-    slip: FoundSlip | None
+    units: dict[str, str]  # of each requirement, as the config states it
+    slip: FoundSlip | None  # what would explain the data many times better than they are
 
     @property
     def requirements(self) -> list[Requirement]:
@@ -87,11 +72,8 @@ class NextInputs:
 def read_next(config: NextConfig, folder: Path) -> NextInputs:
     """Return what was measured so far, read and checked.
 
-    Raises
-    ------
-    InputError
-        Where the file calibrates no machine, a variant is not there, the workspace is out of reach or no candidate is
-        left.
+    InputError where the file calibrates no machine, a variant is not there, the workspace is out of reach or no
+    candidate is left.
     """
     path = folder / config.study
     found = measure_variants(*load(path), path, config.variants, config.with_model_error)
@@ -113,7 +95,13 @@ def read_next(config: NextConfig, folder: Path) -> NextInputs:
         found = {name: replace(one, low=low, high=high) for name, one in found.items()}
     so_far = {name: one if n == there else one.pick(np.arange(n)) for name, one in found.items()}
     first = next(iter(so_far.values()))
-    workspace, candidates = _place_poses(config, folder, first) if legs is None else _place_legs(config, folder, first)
+    if legs is None:
+        pose = _draw_poses(first, N_WORKSPACE, np.random.default_rng([config.seed, WORKSPACE]))
+        workspace = Poses(pose, typical_given(first.posterior.likelihood.data.given, len(pose)))
+        rng = np.random.default_rng([config.seed, CANDIDATES])
+        candidates = Poses(*_list_candidates(config.candidates, folder, first, rng))
+    else:
+        workspace, candidates = _place_legs(config, folder, first, legs)
     requirements, units = _read_requirements(config, first)
     if requirements and legs is None:
         _check_located(first, workspace.values)
@@ -125,13 +113,7 @@ def read_next(config: NextConfig, folder: Path) -> NextInputs:
 
 
 def _read_requirements(config: NextConfig, measured: MeasuredReadings) -> tuple[list[Requirement], dict[str, str]]:
-    """Return the largest errors that are allowed, mm and rad, and their units as stated.
-
-    Raises
-    ------
-    InputError
-        For another name than those known.
-    """
+    """Return the largest errors that are allowed, mm and rad, and their units as stated; InputError for others."""
     tool = measured.posterior.likelihood.model.tool_channels
     components, kinds = (tuple(getattr(one, key) for one in tool) for key in ("name", "unit"))
     known = (*components, "position") if "mm" in kinds else components
@@ -150,10 +132,9 @@ def _read_requirements(config: NextConfig, measured: MeasuredReadings) -> tuple[
 # --- machines on legs ----------------------------------------------------------------------------------------------
 
 
-def _place_legs(config: NextConfig, folder: Path, measured: MeasuredReadings) -> tuple[Poses, Poses]:
+def _place_legs(config: NextConfig, folder: Path, measured: MeasuredReadings, legs: Legs) -> tuple[Poses, Poses]:
     """Return the poses of workspace and candidates of a study's machine, by its actuators."""
-    section, posterior, legs = config.workspace, measured.posterior, legs_of(measured.posterior.likelihood.model)
-    assert legs is not None
+    section, posterior = config.workspace, measured.posterior
     if isinstance(section, dict):
         raise InputError(
             f"workspace: found {', '.join(section)} of a machine on legs, expected position_mm and rotation_deg"
@@ -205,14 +186,6 @@ def read_candidates(config: NextConfig, folder: Path, design: Design, volume: Po
 
 
 # --- machines of any readings --------------------------------------------------------------------------------------
-
-
-def _place_poses(config: NextConfig, folder: Path, measured: MeasuredReadings) -> tuple[Poses, Poses]:
-    """Return the poses of workspace and candidates of a calibration's machine, by its coordinates."""
-    workspace, rng = np.random.default_rng([config.seed, WORKSPACE]), np.random.default_rng([config.seed, CANDIDATES])
-    pose = _draw_poses(measured, N_WORKSPACE, workspace)
-    given = typical_given(measured.posterior.likelihood.data.given, len(pose))
-    return Poses(pose, given), Poses(*_list_candidates(config.candidates, folder, measured, rng))
 
 
 def _check_same_readings(found: Mapping[str, MeasuredReadings]) -> None:
@@ -324,19 +297,9 @@ class Shown:
 
 @dataclass(frozen=True, eq=False)
 class Poses:
-    """C poses of a machine.
+    """C poses of a machine: coordinates, or commands where it is commanded, and what it has to know of each (C,)."""
 
-    Attributes
-    ----------
-    values : ndarray, shape (C, q) or (C, N)
-        Coordinates, or commands; mm and rad.
-    given : mapping of str to ndarray, shape (C,)
-        What the machine has to know of each.
-    commanded : bool
-        Whether they are commands.
-    """
-
-    values: Array
+    values: Array  # (C, q) or (C, N), mm and rad
     given: Given
     commanded: bool = False
 
@@ -369,11 +332,6 @@ class Subject:
         """How many poses have been measured."""
         return self.measured.posterior.likelihood.data.n_poses
 
-    @property
-    def n_workspace(self) -> int:
-        """Number of poses that stand for the workspace."""
-        return len(self.workspace.values)
-
     @cached_property
     def allowed(self) -> np.ndarray:
         """Which candidates have not been measured, shape (C,)."""
@@ -393,27 +351,24 @@ class Subject:
         width = n_channels * (self.model.layout.size + len(self.model.coordinates) + n_channels)
         return [
             *list_readings(self.n_poses, n_channels, n, len(self.model.coordinates)),
-            (SEARCHED, len(self.candidates.values) + self.n_workspace, width),
+            (SEARCHED, len(self.candidates.values) + len(self.workspace.values), width),
             (DRAWS, n_draws, n + n_channels),
         ]
 
     def list_shown(self) -> list[Shown]:
         """Return what the page shows of the poses to come: how to go there, and what is expected there."""
         channels = [one for one, own in zip(self.model.channels, self.measured.internal, strict=True) if own]
-        pose = [_show(one, one.name, "Platform, expected" if self._home else "Pose") for one in self.model.coordinates]
-        own = [_show(one, one.name.replace("[", "_").rstrip("]"), EXPECTED) for one in channels]
-        home = (one for one in channels if one.name in self._home)
-        numbers = [(one, one.name.partition("[")[2].rstrip("]")) for one in home]
-        moves = [_show(one, f"displacement_{number}", "Displacement of actuator") for one, number in numbers]
-        return [*(replace(one, heading=one.column.split("_")[1]) for one in moves), *pose, *own]
-
-    @property
-    def _home(self) -> dict[str, float]:
-        """Positions at home of commands that candidates stand as, by their names."""
-        middle = self.model.command_range.mean(axis=1).tolist()
-        return dict(zip(self.model.commanded, middle, strict=True)) if self.candidates.commanded else {}
+        commands = self.model.commanded if self.candidates.commanded else ()
+        found = []
+        for one in channels:
+            if one.name in commands:
+                number = one.name.partition("[")[2].rstrip("]")
+                found.append(_show(one, f"displacement_{number}", number, "Displacement of actuator"))
+        group = "Platform, expected" if commands else "Pose"
+        found += [_show(one, one.name, one.name, group) for one in self.model.coordinates]
+        return found + [_show(one, one.name.replace("[", "_").rstrip("]"), one.name, EXPECTED) for one in channels]
 
 
-def _show(one: Coordinate | Channel, stem: str, group: str) -> Shown:
+def _show(one: Coordinate | Channel, stem: str, heading: str, group: str) -> Shown:
     unit = "deg" if one.unit == "rad" else one.unit
-    return Shown(f"{stem}_{unit}", one.name, unit, group, DECIMALS.get(unit, 4))
+    return Shown(f"{stem}_{unit}", heading, unit, group, DECIMALS.get(unit, 4))

@@ -38,7 +38,7 @@ class NextPose(OfAnother[NextConfig, NextInputs]):
             {"poses": first.n_poses, "candidates": inputs.n_candidates, "draws": n_draws},
             [
                 *(one for subject in inputs.subjects.values() for one in subject.list_arrays(n_draws)),
-                (DRAWS, min(n_draws * first.n_workspace, MOST_ERRORS)),
+                (DRAWS, min(n_draws * len(first.workspace.values), MOST_ERRORS)),
             ],
             "fewer candidates or draws",
         )
@@ -60,21 +60,9 @@ class NextPose(OfAnother[NextConfig, NextInputs]):
 def configure_next(path: Path, variants: list[str], required: list[str], seed: int | None) -> NextConfig:
     """Return the question that a file asks, or one of the study in it: for its requirements, or between its variants.
 
-    Parameters
-    ----------
-    path : Path
-        Of the question, or of a study.
-    variants : list of str
-        Of the study; all where none is named.
-    required : list of str
-        ``NAME=VALUE``: the largest error allowed, in the units of a question, mm and degrees.
-    seed : int or None
-        The file's own where none is given.
-
-    Raises
-    ------
-    InputError
-        For anything at fault in the file, and for what a question's file states itself.
+    All variants where none is named, the file's own seed where none is given; requirements are ``NAME=VALUE``, the
+    largest error allowed, mm and degrees. InputError for anything at fault in the file, and for what a question's file
+    states itself.
     """
     found = load(path)[1]
     if isinstance(found, NextConfig):
