@@ -158,12 +158,7 @@ def _rank(shared: Shared, name: str) -> Arrays:
 
 @dataclass(frozen=True, eq=False)
 class Band:
-    """Limits of the distribution function of n uniform numbers.
-
-    Attributes
-    ----------
-    at, low, high : ndarray, shape (K,)
-    """
+    """Limits of the distribution function of n uniform numbers, (K,) each."""
 
     at: Array
     low: Array

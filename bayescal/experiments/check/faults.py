@@ -51,24 +51,12 @@ cause that has to be corrected first."""
 
 @dataclass(frozen=True)
 class Finding:
-    """What one check found.
+    """What one check found."""
 
-    Attributes
-    ----------
-    check : str
-        What was looked at, in a word or two.
-    fault : str
-        Its name; empty where there is none.
-    level : str
-        ``good``, ``warning`` or ``bad``.
-    text : str
-        In a sentence or two, with what to do.
-    """
-
-    check: str
-    fault: str
+    check: str  # what was looked at, in a word or two
+    fault: str  # its name; empty where there is none
     level: Level
-    text: str
+    text: str  # in a sentence or two, with what to do
 
 
 def check_derivatives(subject: Subject, rng: np.random.Generator) -> Finding:
@@ -131,7 +119,7 @@ def check_modes(posterior: Target, known: list[Mode], starts: list[Array]) -> Fi
         except (NumericalError, np.linalg.LinAlgError):
             continue
         matters = found.converged and found.log_evidence > known[0].log_evidence - MATTERS
-        if matters and not any(_is_same(found, one) for one in (*known, *missed)):
+        if matters and all(_measure_distance(found, one) >= APART for one in (*known, *missed)):
             missed.append(found)
     if not missed:
         return Finding(
@@ -154,11 +142,10 @@ def list_starts(posterior: Target, best: Array, rng: np.random.Generator) -> lis
     return [*single.values(), *(one for one in pairs if one is not None), *drawn]
 
 
-def _is_same(one: Mode, other: Mode) -> bool:
-    """Whether two climbs ended at the same mode: not far in the posterior sds of either."""
+def _measure_distance(one: Mode, other: Mode) -> float:
+    """Return how far apart two modes are, in the posterior sds of the one of which it is less."""
     step = one.y - other.y
-    lengths = [float(step @ np.linalg.solve(mode.covariance, step)) for mode in (one, other)]
-    return min(lengths) < APART**2
+    return float(np.sqrt(min(float(step @ np.linalg.solve(mode.covariance, step)) for mode in (one, other))))
 
 
 def check_noise(measured: MeasuredReadings) -> Finding:
@@ -238,20 +225,12 @@ def _check_extraction(measured: MeasuredReadings) -> Finding | None:
 class Left:
     """What the best machine leaves of the readings at the stated noise.
 
-    Attributes
-    ----------
-    errors : ndarray, shape (P, R)
-        Free of the poses, as large as they would be had nothing been fitted; those of the machine as expected where
-        some errors are common to all rows.
-    covariance : callable
-        Takes what is unknown of the errors, (n,), to (P, R, R); see `bayescal.density.sessions.LinearRows`.
-    missing : ndarray, shape (P, R, R)
-        The part of it that is no reading's; by the stated noise alone the whole is the identity.
-    common : callable
-        Takes the same to columns of errors common to all rows, (P, R, N), and of the machine; none where there are no
-        such errors.
-    largest : str
-        Kind of the channels that are left with most.
+    ``errors`` (P, R): free of the poses, as large as they would be had nothing been fitted; those of the machine as
+    expected where some errors are common to all rows. ``covariance`` takes what is unknown of the errors, (n,), to
+    (P, R, R); see `bayescal.density.sessions.LinearRows`. ``missing`` (P, R, R): the part of it that is no reading's;
+    by the stated noise alone the whole is the identity. ``common`` takes the same to columns of errors common to all
+    rows, (P, R, N), and of the machine; none where there are no such errors. ``largest``: kind of the channels that are
+    left with most.
     """
 
     found: ChiSquare
@@ -294,29 +273,22 @@ def _fit_known(measured: MeasuredReadings) -> Left:
     rows = ReadingRows(replace(known, errors=Errors(own.terms))).linearise(known.theta(y[None])[0])
     across = np.swapaxes(rows.basis, 1, 2)
     missing = across @ (~known.likelihood.data.present[..., None] * rows.basis)
-    errors, common = (across @ misfit.left[..., None])[..., 0] * np.sqrt(n_spare / found.dof), _have_nothing
+    errors = (across @ misfit.left[..., None])[..., 0] * np.sqrt(n_spare / found.dof)
+    machine = np.zeros((*errors.shape, 0))
     if own.has_columns:  # the machine is as unknown as it was: it imitates a part of them
-        slope = rows.slope @ known.around(y)[1]
-        errors, common = rows.errors - slope @ y[:m], lambda zeta: np.concatenate([slope, rows.common(zeta)], axis=-1)
-    return Left(found, errors, rows.covariance, missing, common, own.n_parameters, _name_largest(known, misfit.left))
+        machine = rows.slope @ known.around(y)[1]
+        errors = rows.errors - machine @ y[:m]
 
+    def common(zeta: Array) -> Array:
+        return np.concatenate([machine, rows.common(zeta)], axis=-1) if own.has_columns else machine
 
-def _have_nothing(zeta: Array) -> Array:
-    """Return no columns."""
-    del zeta
-    return np.zeros((1, 1, 0))
-
-
-def _name_largest(posterior: CalibrationPosterior, white: Array) -> str:
-    """Return the kind of channels with the largest white residuals, (P, K), rms."""
-    kinds = np.array([one.kind for one in posterior.likelihood.model.channels])
-    present = posterior.likelihood.data.present
+    present, kinds = known.likelihood.data.present, np.array([one.kind for one in known.likelihood.model.channels])
     rms = {
-        kind: float(np.sqrt(np.mean(white[:, kinds == kind][present[:, kinds == kind]] ** 2)))
+        kind: float(np.sqrt(np.mean(misfit.left[:, kinds == kind][present[:, kinds == kind]] ** 2)))
         for kind in dict.fromkeys(kinds.tolist())
         if present[:, kinds == kind].any()
     }
-    return max(rms, key=rms.__getitem__)
+    return Left(found, errors, rows.covariance, missing, common, own.n_parameters, max(rms, key=rms.__getitem__))
 
 
 def _log_density(errors: Array, covariance: Array, common: Array) -> float:
@@ -386,11 +358,8 @@ def look_at_data(task: tuple[Subject, int, int]) -> Look:
         draws, y, found, _ = draw_posterior(posterior, n_draws, draw_seed)
         noise = check_noise(subject.measured)
     except NumericalError as error:
-        return (
-            [*findings, Finding("Search", "search", "bad", f"the posterior is not found: {error}.")],
-            nothing,
-            nothing,
-        )
+        findings.append(Finding("Search", "search", "bad", f"the posterior is not found: {error}."))
+        return findings, nothing, nothing
     starts = list_starts(posterior, found.modes[0].y, np.random.default_rng(mode_seed))
     modes = check_modes(posterior, found.modes, starts)
     return [*findings, modes, noise, check_priors(posterior, draws)], draws, y
@@ -400,8 +369,9 @@ def state_cause(search: Search) -> Finding:
     """Return what explains the data better than the study does: what to do first, how sure that is, and why."""
     first, check = search.first, "Likely cause"
     if first is not None:
+        odds = "more than a million" if first.odds > MOST_ODDS else format_significant(float(np.exp(first.odds)), 2)
         text = (
-            f"{first.text}. Odds against the next explanation ({first.rival}): {_say_odds(first.odds)}. The data are "
+            f"{first.text}. Odds against the next explanation ({first.rival}): {odds} to 1. The data are "
             f"explained better by {format_significant(first.gain, 2)} nats, {search.tried} causes tried; all other "
             "findings rest on it."
         )
@@ -417,8 +387,3 @@ def state_cause(search: Search) -> Finding:
     more = f"; {len(search.unnoticed) - NAMED_SLIPS} more" if len(search.unnoticed) > NAMED_SLIPS else ""
     text += f"; planted slips of the table that would pass unnoticed within the tolerances: {named}{more}"
     return Finding(check, "", "good", f"{text}.")
-
-
-def _say_odds(nats: float) -> str:
-    """Return odds to one in words."""
-    return "more than a million to 1" if nats > MOST_ODDS else f"{format_significant(float(np.exp(nats)), 2)} to 1"

@@ -29,32 +29,17 @@ ENSEMBLES, WALKERS, BURN_IN, STEPS = 4, 64, 30, 30  # where importance resamplin
 
 @dataclass(frozen=True, eq=False)
 class CheckInputs:
-    """A check, read.
-
-    Attributes
-    ----------
-    origin : str
-        Of the data, in words.
-    subjects : dict of str to Subject
-        The study's variants that may be checked, by their names.
-    """
+    """A check, read."""
 
     config: CheckConfig
-    origin: str
-    subjects: dict[str, Subject]
+    origin: str  # of the data, in words
+    subjects: dict[str, Subject]  # the study's variants that may be checked, by their names
 
 
 def read_check(config: CheckConfig, folder: Path) -> CheckInputs:
-    """Return a check, read.
-
-    Raises
-    ------
-    InputError
-        Where the file calibrates no machine, its data cannot be simulated, or a variant is not there.
-    """
+    """Return a check, read; InputError where the file calibrates no machine, or a variant is not there."""
     path = folder / config.study
-    experiment, study = load(path)
-    found = measure_variants(experiment, study, path, config.variants)
+    found = measure_variants(*load(path), path, config.variants)
     origin = next(iter(found.values())).origin.partition(": study ")[0]
     return CheckInputs(config, origin, {name: Subject(measured) for name, measured in found.items()})
 
@@ -84,10 +69,7 @@ class Subject:
     def repeat(self, y: Array, rng: np.random.Generator) -> CalibrationPosterior:
         """Return the posterior of the measured data and those simulated of a true machine (n,) together.
 
-        Raises
-        ------
-        NumericalError
-            Where the machine cannot take the poses.
+        NumericalError where the machine cannot take the poses.
         """
         posterior = self.measured.anchored
         with np.errstate(all="ignore"):
@@ -100,10 +82,7 @@ class Subject:
     def draw_truth(self, rng: np.random.Generator) -> tuple[Array, Array]:
         """Return a machine of the priors (n,), with its errors, and its readings (P, K).
 
-        Raises
-        ------
-        NumericalError
-            Where hardly any draw of the priors is a machine that can take the poses.
+        NumericalError where hardly any draw of the priors is a machine that can take the poses.
         """
         for _ in range(TRIES):
             y = self.posterior.draw_prior(1, rng)[0]
@@ -119,8 +98,8 @@ class Subject:
         drawn, or of their prior, by the sizes that belong to the machine.
         """
         posterior = self.measured.anchored
-        own, likelihood = y, posterior.likelihood
-        theta, data, model = posterior.theta(own[None])[0], likelihood.data, likelihood.model
+        likelihood = posterior.likelihood
+        theta, data, model = posterior.theta(y[None])[0], likelihood.data, likelihood.model
         if not model.layout.inside(theta[None])[0]:
             return None
         pose, places = likelihood.start, model.select(model.commanded)
@@ -129,7 +108,7 @@ class Subject:
             if not found.all():
                 return None
         common = None if drawn is None or not drawn.parts else drawn.at(data, likelihood.error_gain)[0]
-        values = draw_readings(posterior, own, pose, rng, common)
+        values = draw_readings(posterior, y, pose, rng, common)
         return values if (np.isfinite(values) == data.present).all() else None
 
 

@@ -17,7 +17,7 @@ from scipy.special import logsumexp
 from bayescal.density.sessions import LinearSessions, SessionModel, find_state
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
-from bayescal.experiments.sessions.inputs import PPM, UNITS, Motions, SessionsInputs, find_motions
+from bayescal.experiments.sessions.inputs import PPM, UNITS, SessionsInputs, find_motions
 from bayescal.experiments.shared.origin import name_origin
 from bayescal.inference.scales import Scales, find_scales_mode, keep_by_weight, sample_scales
 from bayescal.limits import PARETO_K_LIMIT
@@ -42,10 +42,13 @@ def compute_sessions(inputs: SessionsInputs, run: Run) -> Results:
     if len(units) > 1:  # a single one held still is no drift at all
         tasks |= {f"{STILL}{one}": tuple(other for other in units if other != one) for one in units}
     fits = run.map("sessions", _fit, (model, config.draws, config.seed), tasks, (SessionFit,))
-    found = Found(inputs, fits[ALL])
-    tables = tabulate(found)
-    tables["scales"]["log_odds_moved"] = [_weigh(fits, one) for one in units]
-    tables["models"] = _tabulate_models(fits)
+    tables = tabulate(Found(inputs, fits[ALL]))
+    # of each unit, at even prior odds, that it moves against that it does not, the others free to move
+    still = [fits.get(f"{STILL}{one}", fits[NONE]) for one in units]
+    tables["scales"]["log_odds_moved"] = [fits[ALL].log_evidence - one.log_evidence for one in still]
+    rows = [(name, fit.log_evidence, fit.standard_error, *map(float, fit.quality)) for name, fit in fits.items()]
+    columns = ["model", "log_evidence", "se", "efficiency", "pareto_k", "exact_efficiency", "exact_pareto_k"]
+    tables["models"] = pd.DataFrame(rows, columns=columns)
     drift = fits[ALL].log_evidence - fits[NONE].log_evidence
     summary: dict[str, Any] = {
         "name": config.name,
@@ -76,17 +79,6 @@ def _fit(shared: Task, units: tuple[str, ...]) -> SessionFit:
     return fit_sessions(model.keep(units), n_draws, rng)
 
 
-def _weigh(fits: dict[str, SessionFit], unit: str) -> float:
-    """Return the log-odds that a unit moves against that it does not, the others free to move, at even prior odds."""
-    return fits[ALL].log_evidence - fits.get(f"{STILL}{unit}", fits[NONE]).log_evidence
-
-
-def _tabulate_models(fits: dict[str, SessionFit]) -> pd.DataFrame:
-    rows = [(name, fit.log_evidence, fit.standard_error, *map(float, fit.quality)) for name, fit in fits.items()]
-    columns = ["model", "log_evidence", "se", "efficiency", "pareto_k", "exact_efficiency", "exact_pareto_k"]
-    return pd.DataFrame(rows, columns=columns)
-
-
 @dataclass(frozen=True, eq=False)
 class Found:
     """Sessions and the draws of their posterior."""
@@ -108,12 +100,6 @@ class Found:
     def expansion(self) -> Array:
         """Coefficients α, shape (T, A), 1/K."""
         return self._states[1]
-
-    @cached_property
-    def motions(self) -> Motions:
-        """What a free parameter does to each leg, or to each channel, at home."""
-        model, x = self.inputs.model, self.parameters.mean(axis=(0, 1))
-        return find_motions(self.inputs.first, model.start + (x - model.mean) @ model.moves, model.moves)
 
     def list_moves(self) -> list[tuple[dict[str, str], Array]]:
         """Return which sessions are compared, and by how much parameters moved between them, shape (T, m).
@@ -151,13 +137,18 @@ def tabulate(found: Found) -> dict[str, pd.DataFrame]:
         {"error": name, "in": unit, **_describe(sizes[:, k], size)}
         for k, (name, (unit, size)) in enumerate(zip(own.names, shown, strict=True))
     ]
-    motions, nothing = _tabulate_motions(found), pd.DataFrame()
+    motions, nothing, model = _tabulate_motions(found), pd.DataFrame(), inputs.model
+    shifts = [
+        found.compare(ends, {"parameter": model.names[k]}, moved[:, k], model.units[k])
+        for ends, moved in found.list_moves()
+        for k in model.drift.index
+    ]
     return {
         "sessions": pd.DataFrame({**measured, "temperature_celsius": inputs.temperature}),
         "scales": _tabulate_scales(found),
         "legs": motions if inputs.by_leg else nothing,
         "channels": nothing if inputs.by_leg else motions,
-        "shifts": _tabulate_shifts(found),
+        "shifts": pd.DataFrame(shifts),
         "parameters": _tabulate_parameters(found),
         "expansion": _tabulate_expansion(found),
         "model_error": pd.DataFrame(errors),
@@ -182,22 +173,15 @@ def _tabulate_scales(found: Found) -> pd.DataFrame:
 
 
 def _tabulate_motions(found: Found) -> pd.DataFrame:
-    rows, motions = [], found.motions
+    """Return what free parameters do to each leg, or to each channel, at home."""
+    rows, model, x = [], found.inputs.model, found.parameters.mean(axis=(0, 1))
+    start = model.start + (x - model.mean) @ model.moves
+    names, units, slope = find_motions(found.inputs.first, start, model.moves)
     for ends, moved in found.list_moves():
-        by = moved @ motions.slope.T
-        for k, (name, unit) in enumerate(zip(motions.names, motions.units, strict=True)):
+        by = moved @ slope.T
+        for k, (name, unit) in enumerate(zip(names, units, strict=True)):
             what = {"leg": k + 1} if found.inputs.by_leg else {"channel": name}
             rows.append(found.compare(ends, what, by[:, k], unit))
-    return pd.DataFrame(rows)
-
-
-def _tabulate_shifts(found: Found) -> pd.DataFrame:
-    model = found.inputs.model
-    rows = [
-        found.compare(ends, {"parameter": model.names[k]}, moved[:, k], model.units[k])
-        for ends, moved in found.list_moves()
-        for k in model.drift.index
-    ]
     return pd.DataFrame(rows)
 
 
@@ -221,23 +205,17 @@ def _tabulate_expansion(found: Found) -> pd.DataFrame:
 
 @dataclass(frozen=True, eq=False)
 class SessionFit:
-    """What sessions say.
+    """What sessions say: evidence of the exact density, and draws of the posterior, scales and states.
 
-    Attributes
-    ----------
-    log_evidence, standard_error : float
-        Of the exact density.
-    quality : ndarray, shape (4,)
-        Efficiency and Pareto k of the scales' weights, then of the weights from the linearised to the exact density.
-    zeta, z : ndarray, shapes (T, n_scales) and (T, n)
-        Draws of the posterior: scales and states.
+    ``quality`` (4,): efficiency and Pareto k of the scales' weights, then of the weights from the linearised to the
+    exact density.
     """
 
     log_evidence: float
     standard_error: float
     quality: Array
-    zeta: Array
-    z: Array
+    zeta: Array  # (T, n_scales)
+    z: Array  # (T, n)
 
     @property
     def is_sound(self) -> bool:
@@ -248,12 +226,12 @@ class SessionFit:
 def fit_sessions(model: SessionModel, n_draws: int, rng: np.random.Generator) -> SessionFit:
     """Return evidence and draws of the joint posterior; n_draws of the scales, a third of them kept with a state each.
 
-    Raises
-    ------
-    NumericalError
-        Where no state or no scales are found.
+    Sessions are linearised at the most probable state at the most probable scales; NumericalError where none is found.
     """
-    linear, mode = _find_mode(model)
+    mode, state = np.zeros(model.n_scales), np.zeros(model.size)
+    for _ in range(ROUNDS):
+        linear, state = find_state(model, *model.read_scales(mode), state)
+        mode = find_scales_mode(lambda scales, at=linear: compute_log_density(at, scales), mode)  # type: ignore[misc]
     kept = count_kept(n_draws)
     scales = sample_scales(lambda zeta: compute_log_density(linear, zeta), mode, n_draws, kept, rng)
     z, linearised = _draw_states(linear, scales, rng)
@@ -281,15 +259,6 @@ def compute_log_density(linear: LinearSessions, zeta: Array) -> float:
     """Return the log-density of scales ζ (n,), prior included, the states integrated."""
     marginal = linear.condition(*linear.model.read_scales(zeta)).log_marginal
     return marginal - 0.5 * float(zeta @ zeta) - len(zeta) * HALF_LOG_TWO_PI
-
-
-def _find_mode(model: SessionModel) -> tuple[LinearSessions, Array]:
-    """Return sessions linearised at the most probable state at the most probable scales, and those scales."""
-    zeta, z = np.zeros(model.n_scales), np.zeros(model.size)
-    for _ in range(ROUNDS):
-        linear, z = find_state(model, *model.read_scales(zeta), z)
-        zeta = find_scales_mode(lambda scales, at=linear: compute_log_density(at, scales), zeta)  # type: ignore[misc]
-    return linear, zeta
 
 
 def _draw_states(linear: LinearSessions, scales: Scales, rng: np.random.Generator) -> tuple[Array, Array]:

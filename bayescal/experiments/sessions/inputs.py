@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from bayescal.experiments.shared.measured import MeasuredReadings, measure_varia
 from bayescal.experiments.shared.slip_search import find_slip
 from bayescal.experiments.shared.slips import tell_denial
 from bayescal.files.csv_tables import read_table
-from bayescal.machines.kinematics import Machine, solve_forward_kinematics
+from bayescal.machines.kinematics import solve_forward_kinematics
 from bayescal.machines.parameters import ParameterLayout
 from bayescal.machines.readings import Legs
 from bayescal.numerics.geometry import Array
@@ -45,25 +45,14 @@ WARM = 0.1
 
 @dataclass(frozen=True, eq=False)
 class SessionsInputs:
-    """Sessions, read.
-
-    Attributes
-    ----------
-    first : MeasuredReadings
-        The first of them.
-    temperature : ndarray, shape (S,)
-        Mean of each session's poses, °C; NaN where none is stated.
-    n_poses : ndarray of int, shape (S,)
-    denied : list of str
-        Slips that sessions look like and the config denies, in words.
-    """
+    """S sessions, read."""
 
     config: SessionsConfig
     model: SessionModel
-    first: MeasuredReadings
-    temperature: Array
-    n_poses: np.ndarray
-    denied: list[str]
+    first: MeasuredReadings  # of the first of them
+    temperature: Array  # (S,), mean of each session's poses, °C; NaN where none is stated
+    n_poses: np.ndarray  # (S,)
+    denied: list[str]  # slips that sessions look like and the config denies, in words
 
     @property
     def labels(self) -> list[str]:
@@ -79,11 +68,8 @@ class SessionsInputs:
 def read_sessions(config: SessionsConfig, folder: Path) -> SessionsInputs:
     """Return sessions, read.
 
-    Raises
-    ------
-    InputError
-        Where the study or its variant is not there, a session's files are missing or of another machine, or
-        temperatures are.
+    InputError where the study or its variant is not there, a session's files are missing or of another machine, or
+    temperatures are.
     """
     path = folder / config.study
     measured = measure_sessions(*load(path), path, config, folder)
@@ -92,10 +78,8 @@ def read_sessions(config: SessionsConfig, folder: Path) -> SessionsInputs:
     _check_apart(config, measured)
     warmth = [_read_temperatures(one, it, folder) for one, it in zip(config.sessions, measured, strict=True)]
     parts = [part for k, it in enumerate(measured) for part in _split(config, k, it, warmth[k])]
-    drift, expansions = (
-        _build_drift(config, first),
-        _build_expansions(config.thermal, first.posterior.likelihood.model.layout),
-    )
+    drift = _build_drift(config, first)
+    expansions = _build_expansions(config.thermal, first.posterior.likelihood.model.layout)
     functions = [one for one in first.posterior.errors.terms if isinstance(one, FunctionsOfPose)]
     lasting = tuple(config.drift.hierarchy == "walk" and one.sort != DRIFT for one in functions)
     model = SessionModel(tuple(parts), *describe_free(first, config.study), drift, expansions, lasting)
@@ -109,10 +93,7 @@ def read_sessions(config: SessionsConfig, folder: Path) -> SessionsInputs:
 def _judge_slip(session: SessionConfig, measured: MeasuredReadings) -> str | None:
     """Return the slip that a session looks like and the config denies; None where it looks like none.
 
-    Raises
-    ------
-    InputError
-        Where a slip explains a session many times better: joined to others it would pass for drift.
+    InputError where a slip explains a session many times better: joined to others it would pass for drift.
     """
     slip = find_slip([measured.readings], session.denied_slips)
     if slip is not None:
@@ -217,14 +198,6 @@ def _build_expansions(thermal: ThermalConfig | None, layout: ParameterLayout) ->
     return tuple(found)
 
 
-class Motions(NamedTuple):
-    """What the free parameters do at home: names and units of legs or channels (N,), and the slope (N, m)."""
-
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    slope: Array
-
-
 def pick_rows(measured: MeasuredReadings, chosen: np.ndarray) -> ReadingRows:
     """Return some of the poses of a session, (Q,)."""
     anchored = measured.anchored
@@ -250,40 +223,31 @@ def describe_free(
     return posterior.sampling.start, moves, names, units, mean, sd
 
 
-def find_motions(measured: MeasuredReadings, theta: Array, moves: Array) -> Motions:
+def find_motions(measured: MeasuredReadings, theta: Array, moves: Array) -> tuple[list[str], list[str], Array]:
     """Return what free parameters, by moves (m, D), do at home of a machine (D,), its pose as it is.
 
-    To the readings of the machine's own channels; to each leg in terms of its length l.
+    To the readings of the machine's own channels; to each leg in terms of its length l. Their names and units, N of
+    each, and the slope (N, m).
     """
     model, data = measured.posterior.likelihood.model, measured.posterior.likelihood.data
     if isinstance(model, Legs):
-        return _move_legs(model.machine, theta, moves)
+        machine, actuators = model.machine, model.machine.mechanism.initial_actuator_positions
+        home = solve_forward_kinematics(machine, theta, actuators)
+        slope = machine.linearise(theta, home.position, home.rotation, actuators).parameters
+        length = np.diagonal(slope[:, machine.layout.index["l"]])
+        names = [str(k + 1) for k in range(len(slope))]
+        return names, ["mm"] * len(slope), (slope @ moves.T) / length[:, None]
     own = np.flatnonzero(measured.internal)
     given = {name: np.array(np.median(value)) for name, value in data.given.items()}
     slope = model.linearise(theta, model.home_pose, True, given).by_parameters[own] @ moves.T
     channels = [model.channels[k] for k in own]
-    return Motions(tuple(one.name for one in channels), tuple(one.unit for one in channels), slope)
-
-
-def _move_legs(machine: Machine, theta: Array, moves: Array) -> Motions:
-    actuators = machine.mechanism.initial_actuator_positions
-    home = solve_forward_kinematics(machine, theta, actuators)
-    slope = machine.linearise(theta, home.position, home.rotation, actuators).parameters
-    length = np.diagonal(slope[:, machine.layout.index["l"]])
-    names = tuple(str(k + 1) for k in range(len(slope)))
-    return Motions(names, ("mm",) * len(slope), (slope @ moves.T) / length[:, None])
+    return [one.name for one in channels], [one.unit for one in channels], slope
 
 
 def measure_sessions(
     experiment: object, study: Any, path: Path, config: SessionsConfig, folder: Path
 ) -> list[MeasuredReadings]:
-    """Return what each session measured, in place of the data of a study or a calibration.
-
-    Raises
-    ------
-    InputError
-        Names the session.
-    """
+    """Return what each session measured, in place of the data of a study; InputError names the session."""
     found: list[MeasuredReadings] = []
     place = _place_tables if getattr(study, "by_tables", False) else _place_files
     for session in config.sessions:
@@ -361,14 +325,7 @@ def _place_files(study: Any, session: SessionConfig, folder: Path, path: Path) -
 def check_same_machine(model: SessionModel, sessions: Sequence[MeasuredReadings], labels: Sequence[str]) -> None:
     """Raise InputError where the legs of a session are off those of the first by far more than they can have moved.
 
-    Parameters
-    ----------
-    model : SessionModel
-        Of a walk.
-    sessions : sequence of MeasuredReadings
-        Of machines on legs; of others there is nothing to compare.
-    labels : sequence of str
-        Theirs.
+    In a walk; of machines without legs there is nothing to compare.
     """
     first = sessions[0].anchored
     if not isinstance(first.likelihood.model, Legs):
