@@ -34,13 +34,7 @@ INTERVAL = (0.05, 0.95)
 
 
 def compute_table(inputs: TableInputs, run: Run) -> Results:
-    """Return the table of a study.
-
-    Raises
-    ------
-    NumericalError
-        Where the posterior did not converge and nobody forces it.
-    """
+    """Return the table of a study; NumericalError where the posterior did not converge and nobody forces it."""
     estimate = run.once("posterior", _estimate, inputs, (Estimate,))
     problems = estimate.list_problems()
     if problems and not inputs.config.force:
@@ -92,6 +86,7 @@ def tabulate(inputs: TableInputs, found: Found) -> dict[str, pd.DataFrame]:
     names, units = [one.name for one in actuators], [one.unit for one in actuators]
     pose_names, pose_units = [one.name for one in coordinates], [one.unit for one in coordinates]
     correction, offset = found.responses.correction, found.responses.offset
+    polynomial, sd, plan = found.polynomial, found.polynomial.sd, found.plan
     stems = [f"{one.stem}_{one.unit}" for one in map(Channel, names, units)]  # as a controller takes it: a row a place
     lookup = dict(zip(stems, correction.mean(axis=0).T, strict=True))
     return {
@@ -100,8 +95,21 @@ def tabulate(inputs: TableInputs, found: Found) -> dict[str, pd.DataFrame]:
         "correction_covariance": _relate(inputs, correction, names),
         "offsets": _describe(inputs, offset, "coordinate", pose_names, pose_units),
         "offset_covariance": _relate(inputs, offset, pose_names),
-        "polynomial": _list_terms(found.polynomial, names, units),
-        "plan": _list_plan(inputs, found.plan),
+        "polynomial": pd.DataFrame(
+            {"term": term, "actuator": name, "unit": unit, "coefficient": polynomial.mean[i, k], "sd": sd[i, k]}
+            for i, term in enumerate(polynomial.terms)
+            for k, (name, unit) in enumerate(zip(names, units, strict=True))
+        ),
+        "plan": pd.DataFrame(
+            {
+                "order": np.arange(1, len(plan.after) + 1),
+                **{name: plan.cell[:, k] for k, name in enumerate(inputs.config.axes)},
+                **{f"{one.name}_{one.unit}": plan.pose[:, k] for k, one in enumerate(coordinates)},
+                "sd_after": plan.after,
+                "largest_sd_after": plan.worst,
+                "sd_after_random": plan.random,
+            }
+        ),
     }
 
 
@@ -130,29 +138,6 @@ def _relate(inputs: TableInputs, drawn: Array, names: Sequence[str]) -> pd.DataF
             "first": [names[k] for k in first] * len(inputs.cells),
             "second": [names[k] for k in second] * len(inputs.cells),
             "covariance": covariance[:, first, second].reshape(-1),
-        }
-    )
-
-
-def _list_terms(found: Polynomial, names: Sequence[str], units: Sequence[str]) -> pd.DataFrame:
-    rows = [
-        {"term": term, "actuator": name, "unit": unit, "coefficient": found.mean[i, k], "sd": found.sd[i, k]}
-        for i, term in enumerate(found.terms)
-        for k, (name, unit) in enumerate(zip(names, units, strict=True))
-    ]
-    return pd.DataFrame(rows)
-
-
-def _list_plan(inputs: TableInputs, plan: Plan) -> pd.DataFrame:
-    axes, coordinates = list(inputs.config.axes), inputs.variant.model.coordinates
-    return pd.DataFrame(
-        {
-            "order": np.arange(1, len(plan.after) + 1),
-            **{name: plan.cell[:, k] for k, name in enumerate(axes)},
-            **{f"{one.name}_{one.unit}": plan.pose[:, k] for k, one in enumerate(coordinates)},
-            "sd_after": plan.after,
-            "largest_sd_after": plan.worst,
-            "sd_after_random": plan.random,
         }
     )
 

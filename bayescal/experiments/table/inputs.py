@@ -36,25 +36,13 @@ RANDOM_SETS = 20  # of as many measurements, to compare with
 
 @dataclass(frozen=True, eq=False)
 class TableInputs:
-    """A look-up table, read.
-
-    Attributes
-    ----------
-    study : ReadingInputs
-        With the one variant that the table is made of.
-    cells : ndarray, shape (G, A)
-        The places of the table, its axes in their order, the last one fastest.
-    reference : dict of str to float
-        Of everything that the machine has to know of a pose.
-    pose : ndarray, shape (q,)
-        The commanded one, mm and rad.
-    """
+    """A look-up table, read."""
 
     config: TableConfig
-    study: ReadingInputs
-    cells: Array
-    reference: dict[str, float]
-    pose: Array
+    study: ReadingInputs  # with the one variant that the table is made of
+    cells: Array  # (G, A), the places of the table, its axes in their order, the last one fastest
+    reference: dict[str, float]  # of everything that the machine has to know of a pose
+    pose: Array  # (q,), the commanded one, mm and rad
 
     @property
     def variant(self) -> Variant:
@@ -72,6 +60,11 @@ class TableInputs:
         own = [one.name for one in self.variant.model.channels if not one.external]
         return self.variant.whole.pick(self.variant.whole.select(own))
 
+    @property
+    def zero(self) -> Given:
+        """What the machine has to know at the reference."""
+        return {name: np.array(value) for name, value in self.reference.items()}
+
     def given_at(self, cells: Array) -> Given:
         """Return what the machine has to know at places (..., A)."""
         axes = list(self.config.axes)
@@ -85,11 +78,8 @@ class TableInputs:
 def read_table(config: TableConfig, folder: Path) -> TableInputs:
     """Return a table, read.
 
-    Raises
-    ------
-    InputError
-        Where the file is no study of readings, an axis is no column that its machine has to know or its values cannot
-        be, a coordinate is unknown, or the actuators do not tell the pose.
+    InputError where the file is no study of readings, an axis is no column that its machine has to know or its values
+    cannot be, a coordinate is unknown, or the actuators do not tell the pose.
     """
     path = folder / config.study
     study = _read_study(config, path)
@@ -165,8 +155,7 @@ def _check_places(found: TableInputs) -> None:
 
 def _check_told(found: TableInputs) -> None:
     """Raise InputError where the actuators alone do not hold the platform."""
-    given = {name: np.array(value) for name, value in found.reference.items()}
-    at = found.actuators.linearise(found.variant.posterior().sampling.start, found.pose, False, given)
+    at = found.actuators.linearise(found.variant.posterior().sampling.start, found.pose, False, found.zero)
     slope = at.by_pose * found.variant.workspace.half
     values = np.linalg.svd(slope, compute_uv=False) if len(slope) else np.zeros(1)
     if len(slope) < len(found.pose) or values[-1] <= RANK * values[0]:
@@ -186,55 +175,42 @@ class Responses:
 
     what the actuators have to add so that the platform stays where it was; without it the platform moves to the v with
     h(v, x) = h(v₀, x₀), by v - v₀.
-
-    Attributes
-    ----------
-    correction : ndarray, shape (T, G, n)
-        Δq, in the actuators' units.
-    offset : ndarray, shape (T, G, q)
-        v - v₀ where nothing is corrected, mm and rad.
     """
 
-    correction: Array
-    offset: Array
+    correction: Array  # Δq, (T, G, n), in the actuators' units
+    offset: Array  # v - v₀ where nothing is corrected, (T, G, q), mm and rad
 
 
 def respond(inputs: TableInputs, theta: Array, cells: Array) -> Responses:
     """Return the responses of machines (T, D) at places (G, A); NaN where a machine does not stand."""
     size = max(1, BATCH // len(cells))
     parts = [_respond(inputs, theta[start : start + size], cells) for start in range(0, len(theta), size)]
-    return Responses(np.concatenate([one.correction for one in parts]), np.concatenate([one.offset for one in parts]))
+    return Responses(*(np.concatenate(part) for part in zip(*parts, strict=True)))
 
 
-def _respond(inputs: TableInputs, theta: Array, cells: Array) -> Responses:
-    model, theta = inputs.actuators, theta[:, None]
-    given = {name: value[None] for name, value in inputs.given_at(cells).items()}
-    held = model.read(theta, inputs.pose, _give(inputs.reference))
-    correction = Comparison(model.channels).subtract(model.read(theta, inputs.pose, given), held)
-    start = np.broadcast_to(inputs.pose, (*correction.shape[:2], len(inputs.pose)))
-    return Responses(correction, _follow(inputs, theta, held, given, start) - inputs.pose)
-
-
-def _follow(inputs: TableInputs, theta: Array, held: Array, given: Given, pose: Array) -> Array:
-    """Return where the platform stands while the actuators stay as they are, (T, G, q), by Newton's method."""
-    model, half = inputs.actuators, inputs.variant.workspace.half
+def _respond(inputs: TableInputs, theta: Array, cells: Array) -> tuple[Array, Array]:
+    """Return corrections and offsets; where the platform stands while actuators stay is found by Newton's method."""
+    model, theta, half = inputs.actuators, theta[:, None], inputs.variant.workspace.half
+    compare, given = Comparison(model.channels), {name: x[None] for name, x in inputs.given_at(cells).items()}
+    held = model.read(theta, inputs.pose, inputs.zero)
+    correction = compare.subtract(model.read(theta, inputs.pose, given), held)
+    pose = np.broadcast_to(inputs.pose, (*correction.shape[:2], len(inputs.pose)))
     for _ in range(STEPS):
         here = model.linearise(theta, pose, False, given)
-        left = Comparison(model.channels).subtract(np.broadcast_to(held, here.values.shape), here.values)
+        left = compare.subtract(np.broadcast_to(held, here.values.shape), here.values)
         step = (np.linalg.pinv(np.nan_to_num(here.by_pose)) @ left[..., None])[..., 0]
         pose = pose + step
         if not np.any(np.abs(step) > ARRIVED * half):
             break
-    return pose
+    return correction, pose - inputs.pose
 
 
 def differentiate_correction(inputs: TableInputs, theta: Array, moves: Array) -> Array:
     """Return the derivatives of Δq at all places by coordinates that move one machine (D,) by (m, D), (G, n, m)."""
     model, cells = inputs.actuators, inputs.cells
-    reference = {name: np.full(1, value) for name, value in inputs.reference.items()}
     pose = np.broadcast_to(inputs.pose, (len(cells), len(inputs.pose)))
     here = model.linearise(theta, pose, True, inputs.given_at(cells)).by_parameters
-    there = model.linearise(theta, pose[:1], True, reference).by_parameters
+    there = model.linearise(theta, inputs.pose, True, inputs.zero).by_parameters
     return np.asarray((here - there) @ moves.T)
 
 
@@ -244,37 +220,20 @@ def measure_elsewhere(inputs: TableInputs, theta: Array, poses: Array) -> Array:
     compare, given = Comparison(model.channels), inputs.given_at(inputs.cells)
 
     def correct(pose: Array) -> Array:
-        held = model.read(theta, pose, _give(inputs.reference))
-        return compare.subtract(model.read(theta, pose, given), held)
+        return compare.subtract(model.read(theta, pose, given), model.read(theta, pose, inputs.zero))
 
     found = np.abs(correct(poses[:, None]) - correct(inputs.pose[None, None]))
     return np.asarray(np.nanmax(found, axis=(0, 1)))
 
 
-def _give(reference: dict[str, float]) -> dict[str, Array]:
-    return {name: np.array(value) for name, value in reference.items()}
-
-
 @dataclass(frozen=True, eq=False)
 class Polynomial:
-    """Terms of a table's corrections.
+    """Terms of a table's corrections."""
 
-    Attributes
-    ----------
-    terms : tuple of str
-        F of them, as formulas of the columns.
-    mean : ndarray, shape (F, n)
-        Coefficients, in the actuators' units.
-    covariance : ndarray, shape (F n, F n)
-        Of the coefficients, those of a term's actuators beside one another.
-    misfit : ndarray, shape (n,)
-        By how much at most the terms miss the table's mean.
-    """
-
-    terms: tuple[str, ...]
-    mean: Array
-    covariance: Array
-    misfit: Array
+    terms: tuple[str, ...]  # F of them, as formulas of the columns
+    mean: Array  # coefficients, (F, n), in the actuators' units
+    covariance: Array  # of the coefficients, (F n, F n), those of a term's actuators beside one another
+    misfit: Array  # by how much at most the terms miss the table's mean, (n,)
 
     @property
     def sd(self) -> Array:
@@ -322,53 +281,35 @@ def format_polynomial(found: Polynomial, actuators: Sequence[str], units: Sequen
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Measurements in the order in which they were chosen.
+    """N measurements in the order in which they were chosen."""
 
-    Attributes
-    ----------
-    pose : ndarray, shape (N, q)
-    cell : ndarray, shape (N, A)
-    before : float
-        Standard deviation of a correction, rms over places and actuators, without any of them.
-    after : ndarray, shape (N,)
-        The same after each.
-    worst : ndarray, shape (N,)
-        The largest standard deviation of any correction after each.
-    random : ndarray, shape (N,)
-        As `after`, of as many candidates at random, rms over sets.
-    prior : float
-        As `before`, of the tolerances alone.
-    """
-
-    pose: Array
-    cell: Array
-    before: float
-    after: Array
-    worst: Array
-    random: Array
-    prior: float
+    pose: Array  # (N, q)
+    cell: Array  # (N, A)
+    before: float  # standard deviation of a correction, rms over places and actuators, without any of them
+    after: Array  # the same after each, (N,)
+    worst: Array  # the largest standard deviation of any correction after each, (N,)
+    random: Array  # as `after`, of as many candidates at random, rms over sets, (N,)
+    prior: float  # as `before`, of the tolerances alone
 
 
 def plan_measurements(inputs: TableInputs, posterior: CalibrationPosterior, y: Array, covariance: Array) -> Plan:
     """Return what to measure beside the data, or in their place, chosen one by one.
 
-    To first order about the posterior's mode the squared error of all corrections together is tr(J C Jᵀ), with J their
-    derivative by the parameters' coordinates and C what remains unknown of these; a measurement with the white rows R,
-    its pose eliminated, leaves C - C Rᵀ (1 + R C Rᵀ)⁻¹ R C.
-
-    Parameters
-    ----------
-    y : ndarray, shape (n,)
-        The mode.
-    covariance : ndarray, shape (m, m)
-        C by the data, of the geometry's coordinates.
+    To first order about the posterior's mode y (n,) the squared error of all corrections together is tr(J C Jᵀ), with J
+    their derivative by the parameters' coordinates and C what remains unknown of these, (m, m) by the data; a
+    measurement with the white rows R, its pose eliminated, leaves C - C Rᵀ (1 + R C Rᵀ)⁻¹ R C. Candidates are random
+    poses at every place at which the machine as expected stands.
     """
-    asked, rng = inputs.config.plan, np.random.default_rng([inputs.config.seed, 21])
+    asked, rng, model = inputs.config.plan, np.random.default_rng([inputs.config.seed, 21]), inputs.variant.model
     slopes = differentiate_correction(inputs, posterior.theta(y[None])[0], posterior.around(y)[1].T)
     flat = slopes.reshape(-1, slopes.shape[-1])
     start = covariance if asked.beside_data else np.eye(len(covariance))
-    pose, cell = _list_candidates(inputs, rng)
-    every = np.ones(len(inputs.variant.model.channels), dtype=bool)
+    cell = np.repeat(inputs.cells, asked.poses, axis=0)
+    pose = inputs.variant.workspace.draw(len(cell), rng)
+    read = model.read(inputs.variant.posterior().sampling.start, pose, inputs.given_at(cell))
+    stands = np.isfinite(read).all(axis=-1)
+    pose, cell = pose[stands], cell[stands]
+    every = np.ones(len(model.channels), dtype=bool)
     tried = look(posterior, inputs.variant, y, pose, every, inputs.given_at(cell))
     count = min(asked.measurements, len(pose))
     order, left = add_poses(tried.rows, flat.T @ flat, count, np.arange(len(pose)), start)
@@ -383,17 +324,6 @@ def plan_measurements(inputs: TableInputs, posterior: CalibrationPosterior, y: A
         np.sqrt(np.mean(np.square(random), axis=0)),
         _rms(flat, np.eye(len(covariance))),
     )
-
-
-def _list_candidates(inputs: TableInputs, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Return random poses (c, q) at every place (c, A) at which the machine as expected stands."""
-    n, cells = inputs.config.plan.poses, inputs.cells
-    cell = np.repeat(cells, n, axis=0)
-    pose = inputs.variant.workspace.draw(len(cell), rng)
-    stands = np.isfinite(
-        inputs.variant.model.read(inputs.variant.posterior().sampling.start, pose, inputs.given_at(cell))
-    )
-    return pose[stands.all(axis=-1)], cell[stands.all(axis=-1)]
 
 
 def _deviations(slopes: Array, covariance: Array) -> Array:
