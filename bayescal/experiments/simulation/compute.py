@@ -115,7 +115,51 @@ class ReadingPlan:
 
     def simulate(self, rng: np.random.Generator) -> tuple[dict[str, str], Array]:
         """Return the texts of all files by their names, and the true parameters (D,)."""
-        return _simulate(self, rng)
+        config, model = self.config, self.model
+        drawn = self._draw_machine(rng)  # in any case, so that a given truth leaves poses and noise as they are
+        theta = round_as_written(drawn if self.truth is None else self.truth)
+        given = draw_given(config.given, self.n_poses, rng)
+        pose, exact = draw_standing(model, self.workspace, theta, given, self.n_poses, rng)
+        measured = exact + self.noise * rng.standard_normal(exact.shape)
+        n_calibration = self.n_poses - self.n_held_back
+        names = [f"C{k:03d}" for k in range(1, n_calibration + 1)]
+        names += [f"V{k:02d}" for k in range(1, self.n_held_back + 1)]
+        columns = ["pose", "use", *(f"{one.stem}_{one.unit}" for one in model.channels), *given]
+        decimals = [DECIMALS.get(one.unit, 9) for one in model.channels]
+        rows = [
+            (
+                name,
+                USES[k >= n_calibration],
+                *(f"{x:.{d}f}" for x, d in zip(measured[k], decimals, strict=True)),
+                *(f"{value[k]:.12g}" for value in given.values()),
+            )
+            for k, name in enumerate(names)
+        ]
+        coordinates = [f"{one.name}_{one.unit}" for one in model.coordinates]
+        origin = config.origin.text
+        files = {
+            "readings.csv": format_table([origin, "Columns end with their unit."], columns, rows),
+            PARAMETERS_FILE: format_true_parameters([origin, "True parameters."], model.layout, theta),
+            POSES_FILE: format_true_poses([origin, "True poses."], coordinates, names, pose),
+        }
+        return files, theta
+
+    def _draw_machine(self, rng: np.random.Generator) -> Array:
+        """Return a machine within its priors, (D,)."""
+        layout = self.layout
+        theta = layout.nominal.copy()
+        for name, value in self.fixed.items():
+            theta[layout.names.index(name)] = value
+        for name, prior in self.priors.items():
+            if isinstance(prior, UniformPrior):
+                drawn = float(rng.uniform(prior.lower, prior.upper))
+            else:
+                assert isinstance(prior, NormalPrior)
+                drawn = float(rng.normal(prior.centre, prior.scale))
+            places = [layout.names.index(one) for one in self.common.get(name, (name,))]
+            theta[places] += drawn - theta[places[0]]
+        layout.check(theta)
+        return theta
 
 
 def plan_readings(config: SimulationConfig, folder: Path) -> ReadingPlan:
@@ -130,64 +174,10 @@ def plan_readings(config: SimulationConfig, folder: Path) -> ReadingPlan:
     return ReadingPlan(config, whole.pick(chosen), noise[chosen], priors, fixed, common, workspace, truth)
 
 
-def _simulate(plan: ReadingPlan, rng: np.random.Generator) -> tuple[dict[str, str], Array]:
-    config, model = plan.config, plan.model
-    drawn = _draw_machine(plan, rng)  # in any case, so that a truth that is given leaves poses and noise as they are
-    theta = round_as_written(drawn if plan.truth is None else plan.truth)
-    given = draw_given(config.given, plan.n_poses, rng)
-    pose, exact = draw_standing(model, plan.workspace, theta, given, plan.n_poses, rng)
-    measured = exact + plan.noise * rng.standard_normal(exact.shape)
-    n_calibration = plan.n_poses - plan.n_held_back
-    names = [f"C{k:03d}" for k in range(1, n_calibration + 1)]
-    names += [f"V{k:02d}" for k in range(1, plan.n_held_back + 1)]
-    columns = ["pose", "use", *(f"{one.stem}_{one.unit}" for one in model.channels), *given]
-    decimals = [DECIMALS.get(one.unit, 9) for one in model.channels]
-    rows = [
-        (
-            name,
-            USES[k >= n_calibration],
-            *(f"{x:.{d}f}" for x, d in zip(measured[k], decimals, strict=True)),
-            *(f"{value[k]:.12g}" for value in given.values()),
-        )
-        for k, name in enumerate(names)
-    ]
-    coordinates = [f"{one.name}_{one.unit}" for one in model.coordinates]
-    origin = config.origin.text
-    files = {
-        "readings.csv": format_table([origin, "Columns end with their unit."], columns, rows),
-        PARAMETERS_FILE: format_true_parameters([origin, "True parameters."], model.layout, theta),
-        POSES_FILE: format_true_poses([origin, "True poses."], coordinates, names, pose),
-    }
-    return files, theta
-
-
-def _draw_machine(plan: ReadingPlan, rng: np.random.Generator) -> Array:
-    """Return a machine within its priors, (D,)."""
-    layout = plan.model.layout
-    theta = layout.nominal.copy()
-    for name, value in plan.fixed.items():
-        theta[layout.names.index(name)] = value
-    for name, prior in plan.priors.items():
-        places = [layout.names.index(one) for one in plan.common.get(name, (name,))]
-        theta[places] += _draw(prior, rng) - theta[places[0]]
-    layout.check(theta)
-    return theta
-
-
-def _draw(prior: Prior, rng: np.random.Generator) -> float:
-    if isinstance(prior, UniformPrior):
-        return float(rng.uniform(prior.lower, prior.upper))
-    assert isinstance(prior, NormalPrior)
-    return float(rng.normal(prior.centre, prior.scale))
-
-
 def read_model(config: SimulationConfig, folder: Path) -> ReadingModel:
     """Return the machine before the config's instruments: any machine's file, or a mechanism's seen through ``model``.
 
-    Raises
-    ------
-    InputError
-        For faults of the files, for a mechanism without a model, and for a model or matrix of another machine.
+    InputError for faults of the files, for a mechanism without a model, and for a model or matrix of another machine.
     """
     path, matrix = folder / config.machine, None if config.truth is None else config.truth.deformation_matrix
     if "kind" not in read_toml(path)[0]:
@@ -228,29 +218,15 @@ def read_truth(config: SimulationConfig, layout: ParameterLayout, folder: Path) 
 
 @dataclass(frozen=True, eq=False)
 class Twin:
-    """The machine behind simulated data, and where it is measured.
+    """The machine behind simulated data, and where it is measured."""
 
-    Attributes
-    ----------
-    machine : Machine
-        Mechanism, model and matrix deformation.
-    theta : ndarray, shape (D,)
-        True parameters of the machine.
-    folder : Path
-        Where the config's file names start.
-    calibration, verification : ndarray, shapes (P, N)
-        Displacements of the actuators from their initial positions, mm.
-    frames : ndarray, shape (S + 1, 6), or None
-        True frames of the instrument's stations and of its probe, mm and rad; None for photogrammetry.
-    """
-
-    machine: Machine
-    theta: Array
+    machine: Machine  # mechanism, model and matrix deformation
+    theta: Array  # (D,), true parameters of the machine
     config: SimulationConfig
-    folder: Path
-    calibration: Array
+    folder: Path  # where the config's file names start
+    calibration: Array  # (P, N), displacements of the actuators from their initial positions, mm
     verification: Array
-    frames: Array | None
+    frames: Array | None  # (S + 1, 6), true ones of stations and probe, mm and rad; None for photogrammetry
 
     @property
     def mechanism(self) -> Mechanism:
@@ -305,11 +281,8 @@ class Twin:
 def build_twin(config: SimulationConfig, folder: Path) -> Twin:
     """Return the twin that a config describes; its files are relative to ``folder``.
 
-    Raises
-    ------
-    InputError
-        For another machine than one on legs, unknown models or parameters, lists without one entry per leg or station,
-        or tables of another width.
+    InputError for another machine than one on legs, unknown models or parameters, lists without one entry per leg or
+    station, or tables of another width.
     """
     model = read_model(config, folder)
     if not isinstance(model, Legs):
@@ -345,23 +318,10 @@ def _read_frames(config: PlatformInstrumentConfig, folder: Path) -> Array:
 
 
 def survey_twin(twin: Twin, rng: np.random.Generator, theta: Array | None = None) -> tuple[Survey, Array]:
-    """Return one survey of the twin, with noise of its own, and the true poses.
+    """Return one survey of the twin, or of other true parameters (D,), with noise and measurement frames of its own.
 
-    Parameters
-    ----------
-    twin : Twin
-        The machine and the plan of measurement.
-    rng : Generator
-        Source of all noise and of the measurement frames.
-    theta : ndarray, shape (D,), optional
-        Other true parameters than the twin's.
-
-    Returns
-    -------
-    survey : Survey
-    poses : ndarray, shape (P, 6)
-        Where the platform truly stood, the actuators' noise included: position in mm and rotation vector in rad, base
-        frame.
+    And where the platform truly stood, (P, 6), the actuators' noise included: position in mm and rotation vector in
+    rad, base frame.
     """
     config, mechanism = twin.config, twin.mechanism
     assert config.measurement_frame is not None
@@ -401,23 +361,17 @@ def move(twin: Twin, rng: np.random.Generator, theta: Array) -> tuple[Array, Arr
     commanded = twin.mechanism.initial_actuator_positions + displacement
     actual = commanded + rng.normal(0.0, twin.config.noise.actuator_um * MICROMETRE, commanded.shape)
     found = solve_forward_kinematics(twin.machine, theta, actual, check=False)
-    if not found.converged.all():
-        raise NumericalError(_name_unreached(twin, int(np.argmin(found.converged))))
+    for k in np.flatnonzero(~found.converged)[:1]:
+        poses, n_calibration = twin.config.poses, len(twin.calibration)
+        assert poses is not None
+        file, row = (poses.calibration, k) if k < n_calibration else (poses.verification, k - n_calibration)
+        raise NumericalError(
+            f"{file}: row {row + 1} below the header, pose {twin.names[k]!r}: found displacements "
+            f"{', '.join(f'{move:g}' for move in displacement[k])} mm, at which forward kinematics finds no pose, "
+            "expected ones that the machine can take: smaller ones, in the unit of unit_mm, columns in the order of "
+            "the machine's legs"
+        )
     return commanded, actual, found
-
-
-def _name_unreached(twin: Twin, index: int) -> str:
-    """Return which row of which table asks for a pose that the machine has not, and what to do about it."""
-    poses, n_calibration = twin.config.poses, len(twin.calibration)
-    assert poses is not None
-    later = index >= n_calibration
-    file, row = (poses.verification, index - n_calibration) if later else (poses.calibration, index)
-    moves = (twin.verification if later else twin.calibration)[row]
-    return (
-        f"{file}: row {row + 1} below the header, pose {twin.names[index]!r}: found displacements "
-        f"{', '.join(f'{move:g}' for move in moves)} mm, at which forward kinematics finds no pose, expected ones that "
-        "the machine can take: smaller ones, in the unit of unit_mm, columns in the order of the machine's legs"
-    )
 
 
 def stack_poses(found: ForwardKinematics) -> Array:
