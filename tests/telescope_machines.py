@@ -1,13 +1,15 @@
 """Machines and data sets that the tests share: the telescope of RR-8096, random machines, simulated poses.
 
-Figures of the telescope are those of RR-8096 (table 3, eq. 4, table 7 a); the radii and azimuths that its lost figure
-held were recovered from its tables. Whatever is simulated here is a twin, never a measurement.
+Figures of the telescope are those of RR-8096: its nominal geometry, table 3 and eq. 4 as they are shipped, table 7 a
+here. Whatever is simulated here is a twin, never a measurement.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import cache
+from pathlib import Path
 
 import numpy as np
 
@@ -18,11 +20,13 @@ from bayescal.density.calibration.terms import NO_ERRORS, Errors, ErrorTerm
 from bayescal.density.outliers import NORMAL, Outliers
 from bayescal.density.priors import NormalPrior, Prior
 from bayescal.experiments.shared.leg_readings import place_legs
+from bayescal.files.csv_tables import read_matrix
 from bayescal.machines.deformations import DEFORMATIONS, Deformation, NominalDeformation
 from bayescal.machines.kinematics import Machine, solve_forward_kinematics
 from bayescal.machines.mechanism import Flexures, Mechanism, section_of_rod
 from bayescal.machines.models import MODELS, KinematicModel
 from bayescal.machines.parameters import ParameterLayout
+from bayescal.machines.read import load_mechanism
 from bayescal.machines.readings import Legs
 from bayescal.numerics.geometry import matrix_from_rotation_vector, rotation_vector_from_matrix
 
@@ -31,60 +35,10 @@ ACTUATOR_RANGE = 1.3
 INITIAL_POSITION = 10.0
 HOME_HEIGHT = 497.41
 
-TELESCOPE_MATRIX = 1e-3 * np.array(
-    [
-        [16, 0, -8, 12, -2, -20],
-        [0, 20, -17, -1, 13, -13],
-        [-2, -15, 14, 2, -9, 9],
-        [6, -12, 4, 14, -16, 2],
-        [-12, 7, 0, -15, 14, 4],
-        [-20, -1, 10, -10, 2, 19],
-    ]
-)
-# table 3, in units of the actuator range; one string per configuration, legs 1 to 6
-_TABLE_3 = [
-    "+--++-",
-    "+0+++-",
-    "0+--0+",
-    "++0--+",
-    "+++0-+",
-    "00--++",
-    "++000-",
-    "+--0--",
-    "---0--",
-    "-+-0--",
-    "---+-0",
-    "+-0++-",
-    "-+--+-",
-    "++000-",
-    "--0-0-",
-    "-0+-++",
-    "++++-0",
-    "--+0--",
-    "0-+-+-",
-    "-++0--",
-    "+-0+++",
-    "--00++",
-    "+++---",
-    "0-+-0+",
-    "+--+++",
-    "-++0-0",
-    "-+--++",
-    "-++0--",
-    "-++-0+",
-    "+-0-++",
-    "++0-0+",
-    "0+---+",
-    "+++--0",
-    "-+-+--",
-    "-+0++0",
-    "00+---",
-    "+0-+++",
-    "++0++-",
-    "-0+---",
-    "+----+",
-]
-TABLE_3 = np.array([[{"-": -1.0, "0": 0.0, "+": 1.0}[sign] for sign in row] for row in _TABLE_3])
+SHIPPED = Path(__file__).parents[1] / "experiments" / "telescope"
+TELESCOPE_MATRIX = 1e-3 * read_matrix(SHIPPED / "deformation_matrix.csv", 6)
+TABLE_3 = read_matrix(SHIPPED / "calibration_configurations.csv", 6)
+"""Displacements in units of the actuator range, legs 1 to 6."""
 TABLE_7A = {
     "a_x": [-1.71, 0.41, 0.30, -1.58, -0.18, -0.34],
     "a_y": [-0.33, -0.21, -2.12, 0.37, 0.98, -2.62],
@@ -108,19 +62,14 @@ def _polar(radius: float, azimuths: list[float]) -> np.ndarray:
     return radius * np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=1)
 
 
+@cache
+def _load_telescope() -> Mechanism:
+    return replace(load_mechanism(SHIPPED / "mechanism.toml"), name="telescope")
+
+
 def build_telescope(**changes: object) -> Mechanism:
     """Return the telescope's nominal geometry, with fields replaced by name."""
-    fields = {
-        "name": "telescope",
-        "base_points": _polar(155.0, [220, 320, 340, 80, 100, 200]),
-        "platform_points": _polar(130.0, [265, 275, 25, 35, 145, 155]),
-        "directions": np.tile([0.0, 0.0, 1.0], (6, 1)),
-        "leg_lengths": np.full(6, 500.0),
-        "initial_actuator_positions": np.full(6, INITIAL_POSITION),
-        "actuator_range": ACTUATOR_RANGE,
-        "flexures": build_flexures(6),
-    }
-    return Mechanism(**(fields | changes))
+    return replace(_load_telescope(), **changes)
 
 
 def build_flexures(n_legs: int, diameter: float = 1.0, leg_diameter: float = 10.0) -> Flexures:
