@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import json
 import os
 import pickle
 import random
-import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from studies import snapshot
+from studies import snapshot, write_texts
 
 from bayescal.errors import InputError
 from bayescal.experiments.frame import store as store_module
@@ -62,17 +63,11 @@ def publish(store: Store, content: str) -> None:
 # --- publishing ------------------------------------------------------------------------------------------------------
 
 
-def test_publish_makes_the_results_and_removes_the_work(store):
-    store.save_task("k", ARRAYS)
-    publish(store, "new")
-    assert contents(store.out) == {"new"}
-    assert list_names(store.out.parent) == ["study"]
-
-
-def test_publish_replaces_everything(store):
+def test_publish_replaces_everything_and_removes_the_work(store):
     publish(store, "old")
     (store.out / "left over").touch()
     store.begin(IDENTITY, resume=False)
+    store.save_task("k", ARRAYS)
     publish(store, "new")
     assert contents(store.out) == {"new"}
     assert not (store.out / "left over").exists()
@@ -122,20 +117,16 @@ def test_kill_leaves_the_old_results_or_the_new(store, monkeypatch, step, exists
     assert list_names(store.out.parent) == ["study"]
 
 
-def test_exchange_is_one_system_call_here(store, monkeypatch):
+@pytest.mark.parametrize("at_once", [True, False])
+def test_exchange_is_one_system_call_where_there_is_one(store, monkeypatch, at_once):
     publish(store, "old")
     store.begin(IDENTITY, resume=False)
     fill(store.stage(), "new")
-    monkeypatch.setattr(Path, "rename", None)  # a second step would be needed without the system call
+    if at_once:
+        monkeypatch.setattr(Path, "rename", None)  # a second step would be needed without the system call
+    else:
+        monkeypatch.setattr(store_module.ctypes, "CDLL", lambda *_, **__: None)
     store.publish()
-    assert contents(store.out) == {"new"}
-
-
-def test_exchange_without_the_system_call(store, monkeypatch):
-    publish(store, "old")
-    store.begin(IDENTITY, resume=False)
-    monkeypatch.setattr(store_module.ctypes, "CDLL", lambda *_, **__: None)
-    publish(store, "new")
     assert contents(store.out) == {"new"}
     assert list_names(store.out.parent) == ["study"]
 
@@ -193,37 +184,31 @@ def test_new_and_empty_directories_and_own_results_are_fine(store):
     store.check_results(IDENTITY)
 
 
-def test_results_of_another_config_are_refused(store):
-    publish(store, "old")
-    other = json.loads(json.dumps(IDENTITY))
-    other["config"]["seed"] = 2
+def put(name: str, text: str) -> Callable[[Store], None]:
+    """Return what puts a file in place of results, or into a directory there."""
+    return lambda store: write_texts(store.out.parent, {f"study{name}": text})
+
+
+REFUSED = {
+    "of another seed": (lambda store: publish(store, "old"), "holds results of another config .*, expected those of"),
+    "a directory": (put("/thesis.tex", "years"), "holds no results, expected a new or a results directory"),
+    "a file": (put("", "years of work"), "holds no results, expected a new or a results directory"),
+    **{
+        f"provenance {text!r}": (put(f"/{PROVENANCE_FILE}", text), r"provenance\.json")
+        for text in ("", "{", "[1]", '"x"', "\x00")
+    },
+}
+
+
+@pytest.mark.parametrize("there", REFUSED)
+def test_what_stands_there_is_not_replaced(store, there):
+    put_there, said = REFUSED[there]
+    put_there(store)
     before = snapshot(store.out.parent)
-    with pytest.raises(InputError, match=r"holds results of another config .*, expected those of this one") as caught:
-        store.check_results(other)
+    with pytest.raises(InputError, match=said) as caught:
+        store.check_results({**IDENTITY, "config": IDENTITY["config"] | {"seed": 2}})
     assert "\n" not in str(caught.value)
     assert snapshot(store.out.parent) == before
-
-
-def test_a_directory_without_results_is_refused(store):
-    store.out.mkdir()
-    (store.out / "thesis.tex").write_text("years of work")
-    with pytest.raises(InputError, match="holds no results, expected a new or a results directory"):
-        store.check_results(IDENTITY)
-
-
-def test_a_file_is_refused(store):
-    store.out.write_text("years of work")
-    with pytest.raises(InputError, match="holds no results, expected a new or a results directory"):
-        store.check_results(IDENTITY)
-
-
-@pytest.mark.parametrize("text", ["", "{", "[1]", '"x"', "\x00"])
-def test_damaged_provenance_is_refused(store, text):
-    store.out.mkdir()
-    (store.out / PROVENANCE_FILE).write_text(text)
-    with pytest.raises(InputError, match=r"provenance\.json") as caught:
-        store.check_results(IDENTITY)
-    assert "\n" not in str(caught.value)
 
 
 def test_a_foreign_directory_in_the_way_of_the_work_is_not_emptied(tmp_path):
@@ -257,12 +242,6 @@ def test_resume_keeps_the_tasks(store):
         assert found[name].dtype == values.dtype
 
 
-def test_nothing_to_resume(tmp_path):
-    with pytest.raises(InputError, match="found no interrupted run, expected one to resume"):
-        Store(tmp_path / "study").begin(IDENTITY, resume=True)
-    assert snapshot(tmp_path) == {}
-
-
 def test_resume_with_another_config_lists_every_difference(store):
     other = json.loads(json.dumps(IDENTITY))
     other["config"]["sampler"]["steps"] = 20
@@ -294,16 +273,14 @@ def test_no_differences_between_equals():
 # --- tasks -----------------------------------------------------------------------------------------------------------
 
 
-def test_a_task_not_there_is_not_finished(store):
-    assert store.load_task("k") is None
-
-
 @pytest.mark.parametrize("seed", range(3))
 def test_damaged_task_counts_as_not_finished(store, seed):
+    assert store.load_task("k") is None
     store.save_task("k", ARRAYS)
-    path = store.partial / "k.npz"
+    path, bare = store.partial / "k.npz", io.BytesIO()
+    np.save(bare, np.zeros(3))
     whole, rng = path.read_bytes(), random.Random(seed)
-    damaged = [b"", b"PK", b"\x93NUMPY", whole[: len(whole) // 2], whole[:-1], whole[1:]]
+    damaged = [b"", b"PK", b"\x93NUMPY", bare.getvalue(), whole[: len(whole) // 2], whole[:-1], whole[1:]]
     damaged += [whole[: rng.randrange(len(whole))] for _ in range(30)]
     for _ in range(60):
         at = rng.randrange(300, 4000)  # in the numbers of the first array
@@ -311,12 +288,6 @@ def test_damaged_task_counts_as_not_finished(store, seed):
     for content in damaged:
         path.write_bytes(content)
         assert store.load_task("k") is None
-
-
-def test_a_bare_array_is_no_task(store):
-    np.save(store.partial / "k.npy", np.zeros(3))
-    shutil.move(store.partial / "k.npy", store.partial / "k.npz")
-    assert store.load_task("k") is None
 
 
 class Bomb:
@@ -328,18 +299,15 @@ class Bomb:
         return (setattr, (Bomb, "exploded", True))
 
 
-def test_nothing_is_unpickled(store):
+def test_nothing_is_pickled_or_unpickled(store):
+    with pytest.raises(ValueError, match="Object arrays cannot be saved"):
+        store.save_task("k", {"x": np.array([Bomb()], dtype=object)})
+    assert store.load_task("k") is None
     np.savez(store.partial / "k.npz", x=np.array([Bomb()], dtype=object))
     assert store.load_task("k") is None
     (store.partial / "k.npz").write_bytes(pickle.dumps(Bomb()))
     assert store.load_task("k") is None
     assert not Bomb.exploded
-
-
-def test_nothing_is_pickled(store):
-    with pytest.raises(ValueError, match="Object arrays cannot be saved"):
-        store.save_task("k", {"x": np.array([Bomb()], dtype=object)})
-    assert store.load_task("k") is None
 
 
 def test_read_json_says_what_is_wrong(tmp_path):
@@ -357,11 +325,9 @@ def test_read_json_says_what_is_wrong(tmp_path):
 
 
 def test_a_task_of_another_run_is_not_finished(store):
-    other = json.loads(json.dumps(IDENTITY))
-    other["config"]["seed"] = 2
     store.save_task("k", ARRAYS)
     task = (store.partial / "k.npz").read_bytes()
-    begun = store.begin(other, resume=False)
+    begun = store.begin({**IDENTITY, "config": {"seed": 2}}, resume=False)
     (begun.partial / "k.npz").write_bytes(task)
     assert begun.load_task("k") is None
     begun.save_task("k", ARRAYS)
