@@ -12,20 +12,12 @@ from papers import pose_methods
 
 from bayescal.config.registry import list_references
 from bayescal.errors import InputError
-from bayescal.experiments.audit.design import load_audit
 from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.shared.study_schema import StudyConfig
 from bayescal.machines.mechanism import ExternalLoad
 from bayescal.machines.read import load_mechanism, read_reading_model
 
-LOADERS = {
-    "legs": read_reading_model,
-    "sliding_platform": read_reading_model,
-    "simulation": load_experiment,
-    "audit": load_audit,
-    "line_machine": read_reading_model,
-    "strut_machine": read_reading_model,
-}
+LOADERS = dict.fromkeys(("legs", "sliding_platform", "line_machine", "strut_machine"), read_reading_model)
 SHIPPED = sorted(studies.EXPERIMENTS.rglob("*.toml"))
 
 
@@ -36,14 +28,14 @@ def study(tmp_path) -> Path:
     return tmp_path / "study.toml"
 
 
-def fail(loader, path: Path) -> str:
+def fail(loader, path: Path, said: str = "expected") -> str:
     """Return the one-line message with which loading fails."""
     with pytest.raises(InputError) as caught:
         loader(path)
     message = str(caught.value)
     assert "\n" not in message
     assert message.startswith(str(path))
-    assert "expected" in message
+    assert said in message
     return message
 
 
@@ -203,29 +195,16 @@ def test_missing_kind(study):
     assert "kind: found None" in fail(load_experiment, study)
 
 
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        ('title = "Tiny study"', "title = Tiny study"),
-        ('title = "Tiny study"', 'title = "Tiny study'),
-        ("seed = 11", "seed = "),
-        ("seed = 11", "seed = 11\nseed = 12"),
-        ("[data]", "[data"),
-        ("seed = 11", "seed = 2 mm"),
-    ],
-)
-def test_invalid_toml_names_the_line(study, old, new):
-    studies.edit(study, old, new)
-    with pytest.raises(InputError, match=r"study\.toml: not valid TOML: .*line \d+") as caught:
-        load_experiment(study)
-    assert "\n" not in str(caught.value)
+@pytest.mark.parametrize("value", ["", "eleven", '"eleven', "2 mm", "11\nseed = 12", "11\n[data"])
+def test_invalid_toml_names_the_line(study, value):
+    studies.edit(study, "seed = 11", f"seed = {value}")
+    assert re.search(r"study\.toml: not valid TOML: .*line \d+", fail(load_experiment, study, ""))
 
 
 @pytest.mark.parametrize("value", ["1" * 5000, "[" * 5000], ids=["digits", "brackets"])
 def test_monstrous_toml(study, value):
     studies.edit(study, "seed = 11", f"seed = {value}")
-    with pytest.raises(InputError, match="not valid TOML"):
-        load_experiment(study)
+    assert "not valid TOML" in fail(load_experiment, study, "")
 
 
 def test_missing_file_directory_and_binary(study):
@@ -255,7 +234,6 @@ TWO_WAYS = "expected either diameter_mm, young_modulus_gpa and shear_modulus_gpa
         ("[265.0, ", "[", "platform: found 5 legs, expected 6 as in base"),
         ("[220.0, ", "[", "platform: found 6 legs, expected 5 as in base"),
         ("length_mm = 500.0", "length_mm = [500.0, 500.0]", "legs.length_mm: found 2 legs, expected 6"),
-        ("length_mm = 500.0", "length_mm = []", "legs.length_mm: found 0 legs, expected 6"),
         ("direction = [0.0, 0.0, 1.0]", "direction = [[0.0, 0.0, 1.0], [0.0, 0.0, 1.0]]", "legs.direction: found 2"),
         ("direction = [0.0, 0.0, 1.0]", "direction = [0.0, 0.0, 0.0]", "legs.direction: found a zero vector"),
         ("direction = [0.0, 0.0, 1.0]", "direction = [0.0, 1.0]", "legs.direction: found [0.0, 1.0]"),
@@ -263,32 +241,20 @@ TWO_WAYS = "expected either diameter_mm, young_modulus_gpa and shear_modulus_gpa
         ("position_mm = 10.0", "position_mm = [1, 2, 3, 4, 5]", "legs.initial_actuator_position_mm: found 5 legs"),
         ("length_mm = 500.0", "length_mm = -500.0", "legs.length_mm: found -500.0, expected greater than"),
         ("length_mm = 500.0", 'length_mm = "0.5 m"', "legs.length_mm: found '0.5 m', expected a valid number"),
-        ("length_mm = 500.0", "length_m = 0.5", "legs.length_m: unknown key, did you mean 'length_mm'?"),
         ("radius_mm = 155.0", "radius_m = 0.155", "base.radius_m: unknown key, did you mean 'radius_mm'?"),
         ("radius_mm = 155.0\n", "", "base: expected either radius_mm with azimuth_deg, or points_mm"),
         ("azimuth_deg = [220.0", "azimuth_rad = [220.0", "base.azimuth_rad: unknown key, did you mean 'azimuth_deg'?"),
         ("[legs]", "[leg]", "leg: unknown key, did you mean 'legs'?"),
-        ("name = ", "nme = ", "nme: unknown key, did you mean 'name'?"),
         ("length_mm = 10.0", "length_mm = 0.0", "flexures.length_mm: found 0.0, expected greater than"),
-        ("length_mm = 10.0", "length_mm = -10", "flexures.length_mm: found -10, expected greater than"),
-        (
-            "length_mm = 10.0",
-            "length_mm = [10, 10, 10, 10, 10, -1]",
-            "flexures.length_mm.5: found -1, expected greater",
-        ),
+        ("length_mm = 10.0", "length_mm = [10, 10, 10, 10, 10, -1]", "flexures.length_mm.5: found -1, expected great"),
         ("length_mm = 10.0", "length_mm = [10, 10, 10, 10, 10]", "flexures.length_mm: found 5 legs, expected 6"),
         ("length_mm = 10.0\n", "", "flexures.length_mm: missing, expected a value"),
-        ("length_mm = 10.0", "length_m = 0.01", "flexures.length_m: unknown key, did you mean 'length_mm'?"),
         ("beta = 0.25", "beta = 0", "flexures.beta: found 0, expected greater than 0"),
         ("beta = 0.25", "beta = 0.5", "flexures.beta: found 0.5, expected less than 0.5"),
-        ("beta = 0.25", "beta = 0.7", "flexures.beta: found 0.7, expected less than 0.5"),
         ("beta = 0.25", "beta = [0.2, 0.2, 0.2, 0.7, 0.2, 0.2]", "flexures.beta.3: found 0.7, expected less than 0.5"),
         ("beta = 0.25", "beta = [0.25, 0.25]", "flexures.beta: found 2 legs, expected 6"),
-        ("beta = 0.25", "beta = []", "flexures.beta: found 0 legs, expected 6"),
         ("beta = 0.25", "beta = nan", "flexures.beta: found nan, expected a finite number"),
-        ("beta = 0.25", 'beta = "1/4"', "flexures.beta: found '1/4', expected a valid number"),
         ("diameter_mm = 1.0", "diameter_mm = 0", "stiffness.flexure.diameter_mm: found 0, expected greater than"),
-        ("diameter_mm = 1.0", "diameter_mm = -1.0", "stiffness.flexure.diameter_mm: found -1.0, expected greater"),
         ("diameter_mm = 10.0, young_modulus_gpa = 200", "diameter_mm = 10.0, young_modulus_gpa = -2", "stiffness.leg."),
         ("diameter_mm = 1.0, ", "", f"stiffness.flexure: {TWO_WAYS}"),
         ("{ diameter_mm = 1.0", "{ k1_n_mm2 = 9.0, diameter_mm = 1.0", f"stiffness.flexure: {TWO_WAYS}"),
@@ -298,26 +264,22 @@ TWO_WAYS = "expected either diameter_mm, young_modulus_gpa and shear_modulus_gpa
         (f"flexure = {ROD}\n", "", "stiffness.flexure: missing, expected a value"),
         (ROD, "1.0", "stiffness.flexure: found 1.0, expected"),
         ("[flexures]\nlength_mm = 10.0\nbeta = 0.25", "", "found [stiffness] without [flexures], expected both"),
-        ("[flexures]", "[flexure]", "flexure: unknown key, did you mean 'flexures'?"),
-        ("[stiffness]", "[stifness]", "stifness: unknown key, did you mean 'stiffness'?"),
-        (
-            "diameter_mm = 1.0",
-            "diameter_m = 1.0",
-            "stiffness.flexure.diameter_m: unknown key, did you mean 'diameter_mm'",
-        ),
+        ("diameter_mm = 1.0", "diameter_m = 1.0", "flexure.diameter_m: unknown key, did you mean 'diameter_mm'"),
         ("[stiffness]", "[load]\nmass_kg = -1.0\n[stiffness]", "load.mass_kg: found -1.0, expected greater than"),
         ("[stiffness]", "[load]\nforce_n = [1.0, 2.0]\n[stiffness]", "load.force_n: found [1.0, 2.0], expected"),
-        (
-            "[stiffness]",
-            "[load]\nmoment_n = [1, 2, 3]\n[stiffness]",
-            "load.moment_n: unknown key, did you mean 'moment",
-        ),
+        ("[stiffness]", "[load]\nmoment_n = [1, 2, 3]\n[stiffness]", "load.moment_n: unknown key, did you mean 'mo"),
     ],
 )
 def test_faulty_mechanism(study, old, new, expected):
     path = study.with_name("mechanism.toml")
     studies.edit(path, old, new)
     assert expected in fail(load_mechanism, path)
+
+
+def test_five_legs_are_too_few(study):
+    path = study.with_name("mechanism.toml")
+    path.write_text(path.read_text().replace("[265.0, ", "[").replace("[220.0, ", "["))
+    assert "found 5 legs, expected at least 6" in fail(load_mechanism, path)
 
 
 def test_flexures_by_rod_or_by_numbers(study):
@@ -356,13 +318,6 @@ def test_load_is_a_weight_and_a_wrench(study):
     load = load_mechanism(path).load
     assert load.weight == pytest.approx((0.0, 0.0, -98.0665))
     assert (load.centre_of_mass, load.force, load.moment) == ((1, 2, 3), (4, 5, 6), (7, 8, 9))
-
-
-def test_five_legs_are_too_few(study):
-    path = study.with_name("mechanism.toml")
-    studies.edit(path, "[265.0, ", "[")
-    studies.edit(path, "[220.0, ", "[")
-    assert "found 5 legs, expected at least 6" in fail(load_mechanism, path)
 
 
 def test_mechanism_point_by_point_equals_the_circle(study):
