@@ -11,10 +11,8 @@ from bayescal.experiments.check.page import build_page
 from bayescal.experiments.check.schema import CheckConfig
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.memory import Need, estimate_arrays
-from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.shared.of_another import OfAnother
-from bayescal.report.blocks import Page
 
 DRAWS, RANKS = 6, 4
 """Arrays of all draws of a posterior, and of all ranks."""
@@ -26,9 +24,9 @@ class Check(OfAnother[CheckConfig, CheckInputs]):
     schema = CheckConfig
     tables_in = "tables"
 
-    def read(self, config: CheckConfig, folder: Path) -> CheckInputs:
-        """Return the study's variants."""
-        return read_check(config, folder)
+    read = staticmethod(read_check)
+    compute = staticmethod(compute_check)
+    page = staticmethod(build_page)
 
     def estimate_memory(self, inputs: CheckInputs) -> Need:
         """Return what one data set's posterior takes, two data sets in one where the truth is of the posterior."""
@@ -40,14 +38,6 @@ class Check(OfAnother[CheckConfig, CheckInputs]):
             "fewer poses or draws",
             kept=[(RANKS, 2 * config.data_sets, n)],
         )
-
-    def compute(self, inputs: CheckInputs, run: Run) -> Results:
-        """Return what was found."""
-        return compute_check(inputs, run)
-
-    def page(self, results: Results) -> Page:
-        """Return the page."""
-        return build_page(results)
 
     def list_failures(self, results: Results) -> list[str]:
         """Return the faults by their names."""

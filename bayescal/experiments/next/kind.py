@@ -15,7 +15,6 @@ from bayescal.experiments.next.inputs import NextInputs, read_next
 from bayescal.experiments.next.page import build_page
 from bayescal.experiments.next.schema import NextConfig
 from bayescal.experiments.shared.of_another import OfAnother
-from bayescal.report.blocks import Page
 
 DRAWS = 8
 """Arrays of all draws by requirements at every pose of the workspace."""
@@ -26,10 +25,8 @@ class NextPose(OfAnother[NextConfig, NextInputs]):
 
     schema = NextConfig
     asked_again = True
-
-    def read(self, config: NextConfig, folder: Path) -> NextInputs:
-        """Return the study's variants with the poses measured so far."""
-        return read_next(config, folder)
+    read = staticmethod(read_next)
+    page = staticmethod(build_page)
 
     def estimate_memory(self, inputs: NextInputs) -> Need:
         """Return what candidates take, seen by every variant, and draws over the workspace."""
@@ -51,10 +48,6 @@ class NextPose(OfAnother[NextConfig, NextInputs]):
         """Return what to do; it is over in seconds, and nothing is kept on the way."""
         del run
         return compute_next(inputs)
-
-    def page(self, results: Results) -> Page:
-        """Return the page."""
-        return build_page(results)
 
 
 def configure_next(path: Path, variants: list[str], required: list[str], seed: int | None) -> NextConfig:

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 
 from bayescal.experiments.frame.memory import Need, estimate_arrays
-from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.sessions.compute import compute_sessions, count_kept
 from bayescal.experiments.sessions.inputs import SessionsInputs, read_sessions
 from bayescal.experiments.sessions.page import build_page
 from bayescal.experiments.sessions.schema import SessionsConfig
 from bayescal.experiments.shared.of_another import OfAnother
-from bayescal.report.blocks import Page
 
 JOINT, ROWS, DRAWS, SCRATCH = 12, 8, 6, 24
 """Arrays of all unknowns by each other, of all rows by one session's, of draws by all unknowns, and of each session's
@@ -29,10 +25,9 @@ class Sessions(OfAnother[SessionsConfig, SessionsInputs]):
 
     schema = SessionsConfig
     tables_in = "tables"
-
-    def read(self, config: SessionsConfig, folder: Path) -> SessionsInputs:
-        """Return the sessions' joint model."""
-        return read_sessions(config, folder)
+    read = staticmethod(read_sessions)
+    compute = staticmethod(compute_sessions)
+    page = staticmethod(build_page)
 
     def doubt(self, inputs: SessionsInputs) -> list[str]:
         """Return whether temperatures are stated that nothing is made of."""
@@ -56,14 +51,6 @@ class Sessions(OfAnother[SessionsConfig, SessionsInputs]):
             ],
             "fewer sessions, poses or draws",
         )
-
-    def compute(self, inputs: SessionsInputs, run: Run) -> Results:
-        """Return what moved."""
-        return compute_sessions(inputs, run)
-
-    def page(self, results: Results) -> Page:
-        """Return the page."""
-        return build_page(results)
 
     def list_failures(self, results: Results) -> list[str]:
         """Return which models have weights that cannot be relied on."""

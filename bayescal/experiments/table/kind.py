@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from bayescal.experiments.frame.memory import Need, estimate_arrays
-from bayescal.experiments.frame.parallel import Run
-from bayescal.experiments.frame.results import Results
 from bayescal.experiments.shared.of_another import OfAnother
 from bayescal.experiments.shared.readings.memory import list_variant
 from bayescal.experiments.shared.search_memory import KEPT_READINGS, list_sampling
@@ -14,7 +10,6 @@ from bayescal.experiments.table.compute import compute_table
 from bayescal.experiments.table.inputs import TableInputs, read_table
 from bayescal.experiments.table.page import build_page
 from bayescal.experiments.table.schema import TableConfig
-from bayescal.report.blocks import Page
 
 RESPONSES, ELSEWHERE, SLOPES = 4, 64, 6
 """Arrays of all draws' responses at all places, poses beside the table's, and arrays of derivatives at all places."""
@@ -24,10 +19,9 @@ class LookUpTable(OfAnother[TableConfig, TableInputs]):
     """What actuators have to do by elevation, temperature and the like."""
 
     schema = TableConfig
-
-    def read(self, config: TableConfig, folder: Path) -> TableInputs:
-        """Return the study's variant and the places of the table."""
-        return read_table(config, folder)
+    read = staticmethod(read_table)
+    compute = staticmethod(compute_table)
+    page = staticmethod(build_page)
 
     def estimate_memory(self, inputs: TableInputs) -> Need:
         """Return what every draw does at every place of the table, and what its study takes."""
@@ -49,11 +43,3 @@ class LookUpTable(OfAnother[TableConfig, TableInputs]):
     def doubt(self, inputs: TableInputs) -> list[str]:
         """Return what may have happened to readings that no machine within its priors comes near."""
         return [] if inputs.slip is None else [inputs.slip.say()]
-
-    def compute(self, inputs: TableInputs, run: Run) -> Results:
-        """Return the table."""
-        return compute_table(inputs, run)
-
-    def page(self, results: Results) -> Page:
-        """Return the page."""
-        return build_page(results.tables, results.summary)

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from matplotlib import figure as mpl
 
-from bayescal.experiments.frame.results import list_rows
+from bayescal.experiments.frame.results import Results, list_rows
 from bayescal.experiments.shared.origin import name_origin
 from bayescal.experiments.shared.slips import state_slip
 from bayescal.numerics.units import ARCSECOND, MICROMETRE
@@ -17,7 +17,6 @@ from bayescal.report.blocks import (
     Cell,
     Column,
     Figure,
-    Level,
     Page,
     Section,
     Statement,
@@ -30,15 +29,16 @@ from bayescal.report.style import GREY, LEG_COLOURS
 from bayescal.report.symbols import quote
 
 SHOWN = {"mm": (1.0 / MICROMETRE, "µm"), "rad": (1.0 / ARCSECOND, "arcsec")}
-MARKS = {"deg": "°", "c": "°C"}
+MARKS = {"deg": "°", "c": " °C"}
 CURVES = 3
 SMALL = 0.1  # of the table's own error, which its few terms may miss without anybody's noticing
 FEW_ROWS = 60
 LITTLE = 0.05  # of the table's error; a plan that promises less is no advice
 
 
-def build_page(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Page:
+def build_page(results: Results) -> Page:
     """Return the page of a look-up table."""
+    tables, summary = results.tables, results.summary
     return Page(
         "Look-up table",
         summary["experiment"],
@@ -46,12 +46,7 @@ def build_page(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Page
         name_origin(summary["origin"]),
         state_headline(summary),
         tuple(_state(tables, summary)),
-        (
-            _show_offsets(tables, summary),
-            _show_corrections(tables, summary),
-            _show_terms(tables, summary),
-            _show_plan(tables, summary),
-        ),
+        tuple(show(tables, summary) for show in (_show_offsets, _show_corrections, _show_terms, _show_plan)),
         (
             ("Machine", str(summary["machine"])),
             ("Study", f"{summary['study']}, variant {summary['variant']}"),
@@ -65,7 +60,10 @@ def build_page(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Page
 
 def state_headline(summary: dict[str, Any]) -> str:
     """Return whether to use the table, how well it tells where the platform is, and how far that moves without it."""
-    spans = [_span(name, *ends) for name, ends in summary["axes"].items()]
+    spans = []
+    for name, (low, high) in summary["axes"].items():
+        words, unit = _split(name)
+        spans.append(f"{format_plain(low)} to {format_plain(high)}{unit} of {words}")
     moves, known = [_largest(summary, key) for key in ("largest_offset", "largest_half_width_90")]
     worth = any(one["largest_offset"] > one["largest_half_width_90"] for one in summary["coordinates"].values())
     sound = summary["converged"] and "slip" not in summary
@@ -95,18 +93,9 @@ def _split(column: str) -> tuple[str, str]:
     return (stem.replace("_", " "), MARKS.get(unit, f" {unit}")) if stem else (column, "")
 
 
-def _span(name: str, low: float, high: float) -> str:
-    words, unit = _split(name)
-    return f"{format_plain(low)} to {format_plain(high)}{_space(unit)} of {words}"
-
-
-def _space(unit: str) -> str:
-    return f" {unit}" if unit == "°C" else unit
-
-
 def _name_place(place: dict[str, float]) -> str:
     parts = [(*_split(name), value) for name, value in place.items()]
-    return ", ".join(f"{words} {format_plain(value)}{_space(unit)}" for words, unit, value in parts)
+    return ", ".join(f"{words} {format_plain(value)}{unit}" for words, unit, value in parts)
 
 
 def _state(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> list[Statement]:
@@ -114,21 +103,10 @@ def _state(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> list[Sta
     if not summary["converged"]:
         text = f"The posterior did not converge ({'; '.join(summary['problems'])}); the table was made by force."
         found.append(Statement(text, "bad", "Convergence"))
-    return [
-        *found,
-        _state_gain(summary),
-        _state_terms(summary),
-        _state_elsewhere(summary),
-        _state_plan(tables, summary),
-    ]
-
-
-def _state_gain(summary: dict[str, Any]) -> Statement:
-    now, prior = summary["sd_by_data"], summary["sd_by_tolerances"]
-    text = (
-        f"A correction is known to {_amount(now, _unit(summary))} (sd, rms over the table); the tolerances alone left "
-    )
-    return Statement(f"{text}{_amount(prior, _unit(summary))}.", "good" if now < 0.5 * prior else "warning", "Error")
+    now, prior, unit = summary["sd_by_data"], summary["sd_by_tolerances"], _unit(summary)
+    text = f"A correction is known to {_amount(now, unit)} (sd, rms over the table); the tolerances alone left "
+    found.append(Statement(f"{text}{_amount(prior, unit)}.", "good" if now < 0.5 * prior else "warning", "Error"))
+    return [*found, _state_terms(summary), _state_elsewhere(summary), _state_plan(tables, summary)]
 
 
 def _unit(summary: dict[str, Any]) -> str:
@@ -138,15 +116,11 @@ def _unit(summary: dict[str, Any]) -> str:
 def _state_terms(summary: dict[str, Any]) -> Statement:
     misfit = max(one["polynomial_misfit"] for one in summary["actuators"].values())
     sd = max(one["largest_sd"] for one in summary["actuators"].values())
-    words = f"the few terms below miss the table by at most {_amount(misfit, _unit(summary))}"
+    words = f"The few terms below miss the table by at most {_amount(misfit, _unit(summary))}"
     if misfit <= SMALL * sd:
-        return Statement(f"{words[0].upper()}{words[1:]}: they may stand in for it.", "good", "Formula")
-    level: Level = "plain" if misfit <= sd else "warning"
-    return Statement(
-        f"{words[0].upper()}{words[1:]}; a correction's own sd is at most {_amount(sd, _unit(summary))}.",
-        level,
-        "Formula",
-    )
+        return Statement(f"{words}: they may stand in for it.", "good", "Formula")
+    text = f"{words}; a correction's own sd is at most {_amount(sd, _unit(summary))}."
+    return Statement(text, "plain" if misfit <= sd else "warning", "Formula")
 
 
 def _state_elsewhere(summary: dict[str, Any]) -> Statement:

@@ -13,6 +13,7 @@ from lookup_tables import change
 
 from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load
+from bayescal.experiments.frame.results import Results
 from bayescal.experiments.table.compute import find_table, summarise, tabulate
 from bayescal.experiments.table.inputs import differentiate_correction, plan_measurements, respond
 from bayescal.experiments.table.page import build_page
@@ -148,7 +149,7 @@ def test_tables_and_page_say_what_was_found(inputs, found):
     drawn = found.responses.correction
     expected = [np.cov(drawn[:, g, 1], drawn[:, g, 4])[0, 1] for g in range(len(inputs.cells))]
     np.testing.assert_allclose(first, expected, rtol=1e-9)
-    page = build_page(tables, summary)
+    page = build_page(Results(summary, tables))
     assert page.headline.startswith(
         "Do not correct by the table yet: from 0 to 90° of elevation and 0 to 20 °C of temperature it"
     )
