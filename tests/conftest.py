@@ -99,12 +99,13 @@ def call(monkeypatch, capsys):
 def refuse(call):
     """Return a function that checks that a call is refused in one line that matches, and that nothing is written."""
 
-    def check(said: str, out: Path, *arguments: object) -> None:
+    def check(said: str, out: Path, *arguments: object) -> str:
         before = snapshot(out.parent)
         code, printed, complaint = call(*arguments, "--out", out)
         assert (code, printed, complaint.count("\n")) == (2, "", 1), complaint
         assert re.search(said, complaint), complaint
         assert snapshot(out.parent) == before
+        return complaint
 
     return check
 

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import studies
+from calibrations import change
 
 SHIPPED = Path(__file__).parents[1] / "experiments" / "m2_hexapod_table"
 LITTLE = {"walkers": "24", "burn_in": "4", "steps": "10", "ensembles": "4", "draws": "1000", "max_draws": "1000"}
 RAIL = """from typing import Any
 
 import numpy as np
-import studies
 
 from bayescal.machines.parameters import ParameterBlock
 from bayescal.machines.readings import Channel, Coordinate, ReadingMachine
@@ -100,11 +100,3 @@ def write_rail(folder: Path) -> Path:
 def write_data(folder: Path) -> None:
     """Simulate the data of a folder."""
     studies.write_texts(folder / "data", studies.simulate(folder / "simulate.toml", seed=5).files)
-
-
-def change(path: Path, old: str, new: str) -> Path:
-    """Replace a text of a file, which must be there."""
-    text = path.read_text()
-    assert old in text, old
-    path.write_text(text.replace(old, new))
-    return path

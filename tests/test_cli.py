@@ -85,6 +85,8 @@ def test_help_of_every_command_shows_an_example(call, command):
     code, out, err = call(command, "--help")
     assert (code, err) == (0, "")
     assert f"Example: bayescal {command} " in " ".join(out.split())
+    if command in ("run", "audit", "sweep", "next", "check", "table"):
+        assert all(f"--{one}" in out for one in ("out", "seed", "workers", "scheduler", "resume", "quiet"))
 
 
 @pytest.mark.parametrize(
@@ -259,15 +261,6 @@ def test_simulate_writes_the_survey(call, study):
     assert truth < written.keys()
     assert call("simulate", "simulate.toml", "--out", "other", "--seed", 7)[0] == 0
     assert Path("other/targets.csv").read_text() != Path("new/data/targets.csv").read_text()
-
-
-def test_simulation_out_of_reach_is_3(call, study):
-    studies.edit(Path("simulate.toml"), "unit_mm = 1.3", "unit_mm = 2000.0")
-    before = studies.snapshot(Path())
-    code, out, err = call("simulate", "simulate.toml", "--out", "new")
-    assert (code, out) == (3, "")
-    assert err.count("\n") == 1
-    assert studies.snapshot(Path()) == before
 
 
 @pytest.mark.parametrize("to_file", [True, False], ids=["file", "standard output"])

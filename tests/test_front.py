@@ -237,10 +237,7 @@ def test_the_notebook_runs_in_few_lines_and_agrees_with_the_firmware(tmp_path, m
 # --- what is refused -------------------------------------------------------------------------------------------------
 
 FAULTS = {
-    "missing channel": (
-        lambda t: t.drop(columns="s_2_mm"),
-        "found no column of channel 's[2]', which is in data.channels",
-    ),
+    "missing channel": (lambda t: t.drop(columns="s_2_mm"), "found no column of channel 's[2]', which is in data.chan"),
     "wrong unit": (lambda t: t.rename(columns={"s_1_mm": "s_1_kg"}), "found column 's_1_kg', whose unit is none"),
     "one name twice": (lambda t: t.assign(pose="A"), "line 3: pose 'A' is already on line 2, expected it once"),
     "no rows": (lambda t: t.head(0), "found no rows, expected at least one"),
@@ -248,10 +245,7 @@ FAULTS = {
         lambda t: t.mask(t["pose"] == "C003").assign(pose=t["pose"], use=t["use"]),
         "pose 'C003': found no",
     ),
-    "text": (
-        lambda t: t.astype({"s_1_mm": object}).replace({"s_1_mm": {t["s_1_mm"][0]: "a"}}),
-        "found 'a', expected a",
-    ),
+    "text": (lambda t: t.astype(object).replace({"s_1_mm": {t["s_1_mm"][0]: "a"}}), "found 'a', expected a"),
     "infinite": (lambda t: t.assign(s_1_mm=np.inf), "s_1_mm: found inf, expected a finite number"),
 }
 

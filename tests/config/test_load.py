@@ -190,6 +190,13 @@ def test_misspelt_kind(study):
     assert f"kind: found 'studdy', did you mean 'study'?, expected one of {kinds}" in found
 
 
+def test_a_wrong_model_is_told_with_its_line(study):
+    studies.edit(study, 'model = "six_pus"\ndeformation = "matrix"', 'model = "six_puss"\ndeformation = "matrix"')
+    line = studies.find_line(study, 'model = "six_puss"')
+    said = f"line {line}: variants.1.model: found 'six_puss', did you mean 'six_pus'?"
+    assert said in fail(load_experiment, study)
+
+
 def test_missing_kind(study):
     studies.edit(study, 'kind = "study"\n', "")
     assert "kind: found None" in fail(load_experiment, study)

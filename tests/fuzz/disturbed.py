@@ -276,12 +276,13 @@ def limit_files(stage: Stage, quiet: Undisturbed, rng: np.random.Generator) -> l
     return _end_without_room(stage, stage.start(prepare=prepare))
 
 
-def _end_without_room(stage: Stage, child: Child) -> list[str]:
+def _end_without_room(stage: Stage, child: Child, make_room: Callable[[], None] = lambda: None) -> list[str]:
     faults = stage.find_faults(child)
     if child.code == 3 and not stage.out.exists() and "expected room to write" not in child.text:
         faults.append(f"{child.text!r}")
     if stage.out.exists() and child.code not in (0, 3):
         faults.append(f"results are there with code {child.code}")
+    make_room()
     return faults or ([] if stage.out.exists() else stage.finish())
 
 
@@ -299,7 +300,7 @@ def fill_disk(stage: Stage, quiet: Undisturbed, rng: np.random.Generator) -> lis
         try:
             die_with_parent()
             mount_small(stage.out.parent, room)
-            found = _end_without_room_mounted(stage)
+            found = _end_without_room(stage, stage.start(), lambda: mount_small(stage.out.parent, 2**30, again=True))
             found += compare(stage, quiet)
         except OSError as error:
             found = [f"{NOT_POSSIBLE}: {error}"]
@@ -313,15 +314,6 @@ def fill_disk(stage: Stage, quiet: Undisturbed, rng: np.random.Generator) -> lis
         faults: list[str] = json.loads(pipe.read())
     os.waitpid(pid, 0)
     return faults
-
-
-def _end_without_room_mounted(stage: Stage) -> list[str]:
-    child = stage.start()
-    faults = stage.find_faults(child)
-    if child.code == 3 and not stage.out.exists() and "expected room to write" not in child.text:
-        faults.append(f"{child.text!r}")
-    mount_small(stage.out.parent, 2**30, again=True)
-    return faults or ([] if stage.out.exists() else stage.finish())
 
 
 NOT_POSSIBLE = "no file system can be mounted here"

@@ -9,7 +9,7 @@ import pytest
 import studies
 
 from bayescal import cli
-from bayescal.errors import InputError, NumericalError
+from bayescal.errors import NumericalError
 from bayescal.experiments.check import compute
 from bayescal.experiments.check.faults import Finding
 from bayescal.experiments.check.kind import configure_check
@@ -55,25 +55,13 @@ def test_the_best_variant_is_checked_where_none_is_named(study, tmp_path, monkey
     assert list(finished.summary["variants"]) == ["six_pus/matrix"]
 
 
-@pytest.mark.parametrize(
-    ("change", "fault"),
-    [
-        (
-            lambda folder: calibrations.write_audit(folder),
-            "found 'audit', expected 'study'",
-        ),
-        (
-            lambda folder: studies.write_tiny_study(folder),
-            "variant 'six_pus/q': unknown here, expected one of six_pus/none",
-        ),
-    ],
-)
-def test_what_cannot_be_checked_is_one_line(tmp_path, change, fault):
-    folder = tmp_path / "study"
-    folder.mkdir()
-    path = change(folder)
-    with pytest.raises(InputError, match=fault) as error:
-        run("check", path, "--variant", "six_pus/q", "--out", tmp_path / "out", "--workers", "1", "--quiet")
-    assert error.value.exit_code == 2
-    assert "\n" not in str(error.value)
-    assert not (tmp_path / "out").exists()
+CANNOT = {
+    "found 'audit', expected 'study'": calibrations.write_audit,
+    "variant 'q': unknown here, expected one of six_pus/none": studies.write_tiny_study,
+    "variant 'q': unknown here, expected one of all, one_rod": calibrations.write_delta,
+}
+
+
+@pytest.mark.parametrize("fault", CANNOT)
+def test_what_cannot_be_checked_is_one_line(tmp_path, refuse, fault):
+    refuse(fault, tmp_path / "out", "check", CANNOT[fault](tmp_path), "--variant", "q")

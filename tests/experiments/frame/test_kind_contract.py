@@ -19,7 +19,6 @@ import tiny_experiments
 from bayescal.config.registry import list_references
 from bayescal.experiments import USES
 from bayescal.experiments.frame import memory
-from bayescal.experiments.frame.interrupts import INTERRUPTED
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.run import run_experiment, write_report
 from bayescal.experiments.frame.store import Store
@@ -200,16 +199,12 @@ def test_the_page_is_written_again_from_files_alone(finished, tmp_path, pictures
             )
 
 
-def test_results_of_another_config_are_refused(finished, call):
+def test_results_of_another_config_are_refused(finished, refuse):
     _, path, out = finished
-    before = read_all(out)
-    code, said, complaint = call("run", path, "--out", out, "--seed", 987654)
-    assert (code, said, complaint.count("\n")) == (2, "", 1)
-    assert "holds results of another config" in complaint
-    assert read_all(out) == before
+    refuse("holds results of another config", out, "run", path, "--seed", 987654)
 
 
-def test_more_than_there_is_memory_for_is_refused_before_anything_is_written(finished, monkeypatch, call):
+def test_more_than_there_is_memory_for_is_refused_before_anything_is_written(finished, monkeypatch, refuse):
     """By the kind's own estimate: there is enough for Python and for reading."""
     kind, path, out = finished
     experiment, config = load(path)
@@ -221,58 +216,37 @@ def test_more_than_there_is_memory_for_is_refused_before_anything_is_written(fin
     enough = need.sum_up(1)
     monkeypatch.setattr(memory, "measure_available", lambda: enough - 1.0)
     where = out.with_name("refused") / "out"
-    code, said, complaint = call("run", path, "--out", where, "--workers", 1)
-    assert (code, said, complaint.count("\n")) == (2, "", 1)
-    assert "memory: found" in complaint
+    refuse("memory: found", where, "run", path, "--workers", 1)
     assert not where.parent.exists()
     monkeypatch.setattr(memory, "measure_available", lambda: enough)
     memory.check_memory(need, 1)
 
 
-def test_there_must_be_something_to_resume(finished, call, tmp_path):
+def test_there_must_be_something_to_resume(finished, refuse, tmp_path):
     _, path, _ = finished
-    code, _, complaint = call("run", path, "--out", tmp_path / "new" / "out", "--resume")
-    assert (code, complaint.count("\n")) == (2, 1)
-    assert "found no interrupted run, expected one to resume" in complaint
+    refuse("found no interrupted run, expected one to resume", tmp_path / "new" / "out", "run", path, "--resume")
     assert not (tmp_path / "new").exists()
 
 
-def _remove(name):
-    return lambda out: (out / name).unlink()
-
-
-def _empty(name):
-    return lambda out: (out / name).write_text("{}\n")
-
-
-def _spoil_table(out):
-    table = out / next(iter(json.loads((out / "provenance.json").read_text())["tables"]))
-    header = table.read_text().partition("\n")[0]
-    table.write_text(f"{header}\n{','.join(['nonsense'] * len(header.split(',')))}\n")
-
-
-@pytest.mark.parametrize(
-    "damage", [_remove("provenance.json"), _remove("summary.json"), _empty("provenance.json"), _empty("summary.json")]
-)
-def test_damaged_results_are_one_line(finished, damage, call, tmp_path):
-    _, _, out = finished
-    shutil.copytree(out, tmp_path / "damaged")
-    damage(tmp_path / "damaged")
-    before = read_all(tmp_path / "damaged")
-    code, said, complaint = call("report", tmp_path / "damaged", "--trust-code")
-    assert (code, said, complaint.count("\n")) == (2, "", 1), complaint
-    assert str(tmp_path / "damaged") in complaint
-    assert read_all(tmp_path / "damaged") == before
-
-
-def test_a_spoilt_table_is_one_line(finished, call, tmp_path):
-    _, _, out = finished
-    if not json.loads((out / "provenance.json").read_text())["tables"]:
+@pytest.mark.parametrize("name", ["provenance.json", "summary.json", "a table"])
+@pytest.mark.parametrize("damage", ["removed", "emptied"])
+def test_damaged_results_are_one_line(finished, name, damage, call, tmp_path):
+    found = shutil.copytree(finished[2], tmp_path / "damaged")
+    tables = json.loads((found / "provenance.json").read_text())["tables"]
+    if name == "a table" and not tables:
         pytest.skip("this kind writes no tables")
-    shutil.copytree(out, tmp_path / "damaged")
-    _spoil_table(tmp_path / "damaged")
-    code, _, complaint = call("report", tmp_path / "damaged", "--trust-code")
-    assert (code, complaint.count("\n")) == (2, 1)
+    path = found / (next(iter(tables)) if name == "a table" else name)
+    header = path.read_text().partition("\n")[0]
+    if damage == "removed":
+        path.unlink()
+    else:
+        nonsense = f"{header}\n{','.join(['nonsense'] * len(header.split(',')))}\n"
+        path.write_text(nonsense if name == "a table" else "{}\n")
+    before = read_all(found)
+    code, said, complaint = call("report", found, "--trust-code")
+    assert (code, said, complaint.count("\n")) == (2, "", 1), complaint
+    assert str(found) in complaint
+    assert read_all(found) == before
 
 
 def test_compare_takes_two_results_or_says_why_not(finished, call):
@@ -280,11 +254,3 @@ def test_compare_takes_two_results_or_says_why_not(finished, call):
     code, said, complaint = call("compare", out, out, "--trust-code")
     assert code == 0, complaint
     assert "variant" in said or "entry" in said
-
-
-def test_options_are_those_of_every_kind(call):
-    for command in ("run", "audit", "sweep", "next"):
-        code, said, _ = call(command, "--help")
-        assert code == 0
-        assert all(option in said for option in ("--out", "--seed", "--workers", "--scheduler", "--resume", "--quiet"))
-    assert INTERRUPTED == 130

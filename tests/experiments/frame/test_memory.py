@@ -29,10 +29,7 @@ def test_every_process_counts(monkeypatch):
         check_memory(NEED, 2)
     check_memory(NEED, 0)  # others compute
     check_memory(Need(), 100)  # nothing is known
-
-
-def test_a_system_that_does_not_say_refuses_nothing(monkeypatch):
-    monkeypatch.setattr(memory, "measure_available", lambda: None)
+    monkeypatch.setattr(memory, "measure_available", lambda: None)  # a system that does not say
     check_memory(NEED, 1000)
 
 

@@ -36,16 +36,5 @@ def test_without_a_terminal_it_is_as_wide_as_columns_says(monkeypatch):
     assert make_console().width == 80
     monkeypatch.setenv("COLUMNS", "wide")
     assert make_console(160).width == 160
-
-
-def test_colour_stands_on_terminals_alone_and_obeys_no_color(monkeypatch):
     monkeypatch.delenv("FORCE_COLOR", raising=False)
     assert not make_console().color_system
-    monkeypatch.setenv("TERM", "xterm-256color")
-    coloured = Console(force_terminal=True, color_system="256", file=io.StringIO())
-    coloured.print("[red]x[/red]")
-    assert "\x1b[31m" in coloured.file.getvalue()
-    monkeypatch.setenv("NO_COLOR", "1")
-    plain = Console(force_terminal=True, color_system="256", file=io.StringIO())
-    plain.print("[red]x[/red]")
-    assert "\x1b[31m" not in plain.file.getvalue()

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from experiments.frame import toys
+from studies import edit
 
 import bayescal as bc
 from bayescal.files.manifest import MANIFEST, check_whole, write_manifest
@@ -42,12 +43,6 @@ DAMAGES = {
     "calibrated.toml added": lambda folder: add(folder / "notes" / ".." / "calibrated.toml"),
     f"no {MANIFEST}": lambda folder: (folder / MANIFEST).unlink(),
 }
-
-
-def edit(path: Path, old: str, new: str) -> None:
-    text = path.read_text()
-    assert old in text
-    path.write_text(text.replace(old, new, 1))
 
 
 def add(path: Path) -> None:

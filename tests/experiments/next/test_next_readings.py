@@ -161,16 +161,6 @@ def test_it_says_where_to_go_and_what_to_expect(question, call, no_pictures):
 
 
 @pytest.mark.runs
-def test_a_study_is_asked_for_requirements_in_its_command(question, call, no_pictures):
-    """The same question as of a file: what is stated is what is computed with."""
-    study, out = question.with_name("study.toml"), question.parent / "out"
-    code, said, complaint = call("next", study, "--variant", "all", "--require", "z=5.0", "--seed", 5, "--out", out)
-    assert (code, complaint) == (0, "")
-    assert said.startswith("Stop: after 25 poses")
-    assert json.loads((out / "summary.json").read_text())["name"] == f"{load(study)[1].name}_next"
-
-
-@pytest.mark.runs
 def test_it_stops_or_says_that_nothing_helps(question, call, no_pictures):
     calibrations.change(question, "x = 0.08\ny = 0.08\nz = 0.05", "z = 5.0")
     assert call("next", question, "--out", question.parent / "a")[1].startswith("Stop: after 25 poses")
@@ -200,10 +190,7 @@ FAULTS = {
     'variants = ["all"]': ('variants = ["any"]', "variant 'any': unknown here, expected one of all, one_rod"),
     "draws = 300": ("draws = 300\nfirst = 99", "first: found 99, expected at most 25"),
     "count = 60": ("range_mm = 3.0", "candidates.range_mm: found it of a machine without legs"),
-    "[requirements]": (
-        "[workspace]\nposition_mm = [1, 1, 1]\nrotation_deg = [1, 1, 1]\n\n[requirements]",
-        "no hexapod",
-    ),
+    "[requirements]": ("[workspace]\nposition_mm = [1, 1, 1]\nrotation_deg = [1, 1, 1]\n[requirements]", "no hexapod"),
     "[candidates]": ("[workspace]\nu = [0.0, 1.0]\n\n[candidates]", "workspace: found 'u', expected some of x, y, z"),
 }
 

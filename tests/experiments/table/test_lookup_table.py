@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import studies
-from lookup_tables import change
+from calibrations import change
 
 from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load
