@@ -236,20 +236,16 @@ def main() -> None:
     except Exception as error:
         if os.environ.get(TRACEBACK):
             raise
-        code = _complain(_describe_own_fault(error), NumericalError.exit_code)
+        where = traceback.extract_tb(error.__traceback__)[-1]
+        code = _complain(
+            f"{type(error).__name__}: {error} ({Path(where.filename).name}, line {where.lineno}): {OWN_FAULT}, "
+            f"expected a line that says what is wrong; please report it with what {TRACEBACK}=1 shows",
+            NumericalError.exit_code,
+        )
     finally:
         say_by(None)
         change_policy()  # what a call forbids or allows holds for that call
     sys.exit(code or 0)
-
-
-def _describe_own_fault(error: Exception) -> str:
-    """Return what nobody foresaw in a line: where, what, and how to see all of it."""
-    where = traceback.extract_tb(error.__traceback__)[-1]
-    return (
-        f"{type(error).__name__}: {error} ({Path(where.filename).name}, line {where.lineno}): {OWN_FAULT}, expected a "
-        f"line that says what is wrong; please report it with what {TRACEBACK}=1 shows"
-    )
 
 
 def _complain(message: str, code: int) -> int:

@@ -181,10 +181,6 @@ def suggest(name: str, known: Iterable[str]) -> str:
     return f", did you mean {close[0]!r}?" if close else ""
 
 
-def _one_of(names: Iterable[str]) -> str:
-    return "one of " + ", ".join(sorted(names))
-
-
 def look_up[T](registry: Mapping[str, T], name: str, what: str, where: Path) -> T:
     """Return the entry of a registry; InputError with the nearest name where there is none."""
     if name not in registry:
@@ -194,14 +190,15 @@ def look_up[T](registry: Mapping[str, T], name: str, what: str, where: Path) -> 
 
 def describe_unknown(known: Iterable[str], name: str) -> str:
     """Return that a name is none of those known, with the nearest one."""
-    known = list(known)
-    return f"found {name!r}{suggest(name, known)}, expected {_one_of(known)}"
+    known = sorted(known)
+    return f"found {name!r}{suggest(name, known)}, expected one of {', '.join(known)}"
 
 
 def describe_unknown_key(known: Iterable[str], key: str) -> str:
     """Return that a key of a section is none of those known, with the nearest one."""
-    known = list(known)
-    return f"unknown key{suggest(key, known)}, expected {_one_of(known) if known else 'none'}"
+    known = sorted(known)
+    expected = f"one of {', '.join(known)}" if known else "none"
+    return f"unknown key{suggest(key, known)}, expected {expected}"
 
 
 def dump_config(config: Section) -> dict[str, Any]:

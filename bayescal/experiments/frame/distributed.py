@@ -294,22 +294,17 @@ def _work(batch: bytes, parcel: Parcel) -> bytes:
         if differ := _compare(list_all_versions(), parcel[1]):
             return pickle.dumps((NumericalError, f"a worker has {differ}"))
         try:
-            function, shared = _unpack(parcel)
+            token, _, content = parcel
+            if token not in _unpacked:  # a stage's function and what its tasks share, once
+                while len(_unpacked) >= KEPT:
+                    del _unpacked[next(iter(_unpacked))]
+                _unpacked[token] = pickle.loads(content)
+            function, shared = _unpacked[token]
             mine = pickle.loads(batch)
         except (ImportError, AttributeError, pickle.UnpicklingError) as error:
             return pickle.dumps((NumericalError, f"a worker lacks what it needs ({_one_line(error)})"))
         outcomes = [_run_limited(function, shared, task) for task in mine]
         return pickle.dumps((ANSWER, time.thread_time() - began, outcomes), protocol=pickle.HIGHEST_PROTOCOL)
-
-
-def _unpack(parcel: Parcel) -> tuple[Callable[[Any, Any], Any], Any]:
-    """Return a stage's function and what its tasks share, unpacked once."""
-    token, _, content = parcel
-    if token not in _unpacked:
-        while len(_unpacked) >= KEPT:
-            del _unpacked[next(iter(_unpacked))]
-        _unpacked[token] = pickle.loads(content)
-    return _unpacked[token]
 
 
 def _run_limited[S, T](function: Callable[[S, T], Any], shared: S, task: T) -> Record | Failure:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import math
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -104,29 +104,16 @@ def check_memory(need: Need, workers: int) -> None:
 
 def measure_available() -> float | None:
     """Return the bytes that this process may still take; None where the system does not say."""
-    known = [*_read_system(), *_read_cgroups()]
-    return min(known) if known else None
-
-
-def _read_system() -> Iterator[float]:
-    try:
-        for line in Path("/proc/meminfo").read_text().splitlines():
-            if line.startswith("MemAvailable:"):
-                yield 1024.0 * float(line.split()[1])
-                return
-    except OSError:
-        pass
-    with contextlib.suppress(ValueError, OSError, AttributeError):
-        yield float(os.sysconf("SC_AVPHYS_PAGES")) * os.sysconf("SC_PAGE_SIZE")
-
-
-def _read_cgroups() -> Iterator[float]:
-    """Yield what a container's limit leaves; files that the kernel caches can be given back."""
-    for limit, stat, use in CGROUPS:
+    known: list[float] = []
+    with contextlib.suppress(OSError):
+        lines = Path("/proc/meminfo").read_text().splitlines()
+        known += [1024.0 * float(line.split()[1]) for line in lines if line.startswith("MemAvailable:")]
+    if not known:
+        with contextlib.suppress(ValueError, OSError, AttributeError):
+            known.append(float(os.sysconf("SC_AVPHYS_PAGES")) * os.sysconf("SC_PAGE_SIZE"))
+    for limit, stat, use in CGROUPS:  # what a container's limit leaves; files that the kernel caches can be given back
         with contextlib.suppress(OSError, ValueError):  # no such limit, or "max"
-            cached = sum(
-                float(line.split()[1])
-                for line in Path(stat).read_text().splitlines()
-                if line.split()[0] in ("inactive_file", "total_inactive_file")
-            )
-            yield max(0.0, float(Path(limit).read_text()) - float(Path(use).read_text()) + cached)
+            rows = [line.split() for line in Path(stat).read_text().splitlines()]
+            cached = sum(float(size) for name, size, *_ in rows if name in ("inactive_file", "total_inactive_file"))
+            known.append(max(0.0, float(Path(limit).read_text()) - float(Path(use).read_text()) + cached))
+    return min(known, default=None)

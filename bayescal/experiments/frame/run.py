@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -110,7 +110,9 @@ def admit(config: ExperimentConfig, folder: Path, workers: int) -> Admitted:
         check_memory(need, workers)
         blocks = find_blocks(config.blocks, folder, folder)
         modules = hash_modules([type(one) for one in (experiment, *blocks)]) | experiment.modules(config, folder)
-        identity = identify(config, folder, _list_files(experiment, config, folder), modules)
+        own = [("KINDS", config.kind), *(("BLOCKS", one) for one in config.blocks)]
+        sources = [file for what, name in own for file in list_sources(what, name, folder)]
+        identity = identify(config, folder, [*experiment.files(config, folder), *sources], modules)
     return Admitted(experiment, inputs, need, blocks, keep_code(folder, config.kind, config.blocks), identity)
 
 
@@ -216,14 +218,6 @@ def check_experiment(config: ExperimentConfig, folder: Path) -> tuple[list[str],
     if admitted.need.sizes:
         outlook = [*outlook, f"a run computes with {admitted.need.describe(workers)}"]
     return sorted(admitted.identity["files"]), outlook, doubts
-
-
-def _list_files(experiment: AnyExperiment, config: ExperimentConfig, folder: Path) -> Iterable[str]:
-    """Return all files that belong to an experiment's identity, the source of its kind among them."""
-    yield from experiment.files(config, folder)
-    yield from list_sources("KINDS", config.kind, folder)
-    for block in config.blocks:
-        yield from list_sources("BLOCKS", block, folder)
 
 
 def compute_experiment(config: ExperimentConfig, folder: Path, workers: int = 1) -> Results:
