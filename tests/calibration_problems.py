@@ -163,6 +163,18 @@ def fit_jointly(posterior: CalibrationPosterior, y: np.ndarray, pose: np.ndarray
     return np.append(found, y[m:]), stood
 
 
+def climb(posterior: CalibrationPosterior) -> tuple[np.ndarray, np.ndarray]:
+    """Return the mode by Newton's steps from the least-squares solution, and the root of the covariance there."""
+    y = posterior.polish(posterior.approach())
+    for _ in range(30):
+        gradient, hessian = posterior.gradient(y)
+        step = np.linalg.solve(-hessian, gradient)
+        y = y + step / max(1.0, float(np.abs(step).max()))
+        if np.abs(step).max() < 1e-6:
+            break
+    return y, np.linalg.cholesky(np.linalg.inv(-hessian))
+
+
 MIXED = np.array([[1.0, 0.6, 0.1, 0.0], [0.6, 1.0, 0.2, -0.3], [0.1, 0.2, 1.0, 0.5], [0.0, -0.3, 0.5, 1.0]])
 LINE_CASES = {
     "as stated": {},

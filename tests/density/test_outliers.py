@@ -45,10 +45,6 @@ def differ(function):
     return (function(STEP) - function(-STEP)) / (2.0 * STEP)
 
 
-def test_names_have_units_and_priors(outliers):
-    assert len(outliers.names) == len(outliers.units) == len(outliers.priors)
-
-
 def test_the_density_integrates_to_one(rows):
     one = np.array([1])
 
@@ -77,11 +73,6 @@ def test_slopes_by_what_is_unknown_are_those_of_differences(outliers, rows):
     found = rows.slopes(SQUARE, SPARE)
     assert found.shape == (*SQUARE.shape, len(outliers.names))
     np.testing.assert_allclose(np.moveaxis(found, -1, 0), np.reshape(expected, (-1, *SQUARE.shape)), rtol=1e-6)
-
-
-def test_some_machines_are_those_machines(rows):
-    some = np.array([1])
-    np.testing.assert_array_equal(rows.pick(some).weigh(SQUARE[some], SPARE), rows.weigh(SQUARE, SPARE)[some])
 
 
 def test_without_a_spread_it_is_the_density_itself(rows):

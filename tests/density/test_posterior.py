@@ -17,7 +17,6 @@ from sliding_platforms import SETS
 
 from bayescal.density.outliers import NORMAL, Contaminated, StudentT
 from bayescal.density.priors import NormalPrior, SharePrior, UniformPrior
-from bayescal.errors import InputError
 from bayescal.inference.mode import Mode, find_mode
 from bayescal.inference.straightening import straighten
 
@@ -130,8 +129,10 @@ def test_everything_free_has_name_unit_prior_and_value(problem):
     good = np.isfinite(natural).all(axis=1)
     assert good.mean() > 0.5
     for k, prior in enumerate(posterior.all_priors().values()):
-        spread = natural[good, k].std()
-        assert good.mean() < 1.0 or spread == pytest.approx(prior.sd, rel=0.15)
+        if good.all():
+            assert natural[:, k].std() == pytest.approx(prior.sd, rel=0.15)
+        if good.all() and prior.off is None:
+            assert stats.kstest(prior.standardise(natural[:, k]), "norm").pvalue > 1e-4
 
 
 def test_machines_and_coordinates_lead_to_each_other(problem):
@@ -385,8 +386,3 @@ def test_prior_mean_and_fixed_values_set_the_start(twin):
     layout = machine.layout
     changed = {name: value for name, value in zip(layout.names, theta - layout.nominal, strict=True) if value}
     assert changed == {"l[2]": pytest.approx(1.5), "a_x[3]": pytest.approx(140.0 - layout.nominal[2])}
-
-
-def test_unknown_parameter_is_refused(twin):
-    with pytest.raises(InputError, match=r"'a_q\[1\]': unknown here"):
-        machines.measure(machines.build_machine("matrix"), twin, {"a_q[1]": NormalPrior(0.0, 1.0)})

@@ -136,21 +136,25 @@ def spread_rows(
     return c, jacobian, covariance
 
 
-@pytest.mark.parametrize("hierarchy", LOADINGS)
-def test_states_are_integrated_as_brute_force_does(hierarchy, rng):
-    model = build_model(LOADINGS[hierarchy])
-    linear, tau, scales = make_linear(model, rng), np.array([0.3, 0.0, 0.7]), np.array([0.4, 0.9])
-    c, jacobian, covariance = spread_rows(linear, tau, scales)
-    found = linear.condition(tau, scales)
+def check_against_all_rows(linear, tau, scales, c, jacobian, covariance, rng) -> None:
+    """Check marginal and state of sessions, and the density of one state, by what all rows have."""
+    found, size = linear.condition(tau, scales), linear.model.size
     total = covariance + jacobian @ jacobian.T
     assert found.log_marginal == pytest.approx(multivariate_normal(cov=total).logpdf(c), rel=1e-10)
     gain = jacobian.T @ np.linalg.inv(total)
     np.testing.assert_allclose(found.mean, -gain @ c, atol=1e-10)
-    spread = found.draw(np.eye(model.size)) - found.mean[:, None]
-    np.testing.assert_allclose(spread @ spread.T, np.eye(model.size) - gain @ jacobian, atol=1e-10)
-    z = rng.normal(size=model.size)
+    spread = found.draw(np.eye(size)) - found.mean[:, None]
+    np.testing.assert_allclose(spread @ spread.T, np.eye(size) - gain @ jacobian, atol=1e-10)
+    z = rng.normal(size=size)
     seen = multivariate_normal(cov=covariance).logpdf(c + jacobian @ z)
     assert linear.log_likelihood(z, tau, scales) == pytest.approx(seen, rel=1e-10)
+
+
+@pytest.mark.parametrize("hierarchy", LOADINGS)
+def test_states_are_integrated_as_brute_force_does(hierarchy, rng):
+    model = build_model(LOADINGS[hierarchy])
+    linear, tau, scales = make_linear(model, rng), np.array([0.3, 0.0, 0.7]), np.array([0.4, 0.9])
+    check_against_all_rows(linear, tau, scales, *spread_rows(linear, tau, scales), rng)
 
 
 def test_coefficients_of_errors_last_or_are_new_in_every_session(rng):
@@ -170,14 +174,7 @@ def test_coefficients_of_errors_last_or_are_new_in_every_session(rng):
     lasting = (columns[..., :2] * size[:2]).reshape(len(c), 2)
     new = np.where(session[:, None] == np.arange(3), 1.0, 0.0)[:, None] * columns[..., 2:] * size[2]
     jacobian = np.concatenate([jacobian, lasting, new.reshape(len(c), 3)], axis=1)
-    both = replace(linear, rows=rows)
-    found = both.condition(tau, scales)
-    total = covariance + jacobian @ jacobian.T
-    assert found.log_marginal == pytest.approx(multivariate_normal(cov=total).logpdf(c), rel=1e-10)
-    np.testing.assert_allclose(found.mean, -jacobian.T @ np.linalg.solve(total, c), atol=1e-10)
-    z = rng.normal(size=model.size)
-    seen = multivariate_normal(cov=covariance).logpdf(c + jacobian @ z)
-    assert both.log_likelihood(z, tau, scales) == pytest.approx(seen, rel=1e-10)
+    check_against_all_rows(replace(linear, rows=rows), tau, scales, c, jacobian, covariance, rng)
 
 
 def test_without_drift_all_sessions_share_their_parameters(rng):
@@ -185,10 +182,8 @@ def test_without_drift_all_sessions_share_their_parameters(rng):
     assert (model.size, model.drift.units) == (FREE + 1, ())
     x, _ = model.split(rng.normal(size=(4, model.size)), np.empty((4, 0)))
     np.testing.assert_array_equal(x[:, 0], x[:, 2])
-    linear = make_linear(model, rng)
-    c, jacobian, covariance = spread_rows(linear, np.zeros(3), np.empty(0))
-    marginal = linear.condition(np.zeros(3), np.empty(0)).log_marginal
-    assert marginal == pytest.approx(multivariate_normal(cov=covariance + jacobian @ jacobian.T).logpdf(c), rel=1e-10)
+    linear, at = make_linear(model, rng), (np.zeros(3), np.empty(0))
+    check_against_all_rows(linear, *at, *spread_rows(linear, *at), rng)
 
 
 def test_a_walk_spreads_with_the_root_of_time():

@@ -1,4 +1,4 @@
-"""Geometry that is normal given the errors: the map to straight coordinates, its volume, how good its proposal is."""
+"""Geometry that is normal given the errors, functions of the pose among them: how good its proposal is."""
 
 import numpy as np
 import pytest
@@ -8,8 +8,6 @@ from bayescal.density.calibration.terms import Errors
 from bayescal.density.priors import NormalPrior
 from bayescal.density.sorts import SORTS
 from bayescal.inference.exploration import explore
-from bayescal.inference.mode import find_mode
-from bayescal.inference.straightening import straighten
 
 N_POSES = 12
 
@@ -30,25 +28,6 @@ def posterior():
     return machines.measure(
         machine, found, priors, Errors((*machines.let_err(shared=True).terms, *functions))
     ).anchored()
-
-
-@pytest.fixture(scope="module")
-def straight(posterior):
-    return straighten(posterior, find_mode(posterior, posterior.approach()))
-
-
-def test_there_and_back(posterior, straight):
-    x = np.random.default_rng(2).standard_normal((20, posterior.n_parameters))
-    assert straight.x_from_y(straight.y_from_x(x)) == pytest.approx(x, abs=1e-9)
-
-
-def test_density_gains_the_volume_of_the_map(posterior, straight):
-    x = 0.5 * np.random.default_rng(3).standard_normal((2, posterior.n_parameters))
-    for one in x:
-        steps = 1e-5 * np.eye(len(one))
-        slope = (straight.y_from_x(one + steps) - straight.y_from_x(one - steps)) / 2e-5
-        expected = posterior.log_density(straight.y_from_x(one[None]))[0] + np.linalg.slogdet(slope)[1]
-        assert straight.log_density(one[None])[0] == pytest.approx(expected, abs=1e-5)
 
 
 def test_proposal_needs_no_sharpening(posterior):

@@ -13,7 +13,7 @@ import telescope_machines as machines
 from scipy import stats
 
 from bayescal.inference.exploration import explore
-from bayescal.inference.importance import evaluate_in_batches
+from bayescal.inference.importance import evaluate_in_batches, resample
 
 pytestmark = pytest.mark.slow
 
@@ -52,19 +52,14 @@ def fit(theta, tau, seed):
     poses = machines.simulate_poses(machine, theta, actuators, tau, np.random.default_rng(data_seed))
     posterior = machines.build_posterior("matrix", poses, machines.let_err(SCALE), machine=machine).anchored()
     found, rng = explore(posterior, explore_seed), np.random.default_rng(draw_seed)
-    x = found.proposal.draw(N_DRAWS, rng)
-    density = evaluate_in_batches(found.straight.log_density, x)
-    log_weights = density - found.proposal.log_density(x)
-    weights = np.exp(log_weights - log_weights.max())
-    weights /= weights.sum()
-    chosen = rng.choice(N_DRAWS, 2000, p=weights)
-    y = found.straight.y_from_x(x[chosen])
+    drawn = resample(found.straight.log_density, found.proposal, rng, N_DRAWS, 2000)
+    y = found.straight.y_from_x(drawn.draws)
     truth = np.concatenate([theta[posterior.sampling.free], tau])
     likelihoods = evaluate_in_batches(posterior.log_density, y) - posterior.log_prior(y)
     zeta = posterior.errors.priors[0].standardise(tau)
     true_likelihood = posterior.likelihood.density(theta[None], posterior.errors, zeta[None])[0]
     rank = int(np.sum(likelihoods[:N_RANKS] < true_likelihood))
-    return Fit(posterior.names, truth, posterior.natural(y), rank, 1 / (N_DRAWS * np.sum(weights**2)))
+    return Fit(posterior.names, truth, posterior.natural(y), rank, drawn.efficiency)
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ import telescope_machines as machines
 from bayescal.density.priors import NormalPrior
 from bayescal.identifiability.information import information_of_rows
 from bayescal.inference.exploration import explore
-from bayescal.inference.importance import evaluate_in_batches
+from bayescal.inference.importance import resample
 from bayescal.machines.kinematics import Machine, check_home_pose, solve_inverse_kinematics
 from bayescal.machines.sensors import PoseSensor
 from bayescal.numerics.geometry import matrix_from_rotation_vector
@@ -83,12 +83,9 @@ def fit(request):
     priors = {name: NormalPrior(nominal[name], one) for name, one in sd.items()}
     posterior = machines.measure(machine, poses, priors).anchored()
     found = explore(posterior, np.random.SeedSequence(5))
-    x = found.proposal.draw(N_DRAWS, rng)
-    log_weights = evaluate_in_batches(found.straight.log_density, x) - found.proposal.log_density(x)
-    weights = np.exp(log_weights - log_weights.max())
-    weights /= weights.sum()
-    draws = posterior.natural(found.straight.y_from_x(x[rng.choice(N_DRAWS, N_DRAWS, p=weights)]))
-    return Fit(machine, actuators, sd, theta[posterior.sampling.free], draws, 1 / (N_DRAWS * np.sum(weights**2)))
+    drawn = resample(found.straight.log_density, found.proposal, rng, N_DRAWS, N_DRAWS)
+    draws = posterior.natural(found.straight.y_from_x(drawn.draws))
+    return Fit(machine, actuators, sd, theta[posterior.sampling.free], draws, drawn.efficiency)
 
 
 def test_posterior_covers_the_truth(fit):

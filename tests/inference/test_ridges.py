@@ -59,6 +59,16 @@ def straighten(bent, modes):
     return trace_ridges(plain, modes)
 
 
+def find_peak(straight, mode):
+    """Return the Gaussian of a mode that straight coordinates leave where it is."""
+    return Peak(mode.y, np.linalg.cholesky(straight.carry(mode.y, mode.covariance)), mode.log_density)
+
+
+def weigh(straight, peaks, rng, n_draws=4000, dof=50.0):
+    """Return the evidence by draws of a proposal of peaks."""
+    return estimate_by_importance(straight.log_density, proposal_from_peaks(peaks, dof), rng, n_draws)
+
+
 def ends(ridges):
     """Return where the only ridge begins and ends."""
     return ridges.centres[0] - ridges.halves[0], ridges.centres[0] + ridges.halves[0]
@@ -94,10 +104,7 @@ def test_one_gaussian_is_the_posterior_along_a_traced_ridge(single):
     """It is one exactly: ∫ = 2 π WIDTH, every draw counts."""
     bent, mode = single
     straight = straighten(bent, [mode])
-    peak = Peak(mode.y, np.linalg.cholesky(straight.carry(mode.y, mode.covariance)), mode.log_density)
-    found = estimate_by_importance(
-        straight.log_density, proposal_from_peaks([peak], 50.0), np.random.default_rng(2), 4000
-    )
+    found = weigh(straight, [find_peak(straight, mode)], np.random.default_rng(2))
     assert found.log_evidence == pytest.approx(np.log(2 * np.pi * WIDTH), abs=4 * found.standard_error + 1e-3)
     assert found.efficiency > 0.9
 
@@ -108,19 +115,10 @@ def test_modes_one_after_the_other_share_a_spline():
     modes = [make_mode(bent, 2.0), make_mode(bent, -2.0)]
     straight = straighten(bent, modes)
     assert ends(straight.ridges)[0] < -2.0 < 2.0 < ends(straight.ridges)[1]
-    peaks = [
-        Peak(
-            straight.x_from_y(one.y[None])[0],
-            np.linalg.cholesky(straight.carry(one.y, one.covariance)),
-            one.log_density,
-        )
-        for one in modes
-    ]
+    peaks = [replace(find_peak(straight, one), centre=straight.x_from_y(one.y[None])[0]) for one in modes]
     along = np.linspace(-4.0, 4.0, 4001)
     expected = np.log(np.trapezoid(np.exp(bent.along(along)), along) * np.sqrt(2 * np.pi) * WIDTH)
-    found = estimate_by_importance(
-        straight.log_density, proposal_from_peaks(peaks, 10.0), np.random.default_rng(3), 8000
-    )
+    found = weigh(straight, peaks, np.random.default_rng(3), 8000, 10.0)
     assert found.log_evidence == pytest.approx(expected, abs=4 * found.standard_error + 1e-3)
     assert found.efficiency > 0.7
 
@@ -151,10 +149,8 @@ def test_a_tail_along_a_ridge_is_one_no_more():
     straight = straighten(bent, [mode])
     assert straight.skew is not None
     rng, mass = np.random.default_rng(4), np.log(np.sqrt(2 * np.pi) * WIDTH)
-    found = []
-    for one in (straight, replace(straight, skew=None)):
-        peak = refine_peak(one.log_density, Peak(mode.y, np.linalg.cholesky(one.carry(mode.y, mode.covariance)), 0.0))
-        found.append(estimate_by_importance(one.log_density, proposal_from_peaks([peak], 50.0), rng, 4000))
+    ways = (straight, replace(straight, skew=None))
+    found = [weigh(one, [refine_peak(one.log_density, find_peak(one, mode))], rng) for one in ways]
     assert found[0].log_evidence == pytest.approx(mass, abs=4 * found[0].standard_error + 2e-3)
     assert found[0].efficiency > 0.9
     assert found[1].efficiency < 0.7
@@ -182,9 +178,7 @@ def test_a_coordinate_that_nothing_follows_is_bent_alone():
     )
     straight = straighten(lone, [Mode(np.zeros(1), -1.0, np.eye(1), True)])
     peak = refine_peak(straight.log_density, Peak(np.zeros(1), np.eye(1), 0.0))
-    found = estimate_by_importance(
-        straight.log_density, proposal_from_peaks([peak], 50.0), np.random.default_rng(6), 4000
-    )
+    found = weigh(straight, [peak], np.random.default_rng(6))
     assert found.log_evidence == pytest.approx(0.0, abs=4 * found.standard_error + 2e-3)
     assert found.efficiency > 0.9
 

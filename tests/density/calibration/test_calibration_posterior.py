@@ -10,21 +10,18 @@ import pytest
 from calibration_problems import (
     LINE_CASES,
     MIXED,
-    correlation_of,
     density,
     fit_jointly,
     lines_posterior,
-    measurements,
     unknown_noise,
 )
 from scipy.linalg import null_space
 from scipy.optimize import least_squares
-from scipy.stats import halfnorm, lognorm, norm, uniform
 
-from bayescal.density.calibration.terms import NO_ERRORS, Errors
+from bayescal.density.calibration.terms import NO_ERRORS
 from bayescal.density.elimination import project_out
 from bayescal.density.posterior import Posterior
-from bayescal.density.priors import NormalPrior, UniformPrior
+from bayescal.density.priors import NormalPrior
 from bayescal.errors import NumericalError
 
 
@@ -175,26 +172,6 @@ def test_the_noise_of_each_group_is_counted_by_itself(rng):
     assert found == pytest.approx(expected)
 
 
-def test_coordinates_are_standard_normal_under_the_priors(rng):
-    posterior, _, _ = lines_posterior(rng, uniform=True, common=True, terms=unknown_noise(4, True, True, 0.3))
-    y = np.linspace(-3.0, 3.0, 25)
-    natural = posterior.natural(np.repeat(y[:, None], posterior.n_parameters, axis=1))
-    quantile = norm.cdf(y)
-    for k, name in enumerate(posterior.sampling.names):
-        prior = posterior.priors[name]
-        if isinstance(prior, UniformPrior):
-            expected = uniform.ppf(quantile, prior.lower, prior.upper - prior.lower)
-        else:
-            expected = norm.ppf(quantile, prior.mean, prior.sd)
-        np.testing.assert_allclose(natural[:, k], expected, rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(natural[:, -2], lognorm.ppf(quantile, 0.4), rtol=1e-9)
-    np.testing.assert_allclose(natural[:, -1], halfnorm.ppf(quantile, scale=0.3), rtol=1e-7)
-    sd = [lognorm.std(0.4), halfnorm.std(scale=0.3)]
-    np.testing.assert_allclose(posterior.prior_sd[-2:], sd, rtol=1e-12)
-    assert posterior.names[-2:] == ("noise_factor(own)", "model_error(own)")
-    assert posterior.units[-2:] == ("1", "mm")
-
-
 def test_what_is_common_deviates_alike(rng):
     posterior, _, _ = lines_posterior(rng, common=True)
     y = rng.standard_normal((3, posterior.n_parameters))
@@ -203,22 +180,6 @@ def test_what_is_common_deviates_alike(rng):
     np.testing.assert_array_equal(theta[:, zero[0]], theta[:, zero[1]])
     np.testing.assert_allclose(theta[:, zero[0]], y[:, posterior.names.index("zero[1,2,3]")], rtol=1e-12)
     assert np.ptp(theta[:, zero[3]] - theta[:, zero[0]]) > 0.1
-
-
-def test_slopes_of_the_covariance(rng):
-    noise, correlation = Errors(unknown_noise(4, True, True, 0.3)), correlation_of(rng, 4)
-    sd = rng.uniform(0.5, 2.0, (3, 4))
-    data = measurements(np.zeros((3, 4)), sd)
-
-    def covariance(zeta):
-        own, tau = (one[0] for one in noise.noise(zeta[None], data, sd))
-        return own[:, :, None] * correlation * own[:, None] + tau[..., None] ** 2 * np.eye(4)
-
-    zeta, step = np.array([0.3, -0.8]), 1e-5
-    found = noise.covariance_slopes(zeta, data, sd, correlation[None])
-    for k in range(2):
-        ahead, behind = (covariance(zeta + sign * step * np.eye(2)[k]) for sign in (1.0, -1.0))
-        np.testing.assert_allclose(found[k], (ahead - behind) / (2.0 * step), rtol=0, atol=1e-8)
 
 
 def test_outside_its_bounds_there_is_no_machine(rng):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import telescope_machines as machines
 from calibration_problems import (
+    climb,
     correlation_of,
     density,
     linear_model,
@@ -129,14 +130,7 @@ def test_angles_are_predicted_the_short_way_round(rng):
 def draw_posterior(posterior, rng, n=400):
     """Return draws (n, m) of a posterior by importance, and by how much of the proposal they came."""
     posterior = posterior.anchored()
-    y = posterior.approach()
-    for _ in range(20):
-        gradient, hessian = posterior.gradient(y)
-        step = np.linalg.solve(-hessian, gradient)
-        y = y + step * min(1.0, 1.0 / np.abs(step).max())
-        if np.abs(step).max() < 1e-6:
-            break
-    factor = np.linalg.cholesky(np.linalg.inv(-hessian))
+    y, factor = climb(posterior)
     proposal = MixtureProposal(np.ones(1), y[None], 1.05 * factor[None], 8.0)
     return posterior, resample(posterior.log_density, proposal, rng, 4 * n, n)
 

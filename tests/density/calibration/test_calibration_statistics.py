@@ -6,7 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from calibration_problems import correlation_of, density, linear_model, lines_posterior, measurements, rows_of, simulate
+from calibration_problems import (
+    climb,
+    correlation_of,
+    density,
+    linear_model,
+    lines_posterior,
+    measurements,
+    rows_of,
+    simulate,
+)
 from scipy.stats import chisquare
 
 from bayescal.density.calibration.terms import Errors, ModelErrorTerm, NoiseFactor
@@ -18,20 +27,9 @@ from bayescal.inference.proposal import MixtureProposal
 KEPT = 99
 
 
-def climb(posterior, y):
-    """Return the mode and the factor of the covariance there, by Newton's steps from y."""
-    for _ in range(30):
-        gradient, hessian = posterior.gradient(y)
-        step = np.linalg.solve(-hessian, gradient)
-        y = y + step * min(1.0, 1.0 / np.abs(step).max())
-        if np.abs(step).max() < 1e-5:
-            break
-    return y, np.linalg.cholesky(np.linalg.inv(-hessian))
-
-
 def draw(posterior, rng, n=KEPT, tried=1500):
     """Return independent draws of a posterior, proposed about its mode and, for its tails, by the priors."""
-    y, factor = climb(posterior, posterior.approach())
+    y, factor = climb(posterior)
     factors = np.array([1.2 * factor, 1.2 * np.eye(len(y))])
     proposal = MixtureProposal(np.array([0.8, 0.2]), np.array([y, 0.0 * y]), factors, 5.0)
     found = resample(posterior.log_density, proposal, rng, tried, n)

@@ -12,6 +12,7 @@ import hexapods
 import numpy as np
 import pytest
 import telescope_machines as machines
+from calibration_problems import climb
 
 from bayescal.density.calibration.likelihood import CalibrationLikelihood
 from bayescal.density.calibration.measurements import Measurements
@@ -141,12 +142,7 @@ def case(request):
     posterior = CASES[name](np.random.default_rng(8)).anchored()
     assert posterior.likelihood.lone is not None
     posterior = posterior if name == request.param else follow(posterior)
-    y = posterior.polish(posterior.approach())
-    for _ in range(8):
-        gradient, hessian = posterior.gradient(y)
-        step = np.linalg.solve(-hessian, gradient)
-        y = y + step / max(1.0, float(np.abs(step).max()))
-    return request.param, posterior, y, np.linalg.cholesky(np.linalg.inv(-hessian))
+    return request.param, posterior, *climb(posterior)
 
 
 def test_it_is_the_density_that_leaves_nothing_out(case):

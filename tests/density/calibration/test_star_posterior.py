@@ -152,17 +152,6 @@ def test_unknown_parameters_are_refused(priors, fixed, common):
         )
 
 
-def test_a_fixed_value_stays():
-    likelihood = small_posterior(SETS[8], 20, 11).likelihood
-    posterior = Posterior(likelihood, {"l[1]": NormalPrior(801.0, 0.5)}, NO_ERRORS, fixed={"l[2]": 799.5})
-    assert likelihood.model.layout.take(posterior.theta(np.ones((1, 1))), "l")[0].tolist() == [
-        801.5,
-        799.5,
-        800,
-        800,
-    ]
-
-
 # --- the density of one pose's readings -----------------------------------------------------------------------------
 
 
