@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final, NamedTuple, Protocol
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
@@ -27,48 +27,6 @@ AT_ONCE: Final = 300_000  # numbers of the covariances that are factorised toget
 
 MOST_ROWS: Final = 900
 """Rows of all poses together up to which S is factorised as a whole; with more functions are made of few columns."""
-
-
-class Factorised(Protocol):
-    """S of one vector of variances, factorised."""
-
-    def rows(self, seen: Array) -> Array:
-        """Return white rows of (M, ...)."""
-
-    def square(self, seen: Array) -> Array:
-        """Return XᵀS⁻¹X of X (M, m), shape (m, m)."""
-
-    def solve(self, seen: Array) -> Array:
-        """Return S⁻¹ times (M, ...)."""
-
-    @property
-    def half_log_det(self) -> float:
-        """½ log |S|."""
-
-
-@dataclass(frozen=True, eq=False)
-class White:
-    """`Factorised` as a whole."""
-
-    factor: Array  # (M, M): lower Cholesky factor, M = P n
-
-    def rows(self, seen: Array) -> Array:
-        """Return white rows of (M, ...)."""
-        return np.asarray(dtrtrs(self.factor, seen, lower=1)[0])
-
-    def square(self, seen: Array) -> Array:
-        """Return XᵀS⁻¹X of X (M, m), shape (m, m)."""
-        white = self.rows(seen)
-        return np.asarray(white.T @ white)
-
-    def solve(self, seen: Array) -> Array:
-        """Return S⁻¹ times (M, ...)."""
-        return np.asarray(dpotrs(self.factor, seen, lower=1)[0])
-
-    @property
-    def half_log_det(self) -> float:
-        """½ log |S|."""
-        return float(np.log(np.diag(self.factor)).sum())
 
 
 def batches(size: int, n_rows: int) -> list[slice]:
@@ -110,6 +68,13 @@ def factorise(covariance: Array) -> Array:
     return np.asarray(factor)
 
 
+def square_whole(covariance: Array, seen: Array) -> tuple[Array, float]:
+    """Return XᵀS⁻¹X of X (M, m), shape (m, m), and ½ log |S|; the covariance (M, M) is used up."""
+    factor = factorise(covariance)
+    white = np.asarray(dtrtrs(factor, seen, lower=1)[0])
+    return white.T @ white, float(np.log(np.diag(factor)).sum())
+
+
 def carry(covariance: Array, rows: Array) -> tuple[Array, Array]:
     """Return ½ log |S| and eᵀS⁻¹e of rows e (B, M), shapes (B,); covariances (B, M, M) are used up."""
     white, half_log_det = np.empty_like(rows), np.empty(len(rows))
@@ -144,10 +109,10 @@ def leave_out(covariance: Array, rows: Array, n_poses: int) -> tuple[Array, Arra
     return np.linalg.solve(precision, alpha.reshape(-1, *shape)[..., None])[..., 0], precision
 
 
-def weigh_left_out(deviation: Array, precision: Array) -> tuple[Array, Array]:
-    """Return log-densities but for 2 π of what `leave_out` finds of each pose, and squared deviations, (B, P)."""
+def weigh_left_out(deviation: Array, precision: Array) -> Array:
+    """Return log-densities but for 2 π of what `leave_out` finds of each pose, (B, P)."""
     square = np.einsum("bpi,bpij,bpj->bp", deviation, precision, deviation)
-    return 0.5 * np.linalg.slogdet(precision)[1] - 0.5 * square, square
+    return np.asarray(0.5 * np.linalg.slogdet(precision)[1] - 0.5 * square)
 
 
 class LinearRows(NamedTuple):

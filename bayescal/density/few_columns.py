@@ -27,7 +27,7 @@ import numpy as np
 from numpy.polynomial.chebyshev import chebvander
 from scipy.linalg import cho_solve, cholesky, solve_triangular
 
-from bayescal.density.components import Factorised, carry
+from bayescal.density.components import carry
 from bayescal.numerics.geometry import Array
 
 WIDTH: Final = 4.0  # of x, over which one polynomial interpolates
@@ -42,7 +42,7 @@ def list_gram_arrays(n_rows: int, n_columns: int) -> list[tuple[float, ...]]:
 
 @dataclass(frozen=True, eq=False)
 class Thin:
-    """`Factorised` by few columns beside a block diagonal.
+    """S of one vector of variances, factorised by few columns beside a block diagonal.
 
     Attributes
     ----------
@@ -68,12 +68,9 @@ class Thin:
     half_log_det_of_noise: float
 
     @cached_property
-    def _inner(self) -> Array:
-        return self.scale[:, None] * self.gram * self.scale
-
-    @cached_property
     def _factor(self) -> Array:
-        return np.asarray(cholesky(np.eye(len(self.scale)) + self._inner, lower=True, check_finite=False))
+        inner = self.scale[:, None] * self.gram * self.scale
+        return np.asarray(cholesky(np.eye(len(self.scale)) + inner, lower=True, check_finite=False))
 
     @cached_property
     def root(self) -> Array:
@@ -93,16 +90,9 @@ class Thin:
         """Return ΦᵀD⁻¹ times rows that are white but for the functions, (P, n, m) to (R, m)."""
         return project(self.seen, self.basis, white)
 
-    def _spread(self, coefficients: Array) -> Array:
-        values = self.basis @ coefficients.reshape(len(self.basis), self.basis.shape[-1], -1)
-        return np.asarray(self.seen @ values.transpose(1, 0, 2))
-
     def expect(self, seen: Array) -> Array:
         """Return the mean of the coefficients given rows (M, m), shape (R, m)."""
-        return self._expect(self._whiten(seen))
-
-    def _expect(self, white: Array) -> Array:
-        told = self.scale[:, None] * self.project(white)
+        told = self.scale[:, None] * self.project(self._whiten(seen))
         return self.scale[:, None] * np.asarray(cho_solve((self._factor, True), told, check_finite=False))
 
     def draw(self, row: Array, normal: Array) -> Array:
@@ -120,19 +110,6 @@ class Thin:
         spread = shown @ spread_at_poses(basis, self.root @ self.root.T) @ np.swapaxes(shown, -1, -2)
         return np.einsum("qki,iq->qk", shown, values), spread
 
-    @cached_property
-    def _shrink(self) -> Array:
-        """What a symmetric root takes from white rows, (R, R): with values μ of s G s 1 / (r (r + 1)), r² = 1 + μ."""
-        values, vectors = np.linalg.eigh(self._inner)
-        size = np.sqrt(1.0 + np.maximum(values, 0.0))
-        spread = self.scale[:, None] * vectors
-        return (spread / (size * (size + 1.0))) @ spread.T
-
-    def rows(self, seen: Array) -> Array:
-        """Return white rows of (M, ...), by a symmetric root of S⁻¹ between those that are white but for functions."""
-        white = self._whiten(seen)
-        return np.asarray((white - self._spread(self._shrink @ self.project(white))).reshape(seen.shape))
-
     def square(self, seen: Array) -> Array:
         """Return XᵀS⁻¹X of X (M, m), shape (m, m)."""
         white = self._whiten(seen)
@@ -142,8 +119,8 @@ class Thin:
 
     def solve(self, seen: Array) -> Array:
         """Return S⁻¹ times (M, ...)."""
-        white = self._whiten(seen)
-        left = white - self._spread(self._expect(white))
+        coefficients = self.expect(seen).reshape(len(self.basis), self.basis.shape[-1], -1)
+        left = self._whiten(seen) - self.seen @ (self.basis @ coefficients).transpose(1, 0, 2)
         return np.asarray((np.swapaxes(self.turn, -1, -2) @ left).reshape(seen.shape))
 
     def precision(self) -> Array:
@@ -379,25 +356,21 @@ class LowRankComponents:
             found[k] = weigh_by(self.factorise(variances[k]), rows[k])
         index, most = np.flatnonzero(~np.isnan(v)), max(1, GRAMS // self.n_columns**2)
         for some in (index[k : k + most] for k in range(0, len(index), most)):
+            turn, values, seen = self._turned
             scale = self._scales(variances[some, len(self.blocks) :])
-            found[some] = self._weigh_turned(v[some], scale, rows[some])
+            turned = turn @ rows[some].T.reshape(*turn.shape[:2], -1)
+            weighed = turned / (1.0 + v[some] * values[..., None])
+            inner = self._grams(v[some]).reshape(len(some), self.n_columns, -1)
+            inner *= scale[:, :, None]
+            inner *= scale[:, None]
+            np.einsum("bii->bi", inner)[:] += 1.0
+            half_log_det, told = carry(inner, scale * project(seen, self.basis, weighed).T)
+            square = np.einsum("pib,pib->b", turned, weighed) - told
+            found[some] = -self._half_log_det_of_noise(v[some]) - half_log_det - 0.5 * square
         return found
 
-    def _weigh_turned(self, v: Array, scale: Array, rows: Array) -> Array:
-        """Return log-densities of rows (B, M) where D is K + v F Fᵀ, for v (B,) and s (B, R)."""
-        turn, values, seen = self._turned
-        turned = turn @ rows.T.reshape(*turn.shape[:2], -1)
-        weighed = turned / (1.0 + v * values[..., None])
-        inner = self._grams(v).reshape(len(v), self.n_columns, -1)
-        inner *= scale[:, :, None]
-        inner *= scale[:, None]
-        np.einsum("bii->bi", inner)[:] += 1.0
-        half_log_det, told = carry(inner, scale * project(seen, self.basis, weighed).T)
-        square = np.einsum("pib,pib->b", turned, weighed) - told
-        return np.asarray(-self._half_log_det_of_noise(v) - half_log_det - 0.5 * square)
 
-
-def weigh_by(white: Factorised, row: Array) -> float:
+def weigh_by(white: Thin, row: Array) -> float:
     """Return the log-density of rows (M,) but for 2 π."""
     return -white.half_log_det - 0.5 * float(white.square(row[:, None])[0, 0])
 

@@ -226,11 +226,6 @@ class LegSampling(Sampling):
         return which, self.free[which], np.array([p.mean for p in chosen]), np.array([p.sd for p in chosen])
 
     @cached_property
-    def _standard(self) -> np.ndarray:
-        """Which coordinates are standard normal under the prior, whatever the others are."""
-        return np.flatnonzero(self.coordinates.standard)
-
-    @cached_property
     def _log_constant(self) -> float:
         """What the log-prior in the coordinates has that does not vary."""
         *_, scale = self._normal
@@ -239,7 +234,7 @@ class LegSampling(Sampling):
     def log_prior(self, y: Array, theta: Array) -> Array:
         """Return the normal priors, and those of coordinates that are standard normal themselves: bounded ones."""
         _, places, centre, scale = self._normal
-        z, standard = (theta[..., places] - centre) / scale, y[..., self._standard]
+        z, standard = (theta[..., places] - centre) / scale, y[..., self.coordinates.standard]
         total = -0.5 * (np.einsum("...i,...i->...", z, z) + np.einsum("...i,...i->...", standard, standard))
         total = total + self.coordinates.log_volume(theta) + self.coordinates.log_ring_ratio(y)
         return np.asarray(total + self._log_constant)

@@ -94,16 +94,11 @@ def measure_longest_stand(log_density: Array, log_ratio: Array) -> int:
         Log of p / q, both normalised.
     """
     met = log_ratio < np.log(HARMLESS * JUMP_SHARE * log_density.size / MET)
-    visit = met | _find_low(log_density)
+    rare, middle = np.quantile(log_density, [TAILS[0], 0.5])
+    visit = met | (log_density < min(float(rare), float(middle) + np.log(HARMLESS)))
     longest, visits = (_measure_stands(log_density, where) for where in (~visit, visit))
     long = visits[visits >= STUCK_STEPS]
     return int(max(longest.max(), long.max(initial=0) if long.sum() > HARMLESS * log_density.size else 0))
-
-
-def _find_low(log_density: Array) -> np.ndarray:
-    """Return where log-densities are lower than nearly all and by a factor 1 / `HARMLESS` below the median."""
-    rare, middle = np.quantile(log_density, [TAILS[0], 0.5])
-    return np.asarray(log_density < min(float(rare), float(middle) + np.log(HARMLESS)))
 
 
 def _measure_stands(log_density: Array, where: np.ndarray) -> np.ndarray:
@@ -263,15 +258,14 @@ def measure_sensitivity(draws: Array, log_prior: Array, log_likelihood: Array) -
     log_prior, log_likelihood : ndarray, shape (E, S)
         In the parameters' own units.
     """
-    return np.stack([_measure_one(np.moveaxis(draws, -1, 0), part) for part in (log_prior, log_likelihood)], axis=-1)
-
-
-def _measure_one(draws: Array, component: Array) -> Array:
     from arviz_stats.base import array_stats  # seconds to import, for those who sample
 
-    weights = [_weigh(component, power) for power in POWERS]
-    shares = [np.broadcast_to(one / one.sum(), draws.shape) for one in weights]
-    return np.asarray(array_stats.power_scale_sense(draws, *shares, *POWERS))
+    by_parameter, found = np.moveaxis(draws, -1, 0), []
+    for component in (log_prior, log_likelihood):
+        weights = [_weigh(component, power) for power in POWERS]
+        shares = [np.broadcast_to(one / one.sum(), by_parameter.shape) for one in weights]
+        found.append(np.asarray(array_stats.power_scale_sense(by_parameter, *shares, *POWERS)))
+    return np.stack(found, axis=-1)
 
 
 def _weigh(component: Array, power: float) -> Array:

@@ -31,11 +31,10 @@ from bayescal.density.calibration.terms import Errors, KnownErrors
 from bayescal.density.components import (
     MOST_ROWS,
     LinearRows,
-    White,
     assemble,
     batches,
-    factorise,
     leave_out,
+    square_whole,
     weigh,
     weigh_left_out,
 )
@@ -151,7 +150,11 @@ class FrozenRows:
         rows, rest = self._find_rows(likelihood, theta)
         total = rest.sum(axis=1)
         if self.few is not None:
-            total += self._weigh_few(self.few, likelihood, errors, zeta, rows)
+            if _list_alone(errors) is not None:
+                total += self.few.weigh(_list_variances(errors, zeta), rows)
+            else:
+                white = (self._factorise(self.few, likelihood, errors, one) for one in zeta)
+                total += np.array([weigh_by(one, row) for one, row in zip(white, rows, strict=True)])
             return np.where(np.isfinite(total), total, -np.inf)
         for part in batches(len(theta), rows.shape[1]):
             own, weights = self._blocks(likelihood, errors, zeta[part]), errors.weights(zeta[part])
@@ -164,11 +167,11 @@ class FrozenRows:
         if self.few is not None:
             for k, row in enumerate(rows):
                 deviation, precision = leave_out_by(self._factorise(self.few, likelihood, errors, zeta[k]), row)
-                found[k] += weigh_left_out(deviation[None], precision[None])[0][0]
+                found[k] += weigh_left_out(deviation[None], precision[None])[0]
             return np.where(np.isfinite(found), found, -np.inf)
         for part in batches(len(theta), rows.shape[1]):
             own, weights = self._blocks(likelihood, errors, zeta[part]), errors.weights(zeta[part])
-            found[part] += weigh_left_out(*self._leave_out(self._assemble(own, weights), rows[part]))[0]
+            found[part] += weigh_left_out(*self._leave_out(self._assemble(own, weights), rows[part]))
         return np.where(np.isfinite(found), found, -np.inf)
 
     def density_of_others(
@@ -223,9 +226,14 @@ class FrozenRows:
     ) -> Array:
         """Return draws of the coefficients of all errors given the rows, one for each machine, shape (B, N)."""
         if self.few is not None:
-            parts = likelihood.batches(len(theta), MANY_ROWS)
-            every = ((zeta[part], self._find_rows(likelihood, theta[part])[0]) for part in parts)
-            return np.concatenate([self._draw_few(self.few, likelihood, errors, *one, rng) for one in every])
+            every = list[Array]()
+            for part in likelihood.batches(len(theta), MANY_ROWS):
+                rows, _ = self._find_rows(likelihood, theta[part])
+                normal = rng.standard_normal((len(rows), self.few.n_columns))
+                thin = (self._factorise(self.few, likelihood, errors, one) for one in zeta[part])
+                every += [one.draw(*own) for one, *own in zip(thin, rows, normal, strict=True)]
+            # from channel by channel to error by error
+            return np.stack(every)[:, np.argsort(np.tile(self.few.sorts, len(self.few.basis)), kind="stable")]
         rows, _ = self._find_rows(likelihood, theta)
         ends = np.cumsum([one.shape[1] for one in self.shown])
         n_poses, _, m = self.left.shape
@@ -321,8 +329,7 @@ class FrozenRows:
                 return thin.square(both), thin.half_log_det
             own = self._blocks(likelihood, errors, one[None])
             total = self._assemble(own, errors.weights(one[None]))[0]
-            white = White(factorise(total))
-            return white.square(both), white.half_log_det
+            return square_whole(total, both)
 
         return LinearRows(*none, square)
 
@@ -409,32 +416,6 @@ class FrozenRows:
         if _list_alone(errors) is not None:
             return few.factorise(_list_variances(errors, zeta[None])[0])
         return few.factorise_beside(self._blocks(likelihood, errors, zeta[None])[0], errors.amplitudes(zeta) ** 2)
-
-    def _weigh_few(
-        self, few: LowRankComponents, likelihood: CalibrationLikelihood, errors: Errors, zeta: Array, rows: Array
-    ) -> Array:
-        """Return log-densities of rows (B, P m) but for 2 π at coordinates (B, k), shape (B,)."""
-        if _list_alone(errors) is not None:
-            return few.weigh(_list_variances(errors, zeta), rows)
-        pairs = zip(zeta, rows, strict=True)
-        return np.array([weigh_by(self._factorise(few, likelihood, errors, one), row) for one, row in pairs])
-
-    def _draw_few(
-        self,
-        few: LowRankComponents,
-        likelihood: CalibrationLikelihood,
-        errors: Errors,
-        zeta: Array,
-        rows: Array,
-        rng: np.random.Generator,
-    ) -> Array:
-        """Return draws of coefficients given rows (B, P m), those of one error after those of another, (B, R)."""
-        n, _, size = few.basis.shape
-        order = np.argsort(np.tile(few.sorts, n), kind="stable")  # from channel by channel to error by error
-        normal = rng.standard_normal((len(rows), n * size))
-        each = zip(zeta, rows, normal, strict=True)
-        drawn = [self._factorise(few, likelihood, errors, one).draw(row, white) for one, row, white in each]
-        return np.stack(drawn)[:, order]
 
     def _blocks(self, likelihood: CalibrationLikelihood, errors: Errors, zeta: Array) -> Array:
         """Return Zᵀ R Z of coordinates (B, k), shape (B, P, m, m)."""

@@ -303,29 +303,21 @@ class FunctionErrors(ErrorTerm):
             mine = np.where((self.group == k) & (zeta[k] > BORDER), self.spread * scales, 0.0)
             found[k] = self._spread_out((weights @ root * mine[:, None])[None], data)[0]
         if self.lengths is not None:
-            turn = 0.5 * self.lengths.spread * self._root_slope(self._length(zeta[None])) @ np.linalg.pinv(root).T
+            length = self._length(zeta[None])
+            inside = abs(float(self.lengths.standardise(length)[0])) < ENDS
+            by_length = self._kernel_at(length).slope(self.nodes, self.nodes)[0] * inside  # of their covariance
+            turn = 0.5 * self.lengths.spread * by_length @ np.linalg.pinv(root).T
             found[m] = self._spread_out((weights @ turn * scales[:, None])[None], data)[0]
         return Slopes(columns=found)
-
-    def _root_slope(self, length: Array) -> Array:
-        """Return the derivative of the nodes' covariance by log L, (M, M), at a length (1,)."""
-        assert self.lengths is not None
-        inside = abs(float(self.lengths.standardise(length)[0])) < ENDS
-        return np.asarray(self._kernel_at(length).slope(self.nodes, self.nodes)[0] * inside)
-
-
-def _choose_inputs(config: FunctionConfig, rows: TermRows) -> np.ndarray:
-    """Return the channels that say where the machine stands: those named, those commanded, or all of its own."""
-    if config.inputs is None and rows.data.commanded is not None:
-        return np.flatnonzero(rows.data.commanded.any(axis=0))
-    return rows.select(config.inputs)
 
 
 def _build_travel(config: FunctionConfig, rows: TermRows, places: np.ndarray) -> Travel:
     """Return what functions of channels depend on; InputError where a row lacks it, or it does not change."""
     if config.of == "order":
         return Travel("order", np.zeros(0, dtype=int), np.zeros(1), np.full(1, max(1.0, float(rows.data.order.max()))))
-    inputs = places if config.of == "reading" else _choose_inputs(config, rows)
+    inputs = places if config.of == "reading" else rows.select(config.inputs)
+    if config.of == "commands" and config.inputs is None and rows.data.commanded is not None:
+        inputs = np.flatnonzero(rows.data.commanded.any(axis=0))
     names = rows.model.names
     for k in inputs[~(rows.reach[inputs] > 0.0)][:1]:
         raise InputError(f"found {names[k]}, which does not change over the workspace, expected channels that do")
