@@ -134,27 +134,16 @@ class GeometryGiven(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class LinearGeometry:
-    """Geometry whose rows and prior are linear about a machine.
+    """Geometry whose rows and prior are linear about a machine."""
 
-    Attributes
-    ----------
-    centre : ndarray, shape (m,)
-        The machine's coordinates.
-    rows : LinearRows
-    precision, pull : ndarray, shapes (m, m) and (m,)
-        Minus the Hessian and the gradient there of the prior and of all rows that do not depend on the errors.
-    log_prior : callable
-        The log-prior of coordinates ζ (k,) of the errors.
-    sizes : callable
-        From ζ (B, k) to the errors in their own units.
-    """
-
-    centre: Array
+    centre: Array  # (m,): the machine's coordinates
     rows: LinearRows
+    # (m, m) and (m,): minus the Hessian and the gradient there of the prior and of all rows that do not depend on the
+    # errors
     precision: Array
     pull: Array
-    log_prior: Callable[[Array], float]
-    sizes: Callable[[Array], Array]
+    log_prior: Callable[[Array], float]  # the log-prior of coordinates ζ (k,) of the errors
+    sizes: Callable[[Array], Array]  # from ζ (B, k) to the errors in their own units
 
     def given(self, zeta: Array) -> GeometryGiven:
         """Return the geometry given ζ (k,): with J of the white rows e, H = P + JᵀJ and mean H⁻¹ (p - Jᵀ e)."""

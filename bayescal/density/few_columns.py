@@ -42,30 +42,14 @@ def list_gram_arrays(n_rows: int, n_columns: int) -> list[tuple[float, ...]]:
 
 @dataclass(frozen=True, eq=False)
 class Thin:
-    """S of one vector of variances, factorised by few columns beside a block diagonal.
+    """S of one vector of variances, factorised by few columns beside a block diagonal."""
 
-    Attributes
-    ----------
-    turn : ndarray, shape (P, n, n)
-        What makes rows white but for the functions.
-    seen : ndarray, shape (P, n, N)
-        What such rows see of N functions.
-    basis : ndarray, shape (N, P, A)
-        What each function is made of.
-    scale : ndarray, shape (R,)
-        s, with R = N A.
-    gram : ndarray, shape (R, R)
-        ΦᵀD⁻¹Φ.
-    half_log_det_of_noise : float
-        ½ log |D|.
-    """
-
-    turn: Array
-    seen: Array
-    basis: Array
-    scale: Array
-    gram: Array
-    half_log_det_of_noise: float
+    turn: Array  # (P, n, n): what makes rows white but for the functions
+    seen: Array  # (P, n, N): what such rows see of N functions
+    basis: Array  # (N, P, A): what each function is made of
+    scale: Array  # (R,): s, with R = N A
+    gram: Array  # (R, R): ΦᵀD⁻¹Φ
+    half_log_det_of_noise: float  # ½ log |D|
 
     @cached_property
     def _factor(self) -> Array:
@@ -160,18 +144,10 @@ def spread_at_poses(basis: Array, covariance: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Interpolated:
-    """Sums over rows of something divided by 1 + v λ, as functions of v.
+    """Sums over rows of something divided by 1 + v λ, as functions of v."""
 
-    Attributes
-    ----------
-    values : ndarray, shape (P, n)
-        λ.
-    find : callable
-        From weights of rows (P, n) to the sums (S,), linear.
-    """
-
-    values: Array
-    find: Callable[[Array], Array]
+    values: Array  # (P, n): λ
+    find: Callable[[Array], Array]  # from weights of rows (P, n) to the sums (S,), linear
 
     @cached_property
     def _largest(self) -> float:
@@ -207,30 +183,14 @@ class Interpolated:
 
 @dataclass(frozen=True, eq=False)
 class LowRankComponents:
-    """Covariances whose E_t are of few columns: rows see N functions of the pose, each made of a basis.
+    """Covariances whose E_t are of few columns: rows see N functions of the pose, each made of a basis."""
 
-    Attributes
-    ----------
-    known : ndarray, shape (P, n, n)
-        K.
-    blocks : ndarray, shape (G, P, n, n)
-        B_g.
-    shown : ndarray, shape (P, n, N)
-        What rows see of each function.
-    basis : ndarray, shape (N, P, A)
-        What each function is made of at the poses.
-    sorts : ndarray of int, shape (A,)
-        Which of the C variances each entry of the basis has.
-    left : ndarray, shape (C,)
-        l.
-    """
-
-    known: Array
-    blocks: Array
-    shown: Array
-    basis: Array
-    sorts: np.ndarray
-    left: Array
+    known: Array  # (P, n, n): K
+    blocks: Array  # (G, P, n, n): B_g
+    shown: Array  # (P, n, N): what rows see of each function
+    basis: Array  # (N, P, A): what each function is made of at the poses
+    sorts: np.ndarray  # (A,): which of the C variances each entry of the basis has
+    left: Array  # (C,): l
 
     @property
     def size(self) -> int:

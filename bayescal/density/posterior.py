@@ -219,26 +219,13 @@ HALF_LOG_TWO_PI = 0.5 * float(np.log(2 * np.pi))
 @final
 @dataclass(frozen=True, eq=False)
 class Posterior[L: Elimination[Any, Any], S: Sampling, E: Errors]:
-    """Posterior of the free parameters and errors of one variant; a `bayescal.inference.target.Target`.
+    """Posterior of the free parameters and errors of one variant; a `bayescal.inference.target.Target`."""
 
-    Attributes
-    ----------
-    likelihood : Elimination
-        Density of the measurements at the calibration poses.
-    priors : mapping of name to Prior
-        Of the free parameters.
-    errors : Errors
-        What is unknown of the errors; their coordinates come behind those of the geometry.
-    fixed : mapping of parameter name to float
-        Values of fixed parameters that are not nominal.
-    common : mapping of name to tuple of parameter names
-        Parameters that deviate alike from their nominal values, under the name that their prior has.
-    """
-
-    likelihood: L
-    priors: Mapping[str, Prior]
-    errors: E
-    fixed: Mapping[str, float] = field(default_factory=dict)
+    likelihood: L  # density of the measurements at the calibration poses
+    priors: Mapping[str, Prior]  # of the free parameters
+    errors: E  # what is unknown of the errors; their coordinates come behind those of the geometry
+    fixed: Mapping[str, float] = field(default_factory=dict)  # values of fixed parameters that are not nominal
+    # parameters that deviate alike from their nominal values, under the name that their prior has
     common: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

@@ -175,20 +175,11 @@ def rescale(sizes: Mapping[str, float], before: Place, after: Place) -> dict[str
 
 @dataclass(frozen=True, eq=False)
 class PoseFunctions:
-    """Sorts of functions, normalised over the calibration poses.
+    """Sorts of functions, normalised over the calibration poses."""
 
-    Attributes
-    ----------
-    sorts : tuple of str
-        Names in `SORTS`.
-    place : Place
-        Of the calibration poses.
-    of_few : Place, optional
-        Poses whose functions are made of few columns, and so are those at all others; by default nothing is left out.
-    """
-
-    sorts: tuple[str, ...]
-    place: Place
+    sorts: tuple[str, ...]  # names in `SORTS`
+    place: Place  # of the calibration poses
+    # poses whose functions are made of few columns, and so are those at all others; by default nothing is left out
     of_few: Place | None = None
 
     @cached_property

@@ -69,28 +69,15 @@ class Move:
 
 @dataclass(frozen=True, eq=False)
 class Correction:
-    """What leads from the explored density to the costly one.
+    """What leads from the explored density to the costly one."""
 
-    Attributes
-    ----------
-    move : Move
-        Of draws.
-    log_ratio, standard_error : float
-        Log of the ratio of the evidences and its standard error.
-    efficiency : float
-        Effective over actual number of moved draws.
-    pareto_k : float
-        Shape of the tail of their weights.
-    n_draws : int
-        Number of draws that the weights are of.
-    """
-
-    move: Move
+    move: Move  # of draws
+    # log of the ratio of the evidences and its standard error
     log_ratio: float
     standard_error: float
-    efficiency: float
-    pareto_k: float
-    n_draws: int
+    efficiency: float  # effective over actual number of moved draws
+    pareto_k: float  # shape of the tail of their weights
+    n_draws: int  # number of draws that the weights are of
 
     @property
     def is_enough(self) -> bool:
@@ -109,21 +96,11 @@ class Correction:
 
 @dataclass(frozen=True, eq=False)
 class CostlyDensity:
-    """A density q beside the one p that was explored, in coordinates x of n entries.
+    """A density q beside the one p that was explored, in coordinates x of n entries."""
 
-    Attributes
-    ----------
-    explored : callable
-        log p, (B, n) to (B,).
-    excess : callable
-        log q - log p, (B, n) to (B,).
-    information : ndarray, shape (n, n)
-        Of q more than of p, minus the Hessian of the excess, around the main mode.
-    """
-
-    explored: LogDensity
-    excess: LogDensity
-    information: Array
+    explored: LogDensity  # log p, (B, n) to (B,)
+    excess: LogDensity  # log q - log p, (B, n) to (B,)
+    information: Array  # (n, n): of q more than of p, minus the Hessian of the excess, around the main mode
 
     def log_density(self, x: Array) -> Array:
         """Return log q, shape (B,), for vectors (B, n)."""

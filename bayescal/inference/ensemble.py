@@ -28,20 +28,11 @@ TRIES = 50  # at placing the walkers
 
 @dataclass(frozen=True, eq=False)
 class Ensemble:
-    """Draws of one ensemble.
+    """Draws of one ensemble."""
 
-    Attributes
-    ----------
-    draws : ndarray, shape (walkers, steps, n)
-        In sampling coordinates, after burn-in.
-    log_density : ndarray, shape (walkers, steps)
-    acceptance : float
-        Share of accepted moves.
-    """
-
-    draws: Array
-    log_density: Array
-    acceptance: float
+    draws: Array  # (walkers, steps, n): in sampling coordinates, after burn-in
+    log_density: Array  # (walkers, steps)
+    acceptance: float  # share of accepted moves
 
 
 def run_ensemble(

@@ -26,25 +26,14 @@ AT_ONCE = 2**14  # points, a multiple of a batch: all those of hundreds of coord
 
 @dataclass(frozen=True)
 class ImportanceEvidence:
-    """Log-evidence by importance sampling, with its quality.
+    """Log-evidence by importance sampling, with its quality."""
 
-    Attributes
-    ----------
-    log_evidence, standard_error : float
-        Estimate and its standard error.
-    efficiency : float
-        Effective over actual number of draws.
-    pareto_k : float
-        Shape of the tail of the weights; above 0.7 the standard error is not to be trusted.
-    n_draws : int
-        Number of draws used.
-    """
-
+    # estimate and its standard error
     log_evidence: float
     standard_error: float
-    efficiency: float
-    pareto_k: float
-    n_draws: int
+    efficiency: float  # effective over actual number of draws
+    pareto_k: float  # shape of the tail of the weights; above 0.7 the standard error is not to be trusted
+    n_draws: int  # number of draws used
 
     @property
     def is_doubtful(self) -> bool:
@@ -116,16 +105,10 @@ def estimate_by_importance(
 
 @dataclass(frozen=True, eq=False)
 class Resampled:
-    """Draws of a posterior by resampling those of a proposal.
+    """Draws of a posterior by resampling those of a proposal."""
 
-    Attributes
-    ----------
-    draws : ndarray, shape (T, n)
-    efficiency, pareto_k, log_evidence : float
-        As of `ImportanceEvidence`.
-    """
-
-    draws: Array
+    draws: Array  # (T, n)
+    # as of `ImportanceEvidence`
     efficiency: float
     pareto_k: float
     log_evidence: float

@@ -34,23 +34,12 @@ REFIT_BURN_IN, REFIT_STEPS = 30, 30
 
 @dataclass(frozen=True, eq=False)
 class LeftOut:
-    """What leaving each of P poses out found.
+    """What leaving each of P poses out found."""
 
-    Attributes
-    ----------
-    weighted : ndarray, shape (P,)
-        elpd of each pose by Pareto-smoothed importance sampling.
-    pareto_k : ndarray, shape (P,)
-    effective : ndarray, shape (P,)
-        Each pose's part of the effective number of parameters.
-    refitted : ndarray, shape (P,)
-        elpd by moved draws or by a run without the pose; NaN where there was none.
-    """
-
-    weighted: Array
-    pareto_k: Array
-    effective: Array
-    refitted: Array
+    weighted: Array  # (P,): elpd of each pose by Pareto-smoothed importance sampling
+    pareto_k: Array  # (P,)
+    effective: Array  # (P,): each pose's part of the effective number of parameters
+    refitted: Array  # (P,): elpd by moved draws or by a run without the pose; NaN where there was none
 
     @property
     def elpd(self) -> Array:

@@ -40,24 +40,12 @@ type Climb = tuple[Array, float]
 
 @dataclass(frozen=True)
 class Mode:
-    """A local maximum of the posterior density in sampling coordinates.
+    """A local maximum of the posterior density in sampling coordinates."""
 
-    Attributes
-    ----------
-    y : ndarray, shape (n,)
-        Where it is.
-    log_density : float
-        Unnormalised log-density there.
-    covariance : ndarray, shape (n, n)
-        Inverse of the negative Hessian.
-    converged : bool
-        Whether the gradient vanished there.
-    """
-
-    y: Array
-    log_density: float
-    covariance: Array
-    converged: bool
+    y: Array  # (n,): where it is
+    log_density: float  # unnormalised log-density there
+    covariance: Array  # (n, n): inverse of the negative Hessian
+    converged: bool  # whether the gradient vanished there
 
     @property
     def log_evidence(self) -> float:

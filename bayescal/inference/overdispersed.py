@@ -39,21 +39,11 @@ FALSE_ALARM = 1e-4  # of a posterior with all its coordinates
 
 @dataclass(frozen=True, eq=False)
 class FarDraws:
-    """Independent draws from farther out.
+    """Independent draws from farther out."""
 
-    Attributes
-    ----------
-    x : ndarray, shape (B, n)
-        In the proposal's coordinates.
-    log_density : ndarray, shape (B,)
-        Of the posterior there.
-    log_weights : ndarray, shape (B,)
-        By which they are draws of the posterior; minus infinity where that has no density.
-    """
-
-    x: Array
-    log_density: Array
-    log_weights: Array
+    x: Array  # (B, n): in the proposal's coordinates
+    log_density: Array  # (B,): of the posterior there
+    log_weights: Array  # (B,): by which they are draws of the posterior; minus infinity where that has no density
 
     @cached_property
     def weights(self) -> Array:
@@ -155,21 +145,11 @@ class Stretched:
 
 @dataclass(frozen=True)
 class Tails:
-    """The share of a posterior where its proposal seldom leads.
+    """The share of a posterior where its proposal seldom leads."""
 
-    Attributes
-    ----------
-    expected : float
-        By the weights of draws that get there.
-    found : float
-        Of the ensembles' draws.
-    error : float
-        Standard error of their difference.
-    """
-
-    expected: float
-    found: float
-    error: float
+    expected: float  # by the weights of draws that get there
+    found: float  # of the ensembles' draws
+    error: float  # standard error of their difference
 
     def list_problems(self) -> list[str]:
         """Return in words whether draws lack what of the posterior lies there."""

@@ -22,22 +22,12 @@ FLOOR = 1e-3  # of the whole cloud's variance that each component keeps
 
 @dataclass(frozen=True, eq=False)
 class MixtureProposal:
-    """A mixture of multivariate Student t densities.
+    """A mixture of multivariate Student t densities."""
 
-    Attributes
-    ----------
-    weights : ndarray, shape (M,)
-    means : ndarray, shape (M, n)
-    factors : ndarray, shape (M, n, n)
-        Lower Cholesky factors of the scale matrices.
-    dof : float
-        Degrees of freedom of every component.
-    """
-
-    weights: Array
-    means: Array
-    factors: Array
-    dof: float
+    weights: Array  # (M,)
+    means: Array  # (M, n)
+    factors: Array  # (M, n, n): lower Cholesky factors of the scale matrices
+    dof: float  # degrees of freedom of every component
 
     def draw(self, n: int, rng: np.random.Generator) -> Array:
         """Return n independent draws, shape (n, n_parameters)."""

@@ -21,23 +21,12 @@ GOOD_JUMP_SHARE = 0.9  # of moves, by a proposal that is good enough: then they 
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """Draws of E ensembles of W walkers in S steps, of n parameters; in other coordinates when these are asked for.
+    """Draws of E ensembles of W walkers in S steps, of n parameters; in other coordinates when these are asked for."""
 
-    Attributes
-    ----------
-    straightening : Straightening
-        To the proposal's coordinates.
-    straight : ndarray, shape (E, W, S, n)
-        In the proposal's coordinates.
-    log_density : ndarray, shape (E, W, S)
-        In the proposal's coordinates.
-    acceptance : ndarray, shape (E,)
-    """
-
-    straightening: Straightening
-    straight: Array
-    log_density: Array
-    acceptance: Array
+    straightening: Straightening  # to the proposal's coordinates
+    straight: Array  # (E, W, S, n): in the proposal's coordinates
+    log_density: Array  # (E, W, S): in the proposal's coordinates
+    acceptance: Array  # (E,)
 
     @classmethod
     def from_ensembles(cls, straightening: Straightening, ensembles: Sequence[Ensemble]) -> Sample:

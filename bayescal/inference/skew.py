@@ -23,14 +23,9 @@ LEAST_FALL = 1.0  # nats over the standard deviation of what is known, beyond wh
 
 @dataclass(frozen=True, eq=False)
 class Quantiles:
-    """Monotone maps of standard normal η to r coordinates u.
+    """Monotone maps of standard normal η to r coordinates u."""
 
-    Attributes
-    ----------
-    values, slopes : ndarray, shape (r, N_KNOTS)
-        u and du/dη at knots from -REACH to REACH.
-    """
-
+    # (r, N_KNOTS): u and du/dη at knots from -REACH to REACH
     values: Array
     slopes: Array
 

@@ -17,19 +17,11 @@ EVERY = 0.5  # seconds between two reports at the least
 
 @dataclass(frozen=True)
 class Report:
-    """What a computation is at.
-
-    Attributes
-    ----------
-    stage : str
-    share : float or None
-        Of the stage, done; None where it does not count.
-    spent, left : float, float or None
-        Seconds since it began, and to its end as far as that is known.
-    """
+    """What a computation is at."""
 
     stage: str
-    share: float | None
+    share: float | None  # of the stage, done; None where it does not count
+    # seconds since it began, and to its end as far as that is known
     spent: float
     left: float | None
 

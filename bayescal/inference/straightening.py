@@ -97,22 +97,13 @@ def fit_curve(y: Array, base: int, others: np.ndarray) -> Curve:
 
 @dataclass(frozen=True, eq=False)
 class Ridges:
-    """The shear y_k = w_k + Σ_i g_ik(w_i) along traced ridges i, g Chebyshev series that go on straight beyond.
+    """The shear y_k = w_k + Σ_i g_ik(w_i) along traced ridges i, g Chebyshev series that go on straight beyond."""
 
-    Attributes
-    ----------
-    bases : ndarray of int, shape (r,)
-        The coordinates i.
-    centres, halves : ndarray, shape (r,)
-        The middle of each ridge, and how far it goes to either side.
-    series : ndarray, shape (r, D, n)
-        Coefficients of g by (w_i - centre) / half; zero for coordinates that do not follow.
-    """
-
-    bases: np.ndarray
+    bases: np.ndarray  # (r,): the coordinates i
+    # (r,): the middle of each ridge, and how far it goes to either side
     centres: Array
     halves: Array
-    series: Array
+    series: Array  # (r, D, n): coefficients of g by (w_i - centre) / half; zero for coordinates that do not follow
 
     @cached_property
     def _slopes(self) -> Array:
@@ -156,38 +147,20 @@ class Block:
 
 @dataclass(frozen=True, eq=False)
 class Straightening:
-    """Bijection between straight coordinates x and the sampling coordinates y of a posterior, both (B, n).
-
-    Attributes
-    ----------
-    posterior : Target
-    centre : ndarray, shape (n,)
-        The mode.
-    blocks : tuple of Block
-        Empty without free model errors: then x is y.
-    rest, tau : ndarray, shape (N,)
-        m and τ̂ of each group.
-    bend : Bend or None
-        Bend of the model errors' coordinates.
-    curves : tuple of Curve
-        Shears along curved ridges; what they follow is moved by none of them, so that the order does not matter.
-    ridges : Ridges or None
-        Shears along others that were traced.
-    skew : Skew or None
-        Bend of what they follow.
-    conditional : ConditionalMap or None
-        In place of the blocks, where the geometry given the errors is known in closed form.
-    """
+    """Bijection between straight coordinates x and the sampling coordinates y of a posterior, both (B, n)."""
 
     posterior: Target
-    centre: Array
-    blocks: tuple[Block, ...]
+    centre: Array  # (n,): the mode
+    blocks: tuple[Block, ...]  # empty without free model errors: then x is y
+    # (N,): m and τ̂ of each group
     rest: Array
     tau: Array
-    bend: Bend | None = None
+    bend: Bend | None = None  # bend of the model errors' coordinates
+    # shears along curved ridges; what they follow is moved by none of them, so that the order does not matter
     curves: tuple[Curve, ...] = ()
-    ridges: Ridges | None = None
-    skew: Skew | None = None
+    ridges: Ridges | None = None  # shears along others that were traced
+    skew: Skew | None = None  # bend of what they follow
+    # in place of the blocks, where the geometry given the errors is known in closed form
     conditional: ConditionalMap | None = None
 
     @property

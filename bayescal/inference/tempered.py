@@ -43,25 +43,14 @@ CHAINS, RUNS = 512, 8
 
 @dataclass(frozen=True, eq=False)
 class TemperedEvidence:
-    """What sequential Monte Carlo found of a posterior of n coordinates.
+    """What sequential Monte Carlo found of a posterior of n coordinates."""
 
-    Attributes
-    ----------
-    log_evidence, standard_error : float
-        Of the mean over independent runs by the bridge, and its standard error from their scatter.
-    y : ndarray, shape (S, n)
-        Draws in sampling coordinates, all runs together.
-    weights : ndarray, shape (S,)
-        Their weights, which add up to one.
-    mixed : bool
-        Whether all chains forgot their starts.
-    """
-
+    # of the mean over independent runs by the bridge, and its standard error from their scatter
     log_evidence: float
     standard_error: float
-    y: Array
-    weights: Array
-    mixed: bool
+    y: Array  # (S, n): draws in sampling coordinates, all runs together
+    weights: Array  # (S,): their weights, which add up to one
+    mixed: bool  # whether all chains forgot their starts
 
 
 @dataclass(frozen=True, eq=False)

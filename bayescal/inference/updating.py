@@ -33,32 +33,19 @@ type Way = Literal["updated", "explored", "sampled"]
 
 @dataclass(frozen=True, eq=False)
 class Belief:
-    """What is known of the n coordinates of a posterior.
+    """What is known of the n coordinates of a posterior."""
 
-    Attributes
-    ----------
-    y : ndarray, shape (n,)
-        The mode.
-    covariance : ndarray, shape (n, n)
-        Inverse of minus the Gauss-Newton Hessian there; of the draws where geometry is known given the errors.
-    log_evidence : float
-        By Laplace's formula, with that covariance where it was updated; by the draws' weights where geometry is known
-        given the errors.
-    draws : ndarray, shape (S, n)
-        Of the posterior, in its coordinates.
-    efficiency, pareto_k : float
-        Share of the proposal's draws that count, and the shape of the tail of their weights.
-    way : str
-        ``updated`` from the last mode, ``explored`` anew, or ``sampled`` by ensembles.
-    """
-
-    y: Array
+    y: Array  # (n,): the mode
+    # (n, n): inverse of minus the Gauss-Newton Hessian there; of the draws where geometry is known given the errors
     covariance: Array
+    # by Laplace's formula, with that covariance where it was updated; by the draws' weights where geometry is known
+    # given the errors
     log_evidence: float
-    draws: Array
+    draws: Array  # (S, n): of the posterior, in its coordinates
+    # share of the proposal's draws that count, and the shape of the tail of their weights
     efficiency: float
     pareto_k: float
-    way: Way
+    way: Way  # ``updated`` from the last mode, ``explored`` anew, or ``sampled`` by ensembles
 
 
 def update(posterior: Target, start: Array | None, n_draws: int, seed: int, *, anew: bool = True) -> Belief:

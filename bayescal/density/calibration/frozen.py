@@ -49,31 +49,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class FrozenRows:
-    """The density of readings about a machine, with errors whose columns have one amplitude each.
+    """The density of readings about a machine, with errors whose columns have one amplitude each."""
 
-    Attributes
-    ----------
-    anchor : ndarray, shape (D,)
-        The machine.
-    white : Whitening
-        By the stated noise, (1, P, K).
-    left : ndarray, shape (P, K, m)
-        Z.
-    kept : ndarray of int, shape (M,)
-        Which of all P m rows show something: those of channels that were not read do not.
-    shown : tuple of ndarray, shapes (M, N)
-        What coefficients of each of C errors do to the rows at an amplitude of one; empty where functions are of few
-        columns.
-    few : LowRankComponents, optional
-        Functions of few columns.
-    """
-
-    anchor: Array
-    white: Whitening
-    left: Array
-    kept: np.ndarray
+    anchor: Array  # (D,): the machine
+    white: Whitening  # by the stated noise, (1, P, K)
+    left: Array  # (P, K, m): Z
+    kept: np.ndarray  # (M,): which of all P m rows show something: those of channels that were not read do not
+    # (M, N) each: what coefficients of each of C errors do to the rows at an amplitude of one; empty where functions
+    # are of few columns
     shown: tuple[Array, ...]
-    few: LowRankComponents | None = None
+    few: LowRankComponents | None = None  # functions of few columns
 
     @cached_property
     def parts(self) -> Array:

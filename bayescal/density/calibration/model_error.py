@@ -41,38 +41,21 @@ OF_NOISE = 10.0 * MICROMETRE
 
 @dataclass(frozen=True, eq=False)
 class OwnChannels:
-    """N channels of the machine's own that move over the workspace, at the M rows of a study.
+    """N channels of the machine's own that move over the workspace, at the M rows of a study."""
 
-    Attributes
-    ----------
-    comparison : Comparison
-        Of the N channels.
-    places : ndarray of int, shape (N,)
-        Where they stand among all K channels.
-    home, range : ndarray, shape (N,)
-        What the nominal machine reads in the middle of the workspace, and how far readings go from end to end.
-    levers : ndarray, shape (N,)
-        By how many mm one unit of each moves the tool.
-    order : ndarray of int, shape (M,)
-        Places of the rows in measuring order.
-    n_places : int
-        How many places there are.
-    expected, readings : ndarray, shape (M, N)
-        What the nominal machine reads at the rows, and what was read, in the channels' units; NaN where nothing was.
-    used : ndarray of bool, shape (M,)
-        Which rows are for calibration.
-    """
-
-    comparison: Comparison
-    places: np.ndarray
+    comparison: Comparison  # of the N channels
+    places: np.ndarray  # (N,): where they stand among all K channels
+    # (N,): what the nominal machine reads in the middle of the workspace, and how far readings go from end to end
     home: Array
     range: Array
-    levers: Array
-    order: np.ndarray
-    n_places: int
+    levers: Array  # (N,): by how many mm one unit of each moves the tool
+    order: np.ndarray  # (M,): places of the rows in measuring order
+    n_places: int  # how many places there are
+    # (M, N): what the nominal machine reads at the rows, and what was read, in the channels' units; NaN where nothing
+    # was
     expected: Array
     readings: Array
-    used: np.ndarray
+    used: np.ndarray  # (M,): which rows are for calibration
 
     @classmethod
     def find(
