@@ -90,7 +90,7 @@ class KnownFunctions:
         None, too, where there are other errors common to all rows.
         """
         terms = [one for one in posterior.errors.terms if isinstance(one, FunctionsOfPose)]
-        if not terms or len(terms) < posterior.errors.n_common:
+        if not terms or len(terms) < len(posterior.errors.common):
             return None
         thin, first, n_channels = _thin(posterior), terms[0].own, len(posterior.likelihood.model.channels)
         place = first.at(np.flatnonzero(first.used))

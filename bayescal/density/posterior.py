@@ -16,19 +16,20 @@ import numpy as np
 
 from bayescal.density.calibration.terms import Errors
 from bayescal.density.components import LinearGeometry, LinearRows
-from bayescal.density.priors import Prior
+from bayescal.density.priors import HALF_LOG_TWO_PI, Prior
 from bayescal.machines.parameters import ParameterLayout
 from bayescal.numerics.geometry import Array
 
 
 @dataclass(frozen=True, eq=False)
 class Funnel:
-    """How the geometry depends on the model errors around a point; see `bayescal.inference.target.Funnel`."""
+    """How the geometry depends on the model errors around a point."""
 
-    information: Array
-    prior: Array
-    rest: Array
-    tau: Array
+    information: Array  # (m, m): of the data on the geometry
+    prior: Array  # (m, m): precision of the prior on the geometry
+    rest: Array  # (N,): each group's variance but for the model error, in the model errors' unit squared
+    tau: Array  # (N,): each of `Target.funnel_errors` there
+    # (N, m, m): what of the information each model error governs; None where group i's governs group i
     parts: Array | None = None
 
 
@@ -80,9 +81,9 @@ class Sampling(ABC):
         """Return the same, of machines that may lie beyond the priors' bounds, brought within; by default none has."""
         return self.y_from_theta(theta)
 
-    @abstractmethod
     def natural(self, theta: Array) -> Array:
         """Return the free parameters in their own units, (..., D) to (..., m)."""
+        return theta[..., self.free]
 
     @abstractmethod
     def jacobian(self, theta: Array) -> Array:
@@ -211,9 +212,6 @@ class Elimination[S: Sampling, E: Errors](ABC):
     @abstractmethod
     def funnel(self, sampling: S, errors: E, y: Array) -> Funnel | None:
         """Return how the geometry depends on the errors at y, shape (m + k,); None where it does not."""
-
-
-HALF_LOG_TWO_PI = 0.5 * float(np.log(2 * np.pi))
 
 
 @final

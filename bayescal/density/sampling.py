@@ -10,14 +10,13 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 from bayescal.density.posterior import Sampling
-from bayescal.density.priors import Prior, UniformPrior
+from bayescal.density.priors import HALF_LOG_TWO_PI, Prior, UniformPrior
 from bayescal.errors import InputError
 from bayescal.machines.coordinates import Coordinates, mirror_direction
 from bayescal.machines.parameters import ParameterLayout
 from bayescal.numerics.geometry import Array
 
 EDGE = 1e-3  # how near to a bound, by the width of a uniform prior, a machine known otherwise is taken to be
-HALF_LOG_TWO_PI = 0.5 * float(np.log(2 * np.pi))
 
 
 def place_free(
@@ -112,10 +111,6 @@ class AffineSampling(Sampling):
         share = np.clip(away + 0.5, edge, 1.0 - edge) if edge else away + 0.5
         return np.where(uniform, ndtri(share), away)
 
-    def natural(self, theta: Array) -> Array:
-        """Return the free parameters in their own units, (..., m)."""
-        return theta[..., self.free]
-
     def jacobian(self, theta: Array) -> Array:
         """Return dθ/dy, shape (D, m)."""
         uniform, width = self._uniform
@@ -207,10 +202,6 @@ class LegSampling(Sampling):
         margin, places = EDGE * (upper - lower), known.free[known.bounded]
         theta[:, places] = np.clip(theta[:, places], lower + margin, upper - margin)
         return known.y_from_theta(theta)
-
-    def natural(self, theta: Array) -> Array:
-        """Return the free parameters in their own units, (..., m)."""
-        return theta[..., self.free]
 
     def jacobian(self, theta: Array) -> Array:
         """Return dθ/dy, shape (D, m)."""

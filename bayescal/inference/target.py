@@ -8,6 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from bayescal.density.components import LinearGeometry
+from bayescal.density.posterior import Funnel
 from bayescal.density.priors import Prior
 from bayescal.numerics.geometry import Array
 
@@ -37,18 +38,11 @@ class Target(Prospect, Protocol):
     """
 
     @property
-    def n_parameters(self) -> int:
-        """Number n of coordinates."""
-
-    @property
     def n_geometry(self) -> int:
         """How many of them belong to the geometry."""
 
     def natural(self, y: Array) -> Array:
         """Return the parameters in their own units, (..., n) to (..., n)."""
-
-    def log_density(self, y: Array) -> Array:
-        """Return the log-density, (B, n) to (B,), -inf where there is no machine."""
 
     def finer(self) -> Target | None:
         """Return the same posterior by a density that is slower and leaves nothing out; None where there is none."""
@@ -125,27 +119,3 @@ class Fittable(Target, Protocol):
 
     def row_information(self, y: Array, row: int) -> Array:
         """Return what one row tells of the geometry at y beyond all others, shape (m, m)."""
-
-
-class Funnel(Protocol):
-    """How the geometry depends on the model errors around a point."""
-
-    @property
-    def information(self) -> Array:
-        """Of the data on the geometry, shape (m, m)."""
-
-    @property
-    def prior(self) -> Array:
-        """Precision of the prior on the geometry, shape (m, m)."""
-
-    @property
-    def rest(self) -> Array:
-        """Each group's variance but for the model error, shape (N,), in the model errors' unit squared."""
-
-    @property
-    def tau(self) -> Array:
-        """Each of `Target.funnel_errors` there, shape (N,)."""
-
-    @property
-    def parts(self) -> Array | None:
-        """What of the information each model error governs, shape (N, m, m); None where group i's governs group i."""

@@ -28,15 +28,10 @@ def _as_arviz_does(draws):
 
 
 @pytest.mark.parametrize("shape", [(4, 8, 30, 3), (2, 3, 5, 2), (3, 10, 7, 1), (2, 2, 2, 1)])
-@pytest.mark.parametrize("repeats", [False, True])
-def test_numbers_are_those_of_arviz(rng, shape, repeats):
-    draws = _walk(rng, shape, repeats)
-    for found, expected in zip(judge_draws(draws), _as_arviz_does(draws), strict=True):
-        np.testing.assert_allclose(found, expected, rtol=1e-12, atol=0.0)
-
-
-def test_whole_numbers_share_their_ranks(rng):
-    draws = rng.integers(0, 4, (4, 6, 20, 2)).astype(float)
+@pytest.mark.parametrize("kind", ["walks", "walks that repeat", "whole numbers, which share their ranks"])
+def test_numbers_are_those_of_arviz(rng, shape, kind):
+    whole = rng.integers(0, 4, shape).astype(float)
+    draws = whole if "whole" in kind else _walk(rng, shape, "repeat" in kind)
     for found, expected in zip(judge_draws(draws), _as_arviz_does(draws), strict=True):
         np.testing.assert_allclose(found, expected, rtol=1e-12, atol=0.0)
 

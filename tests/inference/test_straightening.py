@@ -13,16 +13,11 @@ from bayescal.inference.peaks import Peak, proposal_from_peaks
 from bayescal.inference.straightening import Bend, fit_bend, fit_curve, straighten
 
 
-def as_peak(mode):
-    """Return a mode's Gaussian."""
-    return Peak(mode.y, np.linalg.cholesky(mode.covariance), mode.log_density)
-
-
 def sample(posterior, straight, mode, seed=1, n_steps=150):
     """Return draws of the posterior in sampling coordinates, (B, n)."""
-    proposal = proposal_from_peaks([as_peak(mode)], 20.0)
-    recentred = type(proposal)(proposal.weights, straight.x_from_y(proposal.means), proposal.factors, 20.0)
-    run = run_ensemble(straight.log_density, recentred, np.random.SeedSequence(seed), 128, 100, n_steps)
+    centre, factor = straight.x_from_y(mode.y[None])[0], np.linalg.cholesky(mode.covariance)
+    proposal = proposal_from_peaks([Peak(centre, factor, mode.log_density)], 20.0)
+    run = run_ensemble(straight.log_density, proposal, np.random.SeedSequence(seed), 128, 100, n_steps)
     return straight.y_from_x(run.draws.reshape(-1, posterior.n_parameters))
 
 

@@ -101,7 +101,7 @@ class FrozenRows:
         data = likelihood.data
         n_poses, n = data.sd.shape
         thin = [one for one in errors.terms if isinstance(one, ThinFunctionsOfPose)]
-        is_few = bool(thin) and len(thin) == errors.n_common
+        is_few = bool(thin) and len(thin) == len(errors.common)
         m = n - len(likelihood.model.coordinates)
         if not errors.has_columns or errors.is_common_known or errors.outliers.expected or m < 1:
             return None

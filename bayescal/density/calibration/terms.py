@@ -398,11 +398,6 @@ class Errors:
         """Whether some errors are common to all rows."""
         return bool(self.common)
 
-    @property
-    def n_common(self) -> int:
-        """Number of terms with columns."""
-        return len(self.common)
-
     @cached_property
     def common(self) -> list[ErrorTerm]:
         """The terms with columns, errors common to all rows."""
@@ -442,7 +437,7 @@ class Errors:
     @property
     def is_common_known(self) -> bool:
         """Whether what rows have in common is known but for its coefficients, and there is any."""
-        return self.has_columns and len(self.known) == self.n_common
+        return self.has_columns and len(self.known) == len(self.common)
 
     @cached_property
     def noisy(self) -> list[ErrorTerm]:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from calibration_problems import evaluate_rows
+from calibration_problems import pointwise
 from numpy.polynomial.hermite_e import hermegauss
 from reading_machines import (
     TOLERANCES,
@@ -167,12 +167,6 @@ def make(names, seed=2, model=None):
     return sensors, star_density(sensors, measured, pose), near
 
 
-def evaluate(likelihood, theta):
-    """Return the log-density (C, P) with the noise as stated."""
-    own = np.broadcast_to(likelihood.sd, (len(theta), *likelihood.sd.shape))
-    return evaluate_rows(likelihood, theta, own, np.zeros((len(theta), 1, own.shape[-1])))
-
-
 @pytest.mark.parametrize("names", [*SETS.values(), ("s", "phi[2]")])
 def test_it_is_the_integral_over_the_pose(names):
     """Gauss-Hermite quadrature over all three coordinates of each pose, with the machine itself."""
@@ -189,7 +183,7 @@ def test_it_is_the_integral_over_the_pose(names):
     inside = -0.5 * (error**2).sum(axis=-1) + 0.5 * (grid**2).sum(axis=-1)
     log_integral = np.log(np.sum(weight * np.exp(inside - inside[:, :1]), axis=1)) + inside[:, 0]
     expected = log_integral + scale + np.linalg.slogdet(factor)[1] - np.log(WORKSPACE.volume)
-    np.testing.assert_allclose(evaluate(likelihood, theta[:1])[0], expected, rtol=0, atol=1e-4)
+    np.testing.assert_allclose(pointwise(likelihood, theta[:1])[0], expected, rtol=0, atol=1e-4)
 
 
 def test_the_density_is_normalised():
@@ -213,6 +207,6 @@ def test_the_density_is_normalised():
     for t in steps:
         measured = sensors.model.read(nominal, pose) + t * direction
         likelihood = star_density(sensors, measured, pose, small.volume)
-        total += np.exp(evaluate(likelihood, nominal[None])[0]) * element * (steps[1] - steps[0])
+        total += np.exp(pointwise(likelihood, nominal[None])[0]) * element * (steps[1] - steps[0])
     # E over v of ∫ p |ds/d(v, t)| dt, times the volume that v is drawn from
     assert total.mean() * small.volume == pytest.approx(1.0, abs=2e-3)
