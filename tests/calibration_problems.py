@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 from function_machines import point_on_lines
 from reading_machines import LinearModel
+from scipy.stats import chisquare
 from sliding_platforms import WORKSPACE, sliding_star
 
 from bayescal.density.calibration.functions import FunctionErrors, Travel
@@ -173,6 +174,12 @@ def climb(posterior: CalibrationPosterior) -> tuple[np.ndarray, np.ndarray]:
         if np.abs(step).max() < 1e-6:
             break
     return y, np.linalg.cholesky(np.linalg.inv(-hessian))
+
+
+def judge_ranks(ranks: np.ndarray, highest: int) -> float:
+    """Return the p-value of ranks, from zero to the highest, against a uniform distribution, by chi-square."""
+    counts = np.bincount(ranks.ravel() * 10 // (highest + 1), minlength=10)
+    return float(chisquare(counts).pvalue)
 
 
 MIXED = np.array([[1.0, 0.6, 0.1, 0.0], [0.6, 1.0, 0.2, -0.3], [0.1, 0.2, 1.0, 0.5], [0.0, -0.3, 0.5, 1.0]])

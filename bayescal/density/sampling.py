@@ -144,19 +144,19 @@ def build_sampling(
     priors: Mapping[str, Prior],
     fixed: Mapping[str, float],
     common: Mapping[str, tuple[str, ...]],
-    straighten: Callable[[Coordinates], Coordinates | None],
+    straighten: Callable[[Coordinates], Coordinates | None] | None,
 ) -> Sampling:
     """Return the coordinates of the free parameters; arguments as of `Elimination.sampling`.
 
     ``straighten`` takes coordinates in which each parameter is by itself to those in which a machine's ridges are
-    straight; None where they are that already.
+    straight, or to None where they are that already; None where they shall stay as they are.
 
     Raises
     ------
     InputError
         For a name that no parameter has.
     """
-    if common:
+    if common or straighten is None:
         return AffineSampling.build(layout, priors, fixed, common)
     names, start, moved = place_free(layout, priors, fixed, {})
     free, ordered = np.flatnonzero(moved.any(axis=0)), tuple(priors[name] for name in names)

@@ -29,16 +29,10 @@ def banana(y):
     return -0.5 * (y[:, 0] ** 2 + straight**2 + y[:, 2] ** 2)
 
 
-def moments_of_gaussian():
-    covariance = np.linalg.inv(PRECISION)
-    return np.array([1.0, 2.0, 3.0]), covariance
-
-
-def moments_of_banana():
-    return np.zeros(3), np.diag([1.0, 1.0 + 2 * BEND**2, 1.0])
-
-
-TARGETS = {"gaussian": (gaussian, *moments_of_gaussian()), "banana": (banana, *moments_of_banana())}
+TARGETS = {
+    "gaussian": (gaussian, np.array([1.0, 2.0, 3.0]), np.linalg.inv(PRECISION)),
+    "banana": (banana, np.zeros(3), np.diag([1.0, 1.0 + 2 * BEND**2, 1.0])),
+}
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +74,7 @@ def test_moments(name, chains):
 
 def test_a_wrong_moment_is_found_out(chains):
     """Negative control: the scores see variances that are ten per cent off."""
-    mean, covariance = moments_of_gaussian()
+    _, mean, covariance = TARGETS["gaussian"]
     assert np.abs(z_scores(chains["gaussian"], mean, covariance * (1 + 0.1 * np.eye(3)))).max() > LIMIT
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import exact_problems as problems
 import numpy as np
 import pytest
+from calibration_problems import judge_ranks
 from scipy import stats
 
 pytestmark = pytest.mark.slow
@@ -43,16 +44,10 @@ def calibration(request):
     return np.array([ranks for ranks, _ in found]), np.array([share for _, share in found])
 
 
-def uniformity(ranks, n_bins=10):
-    """Return the p-value of ranks against a uniform distribution, by chi-square."""
-    counts = np.bincount(ranks * n_bins // (N_RANKS + 1), minlength=n_bins)
-    return stats.chisquare(counts).pvalue
-
-
 def test_ranks_of_every_quantity_are_uniform(calibration):
     """The smallest of n p-values is below 1e-3 / n in one of a thousand calibrations."""
     ranks, _ = calibration
-    p_values = [uniformity(ranks[:, k]) for k in range(ranks.shape[1])]
+    p_values = [judge_ranks(ranks[:, k], N_RANKS) for k in range(ranks.shape[1])]
     assert min(p_values) > 1e-3 / len(p_values)
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 import telescope_machines as machines
+from calibration_problems import judge_ranks
 from scipy import stats
 
 from bayescal.inference.exploration import explore
@@ -114,18 +115,12 @@ def ranks(fits):
     return np.array([np.sum(f.draws[:N_RANKS] < f.truth, axis=0) for f in fits])
 
 
-def uniformity(values, n_bins=10):
-    """Return the p-value of ranks against a uniform distribution, by chi-square."""
-    counts = np.bincount(values.ravel() * n_bins // (N_RANKS + 1), minlength=n_bins)
-    return stats.chisquare(counts).pvalue
-
-
 def test_ranks_of_truths_from_the_prior_are_uniform(drawn):
     """Parameter by parameter (data sets are independent, parameters of one are not)."""
     found = ranks(drawn)
-    p_values = {name: uniformity(found[:, k]) for k, name in enumerate(drawn[0].names)}
+    p_values = {name: judge_ranks(found[:, k], N_RANKS) for k, name in enumerate(drawn[0].names)}
     assert min(p_values.values()) > 1e-4
-    assert uniformity(np.array([f.rank_of_density for f in drawn])) > 1e-4
+    assert judge_ranks(np.array([f.rank_of_density for f in drawn]), N_RANKS) > 1e-4
 
 
 def test_ranks_pooled_over_the_legs_are_uniform(drawn):
@@ -148,7 +143,7 @@ def test_wrong_widths_would_show(drawn):
             for f in drawn:
                 centre = f.draws[:, k].mean()
                 moved.append(np.sum(centre + stretch * (f.draws[:N_RANKS, k] - centre) < f.truth[k]))
-            p_values.append(uniformity(np.array(moved)))
+            p_values.append(judge_ranks(np.array(moved), N_RANKS))
         assert min(p_values) < 1e-4
 
 

@@ -21,7 +21,6 @@ from bayescal.density.posterior import Elimination, Funnel, Posterior, Sampling
 from bayescal.density.priors import Prior
 from bayescal.density.sampling import build_sampling
 from bayescal.errors import NumericalError
-from bayescal.machines.coordinates import Coordinates
 from bayescal.machines.parameters import ParameterLayout
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.threads import map_in_threads
@@ -61,7 +60,7 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
         self, priors: Mapping[str, Prior], fixed: Mapping[str, float], common: Mapping[str, tuple[str, ...]]
     ) -> Sampling:
         """Return each parameter by itself, or as the machine's ridges are straight; see `Elimination.sampling`."""
-        straighten = partial(self.model.straighten, hidden=self.hidden) if self.straight else _leave
+        straighten = partial(self.model.straighten, hidden=self.hidden) if self.straight else None
         return build_sampling(self.layout, priors, fixed, common, straighten)
 
     def noise(self, errors: Errors, zeta: Array) -> tuple[Array, Array]:
@@ -531,12 +530,6 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
         from_known = np.einsum("gk,pkl,pl->g", groups * ~is_known, left**2, there * is_known)
         every = np.einsum("gk,pkk,pk->g", groups, left, there.astype(np.float64))
         return np.maximum(1.0 - from_known / np.where(every > 0.0, every, 1.0), LEAST_SHARE)
-
-
-def _leave(known: Coordinates) -> Coordinates | None:
-    """Leave coordinates as they are."""
-    del known
-    return None
 
 
 type CalibrationPosterior = Posterior[CalibrationLikelihood, Sampling, Errors]

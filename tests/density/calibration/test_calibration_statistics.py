@@ -10,13 +10,13 @@ from calibration_problems import (
     climb,
     correlation_of,
     density,
+    judge_ranks,
     linear_model,
     lines_posterior,
     measurements,
     rows_of,
     simulate,
 )
-from scipy.stats import chisquare
 
 from bayescal.density.calibration.terms import Errors, ModelErrorTerm, NoiseFactor
 from bayescal.density.posterior import Posterior
@@ -39,9 +39,7 @@ def draw(posterior, rng, n=KEPT, tried=1500):
 
 def p_values(ranks):
     """Return how likely so uneven ranks (R, n) of 0 to KEPT are, for each of n."""
-    bins = 10
-    counts = [np.bincount(column * bins // (KEPT + 1), minlength=bins) for column in ranks.T]
-    return np.array([chisquare(one).pvalue for one in counts])
+    return np.array([judge_ranks(column, KEPT) for column in ranks.T])
 
 
 def linear_problem(rng, nu=np.inf, correlation=None):
