@@ -50,8 +50,7 @@ def test_the_density_of_the_rows_is_that_of_the_readings(rows, rng):
 
 
 def test_correlated_noise_counts(rng):
-    correlation = problems.correlation_of(rng, 4)
-    posterior, y, _ = problems.lines_posterior(rng, 12, correlation=correlation)
+    posterior, y, _ = problems.lines_posterior(rng, 12, correlation=problems.correlation_of(rng, 4))
     rows = ReadingRows(posterior.anchored())
     theta = posterior.theta(y[None])[0]
     found = rows.linearise(theta)
