@@ -170,7 +170,7 @@ def test_a_failure_on_the_way_is_3_in_one_line(failure, call, study, monkeypatch
     def fail(*_):
         raise error
 
-    monkeypatch.setattr(compute, "run_task", fail)
+    monkeypatch.setattr(compute, "fit_variant", fail)
     code, _, err = call("run", study, "--out", "out", "--workers", 1, "--quiet")
     assert (code, err.count("\n")) == (3, 1)
     assert err.startswith("bayescal: ")

@@ -34,7 +34,7 @@ def weigh_twin(name: str, row: str, size: float, seed: int, folder: Path) -> dic
     write_tables(name, machine, twin.values, twin.held, folder)
     kind, config = load(folder / "study.toml")
     inputs = read_inputs(kind, config, folder)
-    posterior = inputs.subject(inputs.list_tasks()[0]).posterior
+    posterior = next(iter(inputs.variants.values())).posterior().anchored()
     found = weigh_causes(posterior, find_modes(posterior)[0].y, np.random.default_rng(seed))
     return {name: one.log_odds for name, one in found.items()}
 

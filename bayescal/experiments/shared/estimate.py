@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 import zlib
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Self, cast
 
@@ -42,7 +42,7 @@ from bayescal.inference.overdispersed import (
     send_scouts,
     widen_tails,
 )
-from bayescal.inference.sampling import Sample, sample_posterior
+from bayescal.inference.sampling import sample_posterior
 from bayescal.inference.schema import EvidenceConfig, SamplerConfig, count_walkers
 from bayescal.inference.stages import expect
 from bayescal.inference.target import Fittable, Target
@@ -74,9 +74,7 @@ class Subject(ABC):
     def evaluate(self, posterior: Fittable, y: Array, seed: np.random.SeedSequence) -> Arrays:
         """Return what draws (E, S, n) in sampling coordinates say of the rows, by name.
 
-        ``log_likelihood`` (E, S, P) of all rows, and whatever tables and files of the kind need. Where rows depend on
-        each other so that their densities do not add up, ``calibration_density`` (E S,) is that of the posterior's
-        together.
+        ``log_likelihood`` (E, S, P) of all rows, and whatever tables and files of the kind need.
         """
 
     @abstractmethod
@@ -87,18 +85,9 @@ class Subject(ABC):
     def measure_misfit(self, posterior: Fittable, mode: Array) -> ChiSquare:
         """Return χ² of what is left of the rows at the mode (n,)."""
 
-    def choose(self, shape: tuple[int, int, int]) -> np.ndarray:
-        """Return which of the draws of ensembles, walkers and steps are kept, by places in all of them, (E, S)."""
-        return choose_draws(shape[0], shape[1] * shape[2], KEPT_READINGS)
-
-    def is_used(self, n_rows: int) -> np.ndarray:
-        """Return which of the rows evaluated the posterior has seen, shape (P,)."""
-        return np.ones(n_rows, dtype=bool)
-
+    @abstractmethod
     def find_costly(self, exploration: Exploration) -> CostlyDensity | None:
         """Return a density that leaves less out than the explored one; None where there is none."""
-        del exploration
-        return None
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,7 +207,7 @@ class Estimate:
 
     def describe_evidence(self) -> dict[str, Any]:
         """Return the evidence as columns of a table."""
-        return {
+        row = {
             "log_evidence": self.log_evidence,
             "log_evidence_se": self.log_evidence_se,
             "log_evidence_importance": self.importance.log_evidence,
@@ -226,17 +215,13 @@ class Estimate:
             "log_evidence_bridge": self.bridge.log_evidence,
             "log_evidence_bridge_se": self.bridge.standard_error,
             "log_evidence_by": "importance" if self.is_importance_trusted else "bridge",
-            **({} if self.check is None else self._describe_check()),
-            "efficiency": self.importance.efficiency,
-            "pareto_k": self.importance.pareto_k,
         }
-
-    def _describe_check(self) -> dict[str, Any]:
-        assert self.check is not None
-        return {
-            "log_evidence_tempered": self.check.log_evidence,
-            "log_evidence_tempered_se": self.check.standard_error,
-        }
+        if self.check is not None:
+            row |= {
+                "log_evidence_tempered": self.check.log_evidence,
+                "log_evidence_tempered_se": self.check.standard_error,
+            }
+        return row | {"efficiency": self.importance.efficiency, "pareto_k": self.importance.pareto_k}
 
     def describe_chains(self) -> dict[str, Any]:
         """Return how the chains went as columns of a table."""
@@ -299,7 +284,8 @@ def time_fit(subject: Subject, sampler: SamplerConfig, effort: EvidenceConfig) -
 
     with np.errstate(all="ignore"):
         density, by_row = time_call(posterior.log_density, y), time_call(posterior.pointwise, y[:1])
-    kept = subject.choose((sampler.ensembles, count_walkers(posterior.n_parameters, sampler.walkers), sampler.steps))
+    walkers = count_walkers(posterior.n_parameters, sampler.walkers)
+    kept = choose_draws(sampler.ensembles, walkers * sampler.steps, KEPT_READINGS)
     return SEARCHED * density * sum(_plan(sampler, effort).values()) + JUDGED * by_row * kept.size
 
 
@@ -318,8 +304,7 @@ def fit_posterior(subject: Subject, seed: int, name: str, sampler: SamplerConfig
     # the one that was explored: with a finer density where that makes a difference
     posterior = cast("Fittable", exploration.straight.posterior)
     evaluated = subject.evaluate(posterior, found.y, evaluate_seed)
-    used = subject.is_used(evaluated["log_likelihood"].shape[-1])
-    left_out = leave_out(found.draws, evaluated["log_likelihood"][..., used])
+    left_out = leave_out(found.draws, evaluated["log_likelihood"])
     left_out = refit_doubtful(left_out, posterior, exploration, sampler.walkers, refit_seed)
     return Fit(
         **vars(found),
@@ -330,7 +315,7 @@ def fit_posterior(subject: Subject, seed: int, name: str, sampler: SamplerConfig
         left_out=left_out,
         misfit=subject.measure_misfit(posterior, found.mode),
         pulls=measure_pulls(posterior, found.draws),
-        power_scaling=_scale_power(posterior, found.draws, evaluated, used),
+        power_scaling=_scale_power(posterior, found.draws, evaluated["log_likelihood"]),
         wall_seconds=time.perf_counter() - began,
     )
 
@@ -391,8 +376,9 @@ def _estimate(
             seeds = correct_seed.spawn(sampler.ensembles)
             sample = sample_exactly(costly, found, sample, correction.move, seeds)
     moved = shift_evidence(importance, correction)
-    shape, n = sample.log_density.shape, posterior.n_parameters
-    places = choose_draws(shape[0], shape[1] * shape[2], KEPT_READINGS) if subject is None else subject.choose(shape)
+    n, flat = posterior.n_parameters, sample.straight.reshape(-1, sample.straight.shape[-1])
+    proposed = found.proposal.log_density(flat).reshape(sample.log_density.shape)
+    places = choose_draws(len(sample.log_density), sample.log_density[0].size, KEPT_READINGS)
     low, high = np.quantile(sample.natural, (0.05, 0.95), axis=(0, 1, 2))
     estimate = Estimate(
         y=sample.y.reshape(-1, n)[places],
@@ -408,7 +394,7 @@ def _estimate(
         diagnostics=sample.diagnostics,
         importance=moved,
         bridge=shift_evidence(bridge, correction),
-        longest_stand=measure_longest_stand(sample.log_density, _compare_densities(found, sample, moved.log_evidence)),
+        longest_stand=measure_longest_stand(sample.log_density, sample.log_density - proposed - moved.log_evidence),
         n_steps=sampler.steps,
         scouts=scouts,
         tails=tails,
@@ -416,13 +402,6 @@ def _estimate(
         correction=correction,
     )
     return estimate, found
-
-
-def _compare_densities(found: Exploration, sample: Sample, log_evidence: float) -> Array:
-    """Return the log of the posterior's density over the proposal's at all draws, shape (E, W, S)."""
-    flat = sample.straight.reshape(-1, sample.straight.shape[-1])
-    proposed = found.proposal.log_density(flat).reshape(sample.log_density.shape)
-    return np.asarray(sample.log_density - proposed - log_evidence)
 
 
 def shift_evidence[T: (ImportanceEvidence, BridgeEvidence, Check)](found: T, correction: Correction | None) -> T:
@@ -433,14 +412,10 @@ def shift_evidence[T: (ImportanceEvidence, BridgeEvidence, Check)](found: T, cor
     return replace(found, log_evidence=found.log_evidence + correction.log_ratio, standard_error=error)
 
 
-def _scale_power(posterior: Fittable, draws: Array, evaluated: Mapping[str, Array], used: np.ndarray) -> Array:
-    """Return how much each parameter depends on prior and data, shape (n, 2), from some of the draws."""
+def _scale_power(posterior: Fittable, draws: Array, density: Array) -> Array:
+    """Return how much each parameter depends on prior and data, shape (n, 2), from some draws and rows' densities."""
     chosen = choose_draws(*draws.shape[:2])
-    density = evaluated["log_likelihood"]
     some, density = (one.reshape(-1, one.shape[-1])[chosen] for one in (draws, density))
     priors = posterior.all_priors().values()
     log_prior = sum(prior.log_density(some[..., k]) for k, prior in enumerate(priors))
-    together = density[..., used].sum(axis=-1)
-    if "calibration_density" in evaluated:
-        together = evaluated["calibration_density"][chosen]
-    return measure_sensitivity(some, np.asarray(log_prior), together)
+    return measure_sensitivity(some, np.asarray(log_prior), density.sum(axis=-1))

@@ -6,7 +6,7 @@ all machines read, in µm at the tool.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -39,22 +39,6 @@ TOGETHER = "together"
 REMEDY = "fewer poses, a longer length, or no such errors"
 
 
-@dataclass(frozen=True, eq=False)
-class FoundFunctions:
-    """What draws of a posterior tell of its functions.
-
-    Attributes
-    ----------
-    rows : list of dict
-        Of each function: how probable an error is, its scale, its size over the calibration poses; µm and arcsec.
-    curves : list of dict
-        Its course over what it depends on, where that is one number.
-    """
-
-    rows: list[dict[str, Any]]
-    curves: list[dict[str, Any]]
-
-
 def check_functions(term: FunctionErrors, n_poses: int, n_channels: int) -> None:
     """Raise InputError where functions need more memory than there is."""
     n = len(term.places) * term.root(np.array([term.length])).shape[-1]
@@ -62,33 +46,40 @@ def check_functions(term: FunctionErrors, n_poses: int, n_channels: int) -> None
     check_memory(Need(each=8.0 * held, sizes=f"{n_poses} poses with {n} coefficients of functions", remedy=REMEDY), 1)
 
 
-def find_functions(posterior: CalibrationPosterior, y: Array, rng: np.random.Generator) -> FoundFunctions | None:
-    """Return what draws (T, n) tell of functions, from errors common to all rows that are drawn; None without any."""
+def tabulate_functions(
+    variant: str, posterior: CalibrationPosterior, y: Array, rng: np.random.Generator
+) -> dict[str, pd.DataFrame]:
+    """Return what draws (T, n) tell of functions, from errors common to all rows that are drawn; none without any.
+
+    ``functions`` has of each how probable an error is, its scale, and its size over the calibration poses, µm and
+    arcsec; ``function_curves`` its course over what it depends on, where that is one number.
+    """
+    import pandas as pd  # a third of a second, for those who have tables
+
     if not any(isinstance(term, FunctionErrors) for term in posterior.errors.terms):
-        return None
-    draws = posterior.likelihood.draw_common(*posterior.at(y), rng)
-    data = posterior.likelihood.data
-    names = posterior.likelihood.model.names
-    grid = _grid(data)
-    rows: list[dict[str, Any]] = []
-    curves: list[dict[str, Any]] = []
-    at_poses, along = draws.by_term(data), draws.by_term(grid)
+        return {}
+    draws, data = posterior.likelihood.draw_common(*posterior.at(y), rng), posterior.likelihood.data
+    grid, rows, curves = _grid(data), list[dict[str, Any]](), list[dict[str, Any]]()
     terms = posterior.errors.of(posterior.zeta(y))
-    for (term, zeta), errors, course in zip(terms, at_poses, along, strict=True):
+    for (term, zeta), errors, course in zip(terms, draws.by_term(data), draws.by_term(grid), strict=True):
         if not isinstance(term, FunctionErrors) or errors is None or course is None:
             continue
         for k, group in zip(term.places, term.group, strict=True):
             factor, unit = SHOWN.get(term.scale_units[group], (1.0, term.scale_units[group]))
-            there = data.present[:, k]
-            size = factor * np.sqrt(np.mean(errors[:, there, k] ** 2, axis=1))
+            size = factor * np.sqrt(np.mean(errors[:, data.present[:, k], k] ** 2, axis=1))
             low, high = np.quantile(size, INTERVAL)
-            own = {"sensor": names[k], "of": term.travel.of, "unit": unit}
+            own = {"variant": variant, "sensor": posterior.likelihood.model.names[k]}
+            own |= {"of": term.travel.of, "unit": unit}
+            scale = term.scales(zeta)[:, group]
+            there = scale[scale > 0.0]
             rows.append(
                 {
                     **own,
                     "kernel": term.kernel,
                     "present": float((zeta[:, group] > BORDER).mean()),
-                    **_describe_scale(term, factor, group, term.scales(zeta)[:, group]),
+                    "scale_stated": factor * float(term.scale[group]),
+                    "scale": factor * float(np.median(there)) if len(there) > 1 else float("nan"),
+                    "left": float(np.log(there).std() / term.spread) if len(there) > 1 else float("nan"),
                     "rms": float(size.mean()),
                     "rms_low": float(low),
                     "rms_high": float(high),
@@ -99,7 +90,7 @@ def find_functions(posterior: CalibrationPosterior, y: Array, rng: np.random.Gen
                 mean, (low, high) = course[..., k].mean(axis=0), np.quantile(course[..., k], INTERVAL, axis=0)
                 values = zip(x, factor * mean, factor * low, factor * high, strict=True)
                 curves += [{**own, "reading": at, "mean": m, "low": a, "high": b} for at, m, a, b in values]
-    return FoundFunctions(rows, curves)
+    return {"functions": pd.DataFrame(rows), "function_curves": pd.DataFrame(curves)}
 
 
 def _grid(data: Measurements) -> Measurements:
@@ -109,29 +100,6 @@ def _grid(data: Measurements) -> Measurements:
     return replace(
         data, poses=tuple(map(str, range(CURVE))), values=values, sd=np.ones_like(values), correlation=None, order=order
     )
-
-
-def _describe_scale(term: FunctionErrors, factor: float, group: int, scale: Array) -> dict[str, float]:
-    """Return a scale as stated and as found where there is an error, and what is left of its prior's spread."""
-    there = scale[scale > 0.0]
-    found = {"scale_stated": factor * float(term.scale[group]), "scale": float("nan"), "left": float("nan")}
-    if len(there) > 1:
-        found["scale"] = factor * float(np.median(there))
-        found["left"] = float(np.log(there).std() / term.spread)
-    return found
-
-
-def tabulate_functions(found: Sequence[tuple[str, FoundFunctions | None]]) -> dict[str, pd.DataFrame]:
-    """Return the tables of all variants with such errors; none where none has."""
-    import pandas as pd  # a third of a second, for those who have tables
-
-    there = [(name, one) for name, one in found if one is not None]
-    if not there:
-        return {}
-    return {
-        "functions": pd.DataFrame([{"variant": name, **row} for name, one in there for row in one.rows]),
-        "function_curves": pd.DataFrame([{"variant": name, **row} for name, one in there for row in one.curves]),
-    }
 
 
 # --- the terms of a model error ------------------------------------------------------------------------------------

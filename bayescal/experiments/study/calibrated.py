@@ -68,7 +68,7 @@ ERRORS = "errors"
 
 def list_machine_files(inputs: StudyInputs) -> dict[str, str | Writer]:
     """Return the files that a study's results hold of its machines, and the commands of its poses, by name."""
-    found: dict[str, str | Writer] = {name: write_bytes(one) for name, one in inputs.machine_files[0].items()}
+    found: dict[str, str | Writer] = {name: write_bytes(one) for name, one in inputs.files.items()}
     every = found | format_variants_commands(inputs) | format_matrices(inputs)
     return {f"{KEPT}/{name}": one for name, one in every.items()}
 

@@ -3,58 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from bayescal.config.registry import find_class
 from bayescal.errors import name_faults
-from bayescal.experiments.frame.memory import Need
 from bayescal.experiments.shared.knowledge_page import NO_TOOL
 from bayescal.experiments.shared.measured import MeasuredReadings
 from bayescal.experiments.shared.origin import name_origin
 from bayescal.experiments.shared.outlook import join_outlooks
 from bayescal.experiments.shared.readings.errors import drop_model_error
 from bayescal.experiments.shared.readings.inputs import ReadingInputs, read_inputs
-from bayescal.experiments.shared.readings.memory import estimate_calibration
 from bayescal.experiments.shared.readings.priors import check_ranges
 from bayescal.experiments.shared.slip_search import find_slip
 from bayescal.experiments.shared.slips import FoundSlip
-from bayescal.experiments.shared.study_schema import StudyConfig, stem_of
-from bayescal.experiments.study.doubts import doubt_zero
+from bayescal.experiments.shared.study_schema import StudyConfig
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from bayescal.experiments.study.claims import Claims
-    from bayescal.experiments.study.readings import ReadingSubject
 
 PAGE, ROW = 8.0, 2e-3  # s, of tables and a page, and for each row
 WIDTHS = 0.15  # of a fit's time, for each factor on the widths of priors
-
-
-@dataclass(frozen=True)
-class Task:
-    """A unit of work: a posterior of a variant."""
-
-    variant: str
-
-    @property
-    def stem(self) -> str:
-        """Name of the posterior's file without its ending."""
-        return stem_of(self.variant)
-
-
-@dataclass(frozen=True, eq=False)
-class Described:
-    """What was found: each variant's entry of the summary, further entries of it, and tables by their names."""
-
-    variants: dict[str, dict[str, Any]]
-    tables: dict[str, pd.DataFrame]
-    summary: dict[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,21 +60,6 @@ class StudyInputs(ReadingInputs):
         """Which rows are kept for verification, of the variant that takes in most."""
         return max((one.verification for one in self.variants.values()), key=len)
 
-    @property
-    def machine_files(self) -> tuple[dict[str, bytes], str]:
-        """What the machines are read from, by names in one folder, and where in that folder the config's own one is."""
-        return self.files, self.machine_folder
-
-    def list_tasks(self) -> list[Task]:
-        """Return all tasks."""
-        return [Task(one.name) for one in self.config.variants]
-
-    def subject(self, task: Task, factor: float = 1.0) -> ReadingSubject:
-        """Return what is fitted; ``factor`` multiplies the widths of the parameters' priors."""
-        from bayescal.experiments.study.readings import ReadingSubject
-
-        return ReadingSubject(self.variants[task.variant].posterior(factor=factor).anchored())
-
     @cached_property
     def claims(self) -> Claims | None:
         """What a publication claims of the study; InputError for a class that is none, or wants what is not there."""
@@ -114,17 +72,17 @@ class StudyInputs(ReadingInputs):
         found.check(self)
         return found
 
-    def estimate_memory(self) -> Need:
-        """Return what the largest variant's posterior takes, and all that is saved of each."""
-        return estimate_calibration(self)
-
     def estimate_seconds(self, workers: int) -> float:
         """Return about how long posteriors and pages take with so many processes, s."""
         from bayescal.experiments.shared.estimate import time_fit
+        from bayescal.experiments.study.readings import ReadingSubject
 
-        config = self.config
+        config, subjects = (
+            self.config,
+            map(ReadingSubject, (one.posterior().anchored() for one in self.variants.values())),
+        )
         widths = 1.0 + WIDTHS * sum(factor != 1.0 for factor in config.sensitivity.factor)
-        each = [widths * time_fit(self.subject(task), config.sampler, config.evidence) for task in self.list_tasks()]
+        each = [widths * time_fit(one, config.sampler, config.evidence) for one in subjects]
         return PAGE + ROW * len(self.verification) + max(max(each), sum(each) / workers)
 
     def outlook(self) -> list[str]:
@@ -137,10 +95,6 @@ class StudyInputs(ReadingInputs):
     def slip(self) -> FoundSlip | None:
         """What may have happened to readings that no machine within its priors comes near, looked for once."""
         return find_slip(one.list_readings() for one in self.variants.values())
-
-    def doubt(self) -> list[str]:
-        """Return what is probably wrong with the data, in words."""
-        return doubt_zero(self) if self.slip is None else [self.slip.say()]
 
     def measure(self, names: Sequence[str], with_model_error: bool = True) -> dict[str, MeasuredReadings]:
         """Return the posteriors of variants' calibration poses, without terms of [model_error] where not wanted."""

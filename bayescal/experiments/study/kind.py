@@ -20,7 +20,9 @@ from bayescal.experiments.shared.measured import MeasuredReadings, Measuring
 from bayescal.experiments.shared.readings.instruments import list_machines
 from bayescal.experiments.shared.readings.machine_kind import MachineExperiment
 from bayescal.experiments.shared.readings.measurement import list_file_faults
+from bayescal.experiments.shared.readings.memory import estimate_calibration
 from bayescal.experiments.shared.study_schema import StudyConfig
+from bayescal.experiments.study.doubts import doubt_zero
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.terminal import show_comparison, show_ranking
 from bayescal.report.blocks import Page
@@ -54,7 +56,7 @@ class Study(MachineExperiment[StudyConfig, StudyInputs], Measuring, Calibrating)
 
     def estimate_memory(self, inputs: StudyInputs) -> Need:
         """Return what the posteriors take."""
-        return inputs.estimate_memory()
+        return estimate_calibration(inputs)
 
     def estimate_seconds(self, inputs: StudyInputs, workers: int) -> float:
         """Return what the posteriors take, from the time of some of their densities."""
@@ -66,7 +68,7 @@ class Study(MachineExperiment[StudyConfig, StudyInputs], Measuring, Calibrating)
 
     def doubt(self, inputs: StudyInputs) -> list[str]:
         """Return what may have happened to data that no machine explains, or only one within wide tolerances."""
-        return inputs.doubt()
+        return doubt_zero(inputs) if inputs.slip is None else [inputs.slip.say()]
 
     def compute(self, inputs: StudyInputs, run: Run) -> Results:
         """Return posteriors, evidence and predictions of all variants."""

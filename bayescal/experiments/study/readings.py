@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, cast
 
@@ -23,15 +23,10 @@ from bayescal.density.prediction import Prediction, compute_elpd
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.shared.chi_square import ChiSquare
 from bayescal.experiments.shared.estimate import Arrays, Fit, Subject, fit_posterior
-from bayescal.experiments.shared.function_errors import (
-    FoundFunctions,
-    find_functions,
-    tabulate_functions,
-    tabulate_model_error,
-)
+from bayescal.experiments.shared.function_errors import tabulate_functions, tabulate_model_error
+from bayescal.experiments.shared.readings.beside import Beside
 from bayescal.experiments.shared.readings.inputs import ReadingInputs, Variant
 from bayescal.experiments.shared.readings.knowledge import (
-    Knowledge,
     assess,
     learn_posterior,
     list_next,
@@ -42,16 +37,17 @@ from bayescal.experiments.shared.readings.knowledge import (
 )
 from bayescal.experiments.shared.search_memory import PRIOR_READINGS
 from bayescal.experiments.shared.soundness import fit_rows
-from bayescal.experiments.shared.stacking import tabulate_comparison
 from bayescal.experiments.shared.trees import Draws, Readings, build_tree, group_functions, limit_draws, spread
-from bayescal.experiments.shared.variant_tables import NOISE, describe_fit, tabulate_left_out, tabulate_parameters
 from bayescal.experiments.study.calibrated import ERRORS, tabulate_errors
-from bayescal.experiments.study.inputs import Described, StudyInputs
+from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.tables import (
     describe_errors,
     describe_legs,
     find_seen,
+    join_tables,
+    tabulate_comparison,
     tabulate_legs,
+    tabulate_parameters,
     tabulate_pose_errors,
     tabulate_tau_scale,
     title_variant,
@@ -145,30 +141,16 @@ class ReadingFit(Fit):
 
     Attributes
     ----------
-    functions : FoundFunctions or None
-        Errors that are functions.
-    residuals : Residuals
-        At the best mode.
-    knowledge : Knowledge
-    beside : list of ndarray
-        What its draws make of values from elsewhere.
+    tables : dict of str to DataFrame
+        Its rows of the study's tables, by name; none where it has none.
     held : list of Held
         The prediction of poses kept for verification.
-    errors : DataFrame
-        By what each commanded channel errs.
-    model_error : dict of str to DataFrame
-        What each term of its model error contributes.
     poses : Prediction or None
         Errors of all poses that an instrument saw, by the machine's own channels; None where none saw any.
     """
 
-    functions: FoundFunctions | None
-    residuals: Residuals
-    knowledge: Knowledge
-    beside: list[Array]
+    tables: dict[str, pd.DataFrame]
     held: list[Held]
-    errors: pd.DataFrame
-    model_error: dict[str, pd.DataFrame]
     poses: Prediction | None = None
 
 
@@ -176,32 +158,35 @@ def fit_variant(inputs: ReadingInputs, name: str) -> ReadingFit:
     """Return all that is found of a variant; its random numbers depend on the config's seed and the name alone."""
     variant, config = inputs.variants[name], inputs.config
     subject = ReadingSubject(variant.posterior().anchored())
-    posterior = subject.density
+    posterior = subject.posterior
     fit = fit_posterior(subject, config.seed, name, config.sampler, config.evidence)
-    rng = np.random.default_rng([config.seed, 9, zlib.crc32(name.encode())])
-    own = np.random.default_rng([config.seed, 10, zlib.crc32(name.encode())])
-    functions, some = find_functions(posterior, fit.kept, rng), fit.kept[spread(len(fit.kept), ERROR_DRAWS)]
+    y, some = fit.kept, fit.kept[spread(len(fit.kept), ERROR_DRAWS)]
+    rng, own = (np.random.default_rng([config.seed, k, zlib.crc32(name.encode())]) for k in (9, 10))
+    errors = tabulate_functions(name, posterior, y, rng)
     with np.errstate(all="ignore"):
         drawn = posterior.likelihood.draw_common(*posterior.at(some), rng)
-    error = config.leg_error.of(variant.config.model_error)
-    found = tabulate_model_error(name, variant.data, variant.verification, posterior, some, drawn, error, own)
-    known = KnownFunctions.find(posterior, fit.kept)
+    errors[ERRORS] = tabulate_errors(config, variant, posterior, some, drawn)
+    terms = config.leg_error.of(variant.config.model_error)
+    errors |= tabulate_model_error(name, variant.data, variant.verification, posterior, some, drawn, terms, own)
+    known = KnownFunctions.find(posterior, y)
     packed = fit.pack(subject.build_tree(fit, name, known), ONLY_SAVED)
-    learn = learn_posterior(variant, posterior, fit.kept, known)
     with stage("held-back poses"):
-        held = [hold_back(inputs, (name, 0), (posterior, fit.kept))] if variant.verification.any() else []
+        held = [hold_back(inputs, (name, 0), (posterior, y))] if variant.verification.any() else []
     with stage("accuracy"):
-        return ReadingFit(
-            **vars(packed),
-            functions=functions,
-            residuals=_explain(posterior, fit),
-            knowledge=assess(config, variant, posterior, fit.kept.mean(axis=0), learn),
-            beside=[one.evaluate(variant.whole, posterior.theta(fit.kept)) for one in inputs.beside],
-            held=held,
-            errors=tabulate_errors(config, variant, posterior, some, drawn),
-            model_error=found,
-            poses=_predict_poses(variant, posterior, fit.kept, own),
-        )
+        knowledge = assess(config, variant, posterior, y.mean(axis=0), learn_posterior(variant, posterior, y, known))
+        poses = _predict_poses(variant, posterior, y, own)
+        tables = {
+            "parameters": tabulate_parameters(variant, fit, knowledge.verdicts),
+            **_tabulate_residuals(variant, _explain(posterior, fit), fit),
+            "accuracy": tabulate_accuracy(variant, knowledge, config.units),
+            "ridges": pd.DataFrame(list_ridges(variant, knowledge)),
+            "next": pd.DataFrame(list_next(variant, knowledge)),
+            "beside": _tabulate_beside(inputs.beside, variant, posterior.theta(y)),
+            **errors,
+            "pose_errors": pd.DataFrame() if poses is None else tabulate_pose_errors(variant, poses),
+        }
+    tables = {key: table for key, table in tables.items() if not table.empty}
+    return ReadingFit(**vars(packed), tables=tables, held=held, poses=poses)
 
 
 def _predict_poses(
@@ -220,12 +205,7 @@ def _predict_poses(
 
 @dataclass(frozen=True, eq=False)
 class ReadingSubject(Subject):
-    """A posterior of readings.
-
-    Attributes
-    ----------
-    density : CalibrationPosterior
-    """
+    """A posterior of readings."""
 
     density: CalibrationPosterior
 
@@ -381,8 +361,13 @@ def hold_back(
     return Held(np.flatnonzero(held), elpd, efficiency, pareto_k, predictions, tool)
 
 
-def describe_readings(inputs: StudyInputs, found: Mapping[str, ReadingFit], run: Run) -> Described:
-    """Return the tables of all variants and their rows as the summary has them; folds are predicted in tasks."""
+def describe_readings(
+    inputs: StudyInputs, found: Mapping[str, ReadingFit], run: Run
+) -> tuple[dict[str, dict[str, Any]], dict[str, pd.DataFrame], dict[str, Any]]:
+    """Return each variant's entry of the summary, the tables of all, and further entries of the summary.
+
+    Folds are predicted in tasks.
+    """
     folds = {
         f"{name} {fold + 1}": (name, fold)
         for name, variant in inputs.variants.items()
@@ -390,40 +375,26 @@ def describe_readings(inputs: StudyInputs, found: Mapping[str, ReadingFit], run:
         for fold in range(len(list_folds(inputs, variant)))
     }
     predicted = run.map("held-back poses", hold_back, inputs, folds, (Held,)) if folds else {}
-    held = {
-        name: [*fit.held, *(predicted[task] for task, (owner, _) in folds.items() if owner == name)]
-        for name, fit in found.items()
-    }
-    every, units = [(inputs.variants[name], fit) for name, fit in found.items()], inputs.config.units
-    predictions = pd.DataFrame([row for variant, _ in every for row in list_predictions(variant, held[variant.name])])
-    tool = pd.DataFrame(
-        [row for variant, _ in every for row in list_predictions(variant, held[variant.name], of_tool=True)]
-    )
-    rows = pd.DataFrame([_describe(*one, held[one[0].name], predictions) for one in every])
-    variants = tabulate_comparison(rows, {name: fit.left_out for name, fit in found.items()}, "data")
+    every: list[tuple[Variant, ReadingFit, list[Held]]] = []
+    for name, fit in found.items():
+        own = [predicted[task] for task, (owner, _) in folds.items() if owner == name]
+        every.append((inputs.variants[name], fit, [*fit.held, *own]))
+    rows = pd.DataFrame([_describe(*one) for one in every])
+    variants = tabulate_comparison(rows, {name: fit.left_out for name, fit in found.items()})
+    names = dict.fromkeys(name for fit in found.values() for name in fit.tables)
     tables = {
         "variants": variants,
-        "parameters": pd.concat([_list_parameters(*one) for one in every], ignore_index=True),
-        "residuals": _table(_list_residuals(*one) for one in every),
-        "poses": pd.concat([_list_poses(*one) for one in every], ignore_index=True),
-        "predictions": predictions,
-        "not_predicted": _table(list_lost(variant, held[variant.name]) for variant, _ in every),
-        "tool_predictions": tool,
-        "accuracy": pd.concat([tabulate_accuracy(one, fit.knowledge, units) for one, fit in every], ignore_index=True),
-        "ridges": _table(list_ridges(variant, fit.knowledge) for variant, fit in every),
-        "next": _table(list_next(variant, fit.knowledge) for variant, fit in every),
-        "beside": _table(_list_beside(inputs, *one) for one in every),
-        **tabulate_functions([(name, fit.functions) for name, fit in found.items()]),
-        ERRORS: pd.concat([fit.errors for fit in found.values()], ignore_index=True),
-        **_join(fit.model_error for fit in found.values()),
-        "pose_errors": _concatenate(
-            tabulate_pose_errors(variant, fit.poses) for variant, fit in every if fit.poses is not None
+        **{name: join_tables(fit.tables[name] for fit in found.values() if name in fit.tables) for name in names},
+        "predictions": join_tables(tabulate_predictions(variant, held) for variant, _, held in every),
+        "not_predicted": join_tables(tabulate_lost(variant, held) for variant, _, held in every),
+        "tool_predictions": join_tables(
+            tabulate_predictions(variant, held, of_tool=True) for variant, _, held in every
         ),
         "tau_scale": tabulate_tau_scale(inputs, found),
         **tabulate_legs(inputs),
     }
     known = {str(row.pop("variant")): plain(row) for row in variants.to_dict("records")}
-    for variant, fit in every:
+    for variant, fit, _ in every:
         known[variant.name] |= {"calibration": None, "verification": None}
         if fit.poses is not None:
             known[variant.name] |= describe_errors(variant, fit.poses)[1]
@@ -434,38 +405,30 @@ def describe_readings(inputs: StudyInputs, found: Mapping[str, ReadingFit], run:
         **({"unused": inputs.unused} if inputs.unused else {}),
         **({"missing_terms": inputs.missing} if inputs.missing else {}),
     }
-    return Described(known, {name: table for name, table in tables.items() if not table.empty}, summary)
+    return known, {name: table for name, table in tables.items() if not table.empty}, summary
 
 
-def _join(tables: Iterable[Mapping[str, pd.DataFrame]]) -> dict[str, pd.DataFrame]:
-    """Return tables of several variants below each other, by name."""
-    every = [*tables]
-    names = dict.fromkeys(name for one in every for name in one)
-    return {name: pd.concat([one[name] for one in every if name in one], ignore_index=True) for name in names}
-
-
-def _concatenate(tables: Iterable[pd.DataFrame]) -> pd.DataFrame:
-    every = [*tables]
-    return pd.concat(every, ignore_index=True) if every else pd.DataFrame()
-
-
-def _table(rows: Iterable[Iterable[Mapping[str, Any]]]) -> pd.DataFrame:
-    return pd.DataFrame([row for some in rows for row in some])
-
-
-def _describe(variant: Variant, fit: ReadingFit, held: list[Held], predictions: pd.DataFrame) -> dict[str, Any]:
-    left = fit.residuals
-    freedom = int(left.freedom.sum()) - len(fit.names)
+def _describe(variant: Variant, fit: ReadingFit, held: list[Held]) -> dict[str, Any]:
+    """Return a variant's row of the table of variants."""
+    poses, predictions = fit.tables["poses"], tabulate_predictions(variant, held)
+    n_equations = int(poses["equations"].sum())
+    freedom = n_equations - len(fit.names)
     row: dict[str, Any] = {
         "variant": variant.name,
         "title": title_variant(variant.config, variant.whole),
         "data": name_data(variant),
         "robust": variant.config.outliers.expected,
-        "n_poses": len(left.square),
-        "n_equations": int(left.freedom.sum()),
-        **describe_fit(fit),
+        "n_poses": len(poses),
+        "n_equations": n_equations,
+        "n_parameters": len(fit.names),
+        **fit.describe_evidence(),
+        "misfit_chi2": fit.misfit.value,
+        "misfit_dof": fit.misfit.dof,
+        "pulls_chi2": fit.pulls.value,
+        "pulls_dof": fit.pulls.dof,
+        **fit.describe_chains(),
         "elpd": sum(one.elpd for one in held) if held else float("nan"),
-        "misfit": float(np.sqrt(left.square.sum() / freedom)) if freedom > 0 else float("nan"),
+        "misfit": float(np.sqrt(poses["square"].to_numpy().sum() / freedom)) if freedom > 0 else float("nan"),
     }
     if fit.poses is not None:
         row |= describe_errors(variant, fit.poses)[0]
@@ -479,8 +442,8 @@ def _describe(variant: Variant, fit: ReadingFit, held: list[Held], predictions: 
             "exact_density_pareto_k": float(fit.correction.pareto_k),
         }
     if not predictions.empty:
-        mine = predictions[(predictions["variant"] == variant.name) & ~predictions["external"]]
-        row |= {"held_readings": len(mine), "inside_90": float(mine["inside"].mean()) if len(mine) else float("nan")}
+        own = predictions[~predictions["external"]]
+        row |= {"held_readings": len(own), "inside_90": float(own["inside"].mean()) if len(own) else float("nan")}
     return row
 
 
@@ -492,88 +455,80 @@ def _measure_distance(variant: Variant, fit: ReadingFit) -> float:
     return float(np.sqrt(np.mean(np.square(moved)))) if moved else 0.0
 
 
-def _list_parameters(variant: Variant, fit: ReadingFit) -> pd.DataFrame:
-    posterior = variant.posterior()
-    start = list(variant.model.layout.nominal[posterior.sampling.free])
-    medians = posterior.errors.natural(np.zeros(posterior.errors.n_parameters))
-    start += [float(x) if unit == "1" else 0.0 for unit, x in zip(posterior.errors.units, medians, strict=True)]
-    verdicts = [*fit.knowledge.verdicts, *[NOISE] * posterior.errors.n_parameters]
-    return tabulate_parameters(variant.name, fit, start, verdicts)
+def _tabulate_residuals(variant: Variant, left: Residuals, fit: Fit) -> dict[str, pd.DataFrame]:
+    """Return the residuals of each reading that the posterior has seen, and of each pose."""
+    data = variant.data.pick(~variant.verification)
+    rows, places = np.nonzero(data.present)
+    channels = [variant.model.channels[k] for k in places]
+    residuals = {
+        "variant": variant.name,
+        "pose": [data.poses[k] for k in rows],
+        "channel": [one.name for one in channels],
+        "unit": [one.unit for one in channels],
+        "measured": data.values[rows, places],
+        "residual": left.left[rows, places],
+        "noise": left.noise[rows, places],
+    }
+    poses = {
+        "variant": variant.name,
+        "pose": list(data.poses),
+        "elpd_loo": fit.left_out.elpd,
+        "pareto_k": fit.left_out.pareto_k,
+        "refitted": fit.left_out.was_refitted.astype(bool),
+        **{f"{one.name}_{one.unit}": left.pose[:, k] for k, one in enumerate(variant.model.coordinates)},
+        "equations": left.freedom,
+        "square": left.square,
+        "chance": left.chance,
+        "trust": left.trust,
+        "contradicting": left.find_contradicting(variant.config.outliers.expected),
+    }
+    return {"residuals": pd.DataFrame(residuals), "poses": pd.DataFrame(poses)}
 
 
-def _list_residuals(variant: Variant, fit: ReadingFit) -> Iterator[dict[str, Any]]:
-    poses = variant.data.pick(~variant.verification)
-    for k, name in enumerate(poses.poses):
-        for channel in np.flatnonzero(poses.present[k]):
-            yield {
-                "variant": variant.name,
-                "pose": name,
-                "channel": variant.model.channels[channel].name,
-                "unit": variant.model.channels[channel].unit,
-                "measured": poses.values[k, channel],
-                "residual": fit.residuals.left[k, channel],
-                "noise": fit.residuals.noise[k, channel],
-            }
-
-
-def _list_poses(variant: Variant, fit: ReadingFit) -> pd.DataFrame:
-    left = fit.residuals
-    chance = left.chance
-    coordinates = {f"{c.name}_{c.unit}": left.pose[:, k] for k, c in enumerate(variant.model.coordinates)}
-    used = variant.data.pick(~variant.verification)
-    contradicting = left.find_contradicting(variant.config.outliers.expected)
-    own = {"equations": left.freedom, "square": left.square, "chance": chance, "trust": left.trust}
-    common = tabulate_left_out(variant.name, fit, used.poses)
-    return common.assign(**coordinates, **own, contradicting=contradicting)
-
-
-def list_lost(variant: Variant, held: list[Held]) -> Iterator[dict[str, Any]]:
-    """Yield the held-back readings that have no prediction, with the reason."""
+def tabulate_lost(variant: Variant, held: list[Held]) -> pd.DataFrame:
+    """Return the held-back readings that have no prediction, with the reason."""
+    rows = []
     for one in held:
-        for pose, channel, why in one.predictions.lost:
-            yield {
-                "variant": variant.name,
-                "pose": variant.data.poses[one.rows[pose]],
-                "channel": variant.model.channels[channel].name,
-                "external": variant.model.channels[channel].external,
-                "why": why,
-            }
+        for pose, k, why in one.predictions.lost:
+            channel = variant.model.channels[k]
+            rows.append((variant.name, variant.data.poses[one.rows[pose]], channel.name, channel.external, why))
+    return pd.DataFrame(rows, columns=["variant", "pose", "channel", "external", "why"])
 
 
-def list_predictions(variant: Variant, held: list[Held], of_tool: bool = False) -> Iterator[dict[str, Any]]:
-    """Yield each held-back reading with its prediction; ``of_tool`` by the machine's own readings alone."""
+def tabulate_predictions(variant: Variant, held: list[Held], of_tool: bool = False) -> pd.DataFrame:
+    """Return each held-back reading with its prediction; ``of_tool`` by the machine's own readings alone."""
+    tables = []
     for one in held:
         found = one.tool if of_tool else one.predictions
-        for k, (row, channel) in enumerate(zip(one.rows[found.pose], found.channel, strict=True)):
-            yield {
-                "variant": variant.name,
-                "pose": variant.data.poses[row],
-                "channel": variant.model.channels[channel].name,
-                "external": variant.model.channels[channel].external,
-                "unit": variant.model.channels[channel].unit,
-                "measured": found.measured[k],
-                "mean": found.mean[k],
-                "sd": found.sd[k],
-                "low": found.low[k],
-                "high": found.high[k],
-                "inside": bool(found.inside[k]),
-            }
+        channels = [variant.model.channels[k] for k in found.channel]
+        columns = {
+            "variant": variant.name,
+            "pose": [variant.data.poses[k] for k in one.rows[found.pose]],
+            "channel": [channel.name for channel in channels],
+            "external": [channel.external for channel in channels],
+            "unit": [channel.unit for channel in channels],
+            **{name: getattr(found, name) for name in ("measured", "mean", "sd", "low", "high", "inside")},
+        }
+        tables.append(pd.DataFrame(columns))
+    return join_tables(tables)
 
 
-def _list_beside(inputs: ReadingInputs, variant: Variant, fit: ReadingFit) -> Iterator[dict[str, Any]]:
-    for source, values in zip(inputs.beside, fit.beside, strict=True):
-        mean, sd = values.mean(axis=0), values.std(axis=0)
-        for k, name in enumerate(source.quantities):
-            if np.ptp(values[:, k]) == 0.0 and np.isnan(source.sd[k]):  # held fixed: there is nothing to compare
-                continue
-            yield {
-                "variant": variant.name,
-                "beside": source.title,
-                "source": source.source,
-                "quantity": name,
-                "unit": source.units[k],
-                "mean": mean[k],
-                "sd": sd[k],
-                "value": source.values[k],
-                "value_sd": source.sd[k],
-            }
+def _tabulate_beside(sources: Iterable[Beside], variant: Variant, theta: Array) -> pd.DataFrame:
+    """Return what machines (T, D) make of values from elsewhere, but of what is held fixed without a deviation."""
+    tables = []
+    for source in sources:
+        values = source.evaluate(variant.whole, theta)
+        columns = {
+            "variant": variant.name,
+            "beside": source.title,
+            "source": source.source,
+            "quantity": source.quantities,
+            "unit": source.units,
+            "mean": values.mean(axis=0),
+            "sd": values.std(axis=0),
+            "value": source.values,
+            "value_sd": source.sd,
+        }
+        is_fixed = (np.ptp(values, axis=0) == 0.0) & np.isnan(source.sd)
+        tables.append(pd.DataFrame(columns)[~is_fixed])
+    return join_tables(tables)

@@ -1,9 +1,10 @@
-"""What a study tells beside its variants' rows: errors of poses, scales of the model error, of legs their joints."""
+"""What a study tells of its variants: comparison, parameters, errors of poses, scales of the model error, legs."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+import warnings
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -22,6 +23,7 @@ from bayescal.experiments.shared.readings.seen_legs import SeenLegs
 from bayescal.experiments.shared.study_schema import VariantConfig
 from bayescal.files.csv_tables import format_table
 from bayescal.inference.importance import smooth_weights
+from bayescal.inference.leave_one_out import LeftOut
 from bayescal.limits import PARETO_K_LIMIT
 from bayescal.machines.mechanism import Mechanism
 from bayescal.machines.models.beam import CIRCLE, PIVOT, compute_beam_shift, compute_circle_shift
@@ -30,9 +32,132 @@ from bayescal.machines.readings import ReadingModel, legs_of
 from bayescal.numerics.geometry import Array, rotation_vector_from_matrix
 from bayescal.numerics.units import MICROMETRE
 
+if TYPE_CHECKING:
+    from arviz_stats.utils import ELPDDataLOO
+
 BENDING, N_BENDINGS = 1.0, 51  # deg
 COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
 USES = ("calibration", "verification")
+NOISE = "noise"
+"""Verdict on a parameter that is not one of the machine's."""
+
+
+# --- variants and their parameters -----------------------------------------------------------------------------------
+
+
+def join_tables(tables: Iterable[pd.DataFrame]) -> pd.DataFrame:
+    """Return tables below each other, those without rows left out."""
+    there = [one for one in tables if not one.empty]
+    return pd.concat(there, ignore_index=True) if there else pd.DataFrame()
+
+
+def compute_contraction(sd: Array, prior_sd: Array) -> Array:
+    """Return the share of the prior variance that the data removed, 1 − (sd / prior sd)²: the only formula of it."""
+    return np.asarray(1.0 - (sd / prior_sd) ** 2)
+
+
+def tabulate_parameters(variant: Variant, fit: Fit, verdicts: Sequence[str]) -> pd.DataFrame:
+    """Return a posterior's rows of ``parameters.csv``, with a verdict on each parameter of the machine."""
+    posterior = variant.posterior()
+    errors, n = posterior.errors, posterior.errors.n_parameters
+    medians = zip(errors.units, errors.natural(np.zeros(n)), strict=True)
+    nominal = [*variant.model.layout.nominal[posterior.sampling.free]]
+    nominal += [float(x) if unit == "1" else 0.0 for unit, x in medians]
+    return pd.DataFrame(
+        {
+            "variant": variant.name,
+            "parameter": fit.names,
+            "unit": fit.units,
+            "nominal": nominal,
+            "prior_sd": fit.prior_sd,
+            "mean": fit.mean,
+            "sd": fit.sd,
+            "q05": fit.q05,
+            "q95": fit.q95,
+            "contraction": compute_contraction(fit.sd, fit.prior_sd),
+            "prior_sensitivity": fit.power_scaling[:, 0],
+            "likelihood_sensitivity": fit.power_scaling[:, 1],
+            "verdict": [*verdicts, *[NOISE] * n],
+            "rhat": fit.diagnostics.rhat,
+            "ess_bulk": fit.diagnostics.ess_bulk,
+            "ess_tail": fit.diagnostics.ess_tail,
+        }
+    )
+
+
+def rank_variants(rows: Mapping[str, Mapping[str, Any]]) -> list[list[str]]:
+    """Return names of variants of the same data together: the largest log-evidence first, what did not converge last.
+
+    Of each variant a row has ``data``, ``converged`` and ``log_evidence``.
+    """
+    groups: dict[Any, list[str]] = {}
+    for name, row in rows.items():
+        groups.setdefault(row["data"], []).append(name)
+    return [
+        sorted(names, key=lambda name: (not rows[name]["converged"], -rows[name]["log_evidence"]))
+        for names in groups.values()
+    ]
+
+
+def compare_variants(left_out: Mapping[str, LeftOut]) -> pd.DataFrame:
+    """Return elpd differences from the best variant with standard errors over the rows, and stacking weights.
+
+    The densities of each row are taken relative to the best variant's there: neither differences nor weights change,
+    and no exponential overflows.
+    """
+    from arviz_stats import compare
+
+    best = np.max([one.elpd for one in left_out.values()], axis=0)
+    data = {name: _as_elpd_data(one.elpd - best, one.pareto_k) for name, one in left_out.items()}
+    with warnings.catch_warnings():
+        # bad poses are refitted or counted, and which variant to choose the evidence says
+        warnings.simplefilter("ignore", UserWarning)
+        return compare(data, method="stacking", round_to="none")
+
+
+def _as_elpd_data(elpd: Array, pareto_k: Array) -> ELPDDataLOO:
+    import xarray as xr
+    from arviz_stats.utils import ELPDDataLOO
+
+    n = len(elpd)
+    pointwise, k = (xr.DataArray(values, dims=["row"]) for values in (elpd, pareto_k))
+    se = float(np.sqrt(n * np.var(elpd)))
+    return ELPDDataLOO(
+        elpd=float(elpd.sum()),
+        se=se,
+        p=0.0,
+        n_samples=0,
+        n_data_points=n,
+        scale="log",
+        warning=False,
+        good_k=PARETO_K_LIMIT,
+        elpd_i=pointwise,
+        pareto_k=k,
+    )
+
+
+def tabulate_comparison(variants: pd.DataFrame, left_out: Mapping[str, LeftOut]) -> pd.DataFrame:
+    """Return a table of variants with how each predicts rows left out, beside the others of the same ``data``."""
+    rows = []
+    for _, some in variants.groupby("data", sort=False):
+        group = {str(name): left_out[str(name)] for name in some["variant"]}
+        several = compare_variants(group) if len(group) > 1 else None
+        for name, one in group.items():
+            elpd, se = one.summarise()
+            rows.append(
+                {
+                    "variant": name,
+                    "elpd_loo": elpd,
+                    "elpd_loo_se": se,
+                    "elpd_loo_difference": 0.0 if several is None else several["elpd_diff"][name],
+                    "elpd_loo_difference_se": 0.0 if several is None else several["dse"][name],
+                    "stacking_weight": 1.0 if several is None else several["weight"][name],
+                    "loo_pareto_k_max": float(one.pareto_k.max()),
+                    "loo_refitted": int(one.was_refitted.sum()),
+                    "loo_unreliable": int(one.is_doubtful.sum()),
+                }
+            )
+    return variants.merge(pd.DataFrame(rows), on="variant")
 
 
 # --- errors of poses that an instrument saw --------------------------------------------------------------------------

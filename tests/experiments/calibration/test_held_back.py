@@ -13,7 +13,7 @@ from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.page.errors import state_held_back
 from bayescal.experiments.study.page.results import StudyResults
-from bayescal.experiments.study.readings import hold_back, list_lost, list_predictions
+from bayescal.experiments.study.readings import hold_back, tabulate_lost, tabulate_predictions
 
 HEADER = "pose,use,s_1_mm,s_2_mm,s_3_mm,cam_x_mm,cam_y_mm,height_mm"
 
@@ -58,8 +58,8 @@ def make_study(lost, predictions, tool):
 
 
 def tabulate(variant, held):
-    lost, predictions = pd.DataFrame(list_lost(variant, [held])), pd.DataFrame(list_predictions(variant, [held]))
-    return lost, predictions, pd.DataFrame(list_predictions(variant, [held], of_tool=True))
+    predictions, of_tool = (tabulate_predictions(variant, [held], only) for only in (False, True))
+    return tabulate_lost(variant, [held]), predictions, of_tool
 
 
 def test_every_held_back_reading_has_a_prediction_or_a_reason(held):

@@ -234,7 +234,7 @@ def test_a_failure_of_scipy_is_numerical(folder, monkeypatch, error):
     def fail_always(inputs, task):
         raise error
 
-    monkeypatch.setattr(compute, "run_task", fail_always)
+    monkeypatch.setattr(compute, "fit_variant", fail_always)
     with pytest.raises(NumericalError, match="six_pus/none"):
         run_experiment(load_experiment(folder / "study.toml"), folder, folder / "out")
 

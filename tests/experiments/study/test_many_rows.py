@@ -22,7 +22,9 @@ from bayescal.experiments.frame.memory import GIB, Need
 from bayescal.experiments.shared import estimate
 from bayescal.experiments.shared.estimate import Subject, time_fit
 from bayescal.experiments.shared.function_errors import tabulate_model_error
+from bayescal.experiments.shared.search_memory import KEPT_READINGS
 from bayescal.experiments.shared.slip_search import STATED, _Search
+from bayescal.experiments.shared.trees import choose_draws
 from bayescal.experiments.study.calibrated import tabulate_errors
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.inference.schema import EvidenceConfig, SamplerConfig
@@ -150,13 +152,13 @@ class Slow(Subject):
             pass
         return np.zeros(len(y))
 
-    evaluate = replicate_prior = measure_misfit = None  # type: ignore[assignment]
+    evaluate = replicate_prior = measure_misfit = find_costly = None  # type: ignore[assignment]
 
 
 def test_the_time_of_a_fit_is_that_of_its_densities():
     sampler, effort = SamplerConfig(walkers=20, burn_in=10, steps=40), EvidenceConfig(draws=1000)
     planned = 4 * 20 * 50 + 2 * 1000 + estimate.N_DRAWS
-    kept = Slow(0.0, 0.0).choose((4, 20, 40)).size
+    kept = choose_draws(4, 20 * 40, KEPT_READINGS).size
     expected = estimate.SEARCHED * planned * 2e-3 + estimate.JUDGED * kept * 2e-2
     assert time_fit(Slow(2e-3, 2e-2), sampler, effort) == pytest.approx(expected, rel=0.2)
 

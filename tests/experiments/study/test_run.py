@@ -21,8 +21,9 @@ from bayescal.experiments.frame import run as frame
 from bayescal.experiments.frame.identity import hash_identity
 from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.frame.run import Finished, run_experiment
+from bayescal.experiments.shared.study_schema import stem_of
 from bayescal.experiments.study import compute
-from bayescal.experiments.study.compute import run_task
+from bayescal.experiments.study.readings import fit_variant
 
 pytestmark = pytest.mark.runs
 
@@ -229,11 +230,11 @@ def test_title_changes_no_number(result, folder):
 def test_resume_after_changed_data_is_refused(folder, tmp_path, monkeypatch):
     path = studies.write_tiny_study(tmp_path)
 
-    def interrupt(inputs, task):
+    def interrupt(inputs, name):
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patched:
-        patched.setattr(compute, "run_task", interrupt)
+        patched.setattr(compute, "fit_variant", interrupt)
         with pytest.raises(KeyboardInterrupt):
             run(path, tmp_path / "out")
     data = tmp_path / "data" / "actuators.csv"
@@ -246,19 +247,19 @@ def test_numerical_failure_of_one_task_keeps_all_others(tmp_path, monkeypatch):
     path = studies.write_tiny_study(tmp_path)
     calls = []
 
-    def fail_later(inputs, task):
-        calls.append(task)
+    def fail_later(inputs, name):
+        calls.append(name)
         if len(calls) == 2:
             raise NumericalError("as if")
-        return run_task(inputs, task)
+        return fit_variant(inputs, name)
 
-    monkeypatch.setattr(compute, "run_task", fail_later)
+    monkeypatch.setattr(compute, "fit_variant", fail_later)
     with pytest.raises(NumericalError, match=r"as if; \d of \d tasks are kept"):
         run(path, tmp_path / "out")
     assert not (tmp_path / "out").exists()
     kept = {file.stem for file in (tmp_path / "out.partial").glob("*.npz")}
-    assert [name.rpartition("-")[0] for name in kept] == [f"sampling-{calls[0].stem}"]
-    monkeypatch.setattr(compute, "run_task", run_task)
+    assert [name.rpartition("-")[0] for name in kept] == [f"sampling-{stem_of(calls[0])}"]
+    monkeypatch.setattr(compute, "fit_variant", fit_variant)
     assert run(path, tmp_path / "out", resume=True).out.is_dir()
 
 

@@ -13,9 +13,15 @@ from bayescal.density.priors import NormalPrior, UniformPrior
 from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.frame.parallel import Run
-from bayescal.experiments.shared.prior_widths import WidthTask, begin_widths, list_width_tasks, tabulate_widths
-from bayescal.experiments.study.compute import compute_posteriors, run_task, weigh
 from bayescal.experiments.study.inputs import StudyInputs
+from bayescal.experiments.study.prior_widths import (
+    WidthTask,
+    begin_widths,
+    list_width_tasks,
+    tabulate_widths,
+    weigh_widths,
+)
+from bayescal.experiments.study.readings import fit_variant
 from bayescal.inference.exploration import explore
 from bayescal.inference.importance import ImportanceEvidence
 
@@ -59,25 +65,24 @@ def test_the_evidence_of_a_factor_is_that_of_a_study_with_such_priors(tmp_path, 
     inputs = load(tmp_path / "own", ("factor = [1.0]", f"factor = [1.0, {factor}]"), EFFORT)
     scaled = (("sd = 2.0", f"sd = {2.0 * factor}"), ("sd = 0.01", f"sd = {0.01 * factor}"))
     other = load(tmp_path / "other", *scaled, EFFORT)
-    free, factors = compute_posteriors(inputs, Run()), inputs.config.sensitivity.factor
-    widths = begin_widths(weigh, inputs, free, factors, Run())()
+    free, factors = {name: fit_variant(inputs, name) for name in inputs.variants}, inputs.config.sensitivity.factor
+    widths = begin_widths(inputs, free, Run())()
     table = tabulate_widths(free, widths, factors).set_index(["factor", "variant"])
-    for task in other.list_tasks():
-        importance = run_task(other, task).importance
+    for name in other.variants:
+        importance = fit_variant(other, name).importance
         expected = (importance.log_evidence, importance.standard_error)
-        found = table.loc[(factor, task.variant)]
+        found = table.loc[(factor, name)]
         error = np.hypot(found["log_evidence_se"], expected[1])
         assert found["log_evidence"] == pytest.approx(expected[0], abs=4 * error)
-        own = table.loc[(1.0, task.variant), "log_evidence"]
+        own = table.loc[(1.0, name), "log_evidence"]
         assert abs(own - expected[0]) > 10 * error  # the width matters
 
 
 def test_a_factor_of_one_is_the_fit_itself(tmp_path):
     inputs = load(tmp_path, ("factor = [1.0]", "factor = [1.0, 0.5, 1.0000001]"))
-    fits = inputs.list_tasks()
     fit = SimpleNamespace(modes=np.zeros((1, 2)), importance=ImportanceEvidence(7.0, 0.1, 0.5, 0.1, 1000))
-    widths = list_width_tasks({task.variant: fit for task in fits}, inputs.config.sensitivity.factor)
-    assert len(fits) == 2
+    widths = list_width_tasks(dict.fromkeys(inputs.variants, fit), inputs.config.sensitivity.factor)
+    assert len(inputs.variants) == 2
     assert len(widths) == len({task.key for task in widths}) == 4
     assert {task.factor for task in widths} == {0.5, 1.0000001}
 
@@ -92,11 +97,11 @@ def test_a_doubtful_evidence_is_mended_where_the_variant_is_in_question(tmp_path
     def note(word):
         return lambda *_, **__: said.append(word) or found
 
-    monkeypatch.setattr("bayescal.experiments.shared.prior_widths.explore_near", note("near"))
-    monkeypatch.setattr("bayescal.experiments.shared.prior_widths.explore", note("anew"))
+    monkeypatch.setattr("bayescal.experiments.study.prior_widths.explore_near", note("near"))
+    monkeypatch.setattr("bayescal.experiments.study.prior_widths.explore", note("anew"))
     doubtful = ImportanceEvidence(1.0, 0.1, 0.01, 0.9, 100)
-    monkeypatch.setattr("bayescal.experiments.shared.prior_widths.weigh_proposal", lambda *_: doubtful)
-    weighed = weigh(inputs, WidthTask(variant, 0.5, np.stack([mode.y for mode in found.modes]), behind))
+    monkeypatch.setattr("bayescal.experiments.study.prior_widths.weigh_proposal", lambda *_: doubtful)
+    weighed = weigh_widths(inputs, WidthTask(variant, 0.5, np.stack([mode.y for mode in found.modes]), behind))
     assert said == explored
     assert weighed.pareto_k == 0.9  # on the page it is marked
 

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from bayescal.experiments.shared.stacking import compare_variants, tabulate_comparison
+from bayescal.experiments.study.tables import compare_variants, tabulate_comparison
 from bayescal.inference.leave_one_out import LeftOut
 
 N_POSES = 40
@@ -41,7 +41,7 @@ def test_a_pose_that_was_refitted_counts_by_its_run(fits):
 def test_a_table_says_how_each_predicts_beside_the_best(fits):
     variants = pd.DataFrame({"variant": [*fits, "alone"], "data": [*["same"] * 3, "other"], "n": range(4)})
     left_out = fits | {"alone": fits["left"]}
-    table = tabulate_comparison(variants, left_out, "data").set_index("variant")
+    table = tabulate_comparison(variants, left_out).set_index("variant")
     assert list(table.index) == [*fits, "alone"]
     same = table.loc[list(fits)]
     assert same["stacking_weight"].sum() == pytest.approx(1.0, abs=0.01)

@@ -11,11 +11,11 @@ from saved_trees import check_tree, scale_power
 from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.shared.estimate import TREE
 from bayescal.experiments.shared.trees import choose_draws, write_packed
-from bayescal.experiments.study.inputs import StudyInputs, Task
+from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.readings import fit_variant
 from bayescal.numerics.geometry import matrix_from_rotation_vector
 
-TASK = Task("six_pus/matrix")
+VARIANT = "six_pus/matrix"
 INFLUENTIAL = pytest.mark.filterwarnings("ignore:Estimated shape parameter of Pareto")  # 12 parameters of 13 poses
 POSE = ["x", "y", "z", "rx", "ry", "rz"]
 
@@ -32,14 +32,13 @@ def inputs(tmp_path_factory) -> StudyInputs:
 
 @pytest.fixture(scope="module")
 def fit(inputs):
-    return fit_variant(inputs, TASK.variant)
+    return fit_variant(inputs, VARIANT)
 
 
 @pytest.fixture(scope="module")
 def tree(fit, tmp_path_factory):
     """Return the tree as it is read from its file."""
-    path = tmp_path_factory.mktemp("posterior") / f"{TASK.stem}.nc"
-    assert path.stem == "six_pus-matrix"
+    path = tmp_path_factory.mktemp("posterior") / "six_pus-matrix.nc"
     write_packed(fit.evaluated[TREE], path)
     return check_tree(path, k_is_good=False)
 

@@ -10,10 +10,10 @@ import pytest
 
 from bayescal.experiments.frame.results import read_results
 from bayescal.experiments.shared.knowledge_page import show_next, state_next
-from bayescal.experiments.shared.variant_tables import compute_contraction
 from bayescal.experiments.study.page.build import build_page
 from bayescal.experiments.study.page.ranking import tabulate_ranking
 from bayescal.experiments.study.page.results import StudyResults
+from bayescal.experiments.study.tables import compute_contraction
 from bayescal.report.blocks import Table, unfold
 
 RESULTS = Path(__file__).parents[4] / "results"

@@ -15,7 +15,10 @@ import pandas as pd
 
 from bayescal.errors import NumericalError
 from bayescal.experiments.frame.parallel import Run
-from bayescal.experiments.shared.estimate import Fit, Subject, shift_evidence
+from bayescal.experiments.shared.estimate import Fit, shift_evidence
+from bayescal.experiments.shared.study_schema import stem_of
+from bayescal.experiments.study.inputs import StudyInputs
+from bayescal.experiments.study.readings import ReadingSubject
 from bayescal.inference.correction import correct_evidence
 from bayescal.inference.exploration import (
     ACCEPTABLE,
@@ -27,7 +30,7 @@ from bayescal.inference.exploration import (
     weigh_proposal,
 )
 from bayescal.inference.importance import ImportanceEvidence
-from bayescal.inference.schema import EvidenceConfig, SamplerConfig
+from bayescal.inference.schema import EvidenceConfig
 from bayescal.inference.target import Fittable
 from bayescal.limits import OUT_OF_QUESTION
 from bayescal.numerics.geometry import Array
@@ -42,12 +45,8 @@ ERROR = 0.03
 class WidthTask:
     """A unit of work: the evidence of a variant with all priors wider or narrower by a factor.
 
-    Attributes
-    ----------
-    modes : ndarray, shape (M, n)
-        Those with the study's own priors, in sampling coordinates.
-    behind : float
-        Nats of log-evidence, with the study's own priors, behind the best variant.
+    ``modes`` (M, n) are those with the study's own priors, in sampling coordinates; ``behind`` is by how many nats of
+    log-evidence the variant is behind the best then.
     """
 
     variant: str
@@ -58,7 +57,7 @@ class WidthTask:
     @property
     def key(self) -> str:
         """A name that is also a file name."""
-        return f"{self.variant.replace('/', '-').replace(' ', '_')}-factor-{self.factor!r}"
+        return f"{stem_of(self.variant)}-factor-{self.factor!r}"
 
 
 def list_width_tasks(fits: Mapping[str, Fit], factors: Sequence[float]) -> list[WidthTask]:
@@ -76,42 +75,29 @@ def list_width_tasks(fits: Mapping[str, Fit], factors: Sequence[float]) -> list[
     return sorted(tasks, key=lambda task: (-len(task.modes), -task.factor))
 
 
-def begin_widths[S](
-    weigh: Callable[[S, WidthTask], ImportanceEvidence],
-    inputs: S,
-    fits: Mapping[str, Fit],
-    factors: Sequence[float],
-    run: Run,
+def begin_widths(
+    inputs: StudyInputs, fits: Mapping[str, Fit], run: Run
 ) -> Callable[[], dict[tuple[float, str], ImportanceEvidence]]:
-    """Begin with every factor on the priors that is not one, and return what waits for the evidence of every variant.
+    """Begin with every factor on the priors that is not one, and return what waits for all evidences.
 
-    It is by factor and variant; ``weigh`` computes one task by `weigh_widths`.
+    They are by factor and variant.
     """
-    tasks = {task.key: task for task in list_width_tasks(fits, factors)}
+    tasks = {task.key: task for task in list_width_tasks(fits, inputs.config.sensitivity.factor)}
     if not tasks:
         return dict
-    wait = run.begin("prior widths", weigh, inputs, tasks, (ImportanceEvidence,))
+    wait = run.begin("prior widths", weigh_widths, inputs, tasks, (ImportanceEvidence,))
     return lambda: {(tasks[key].factor, tasks[key].variant): found for key, found in wait().items()}
 
 
-def weigh_widths(
-    subject: Subject, known: Fittable, task: WidthTask, seed: int, sampler: SamplerConfig, effort: EvidenceConfig
-) -> ImportanceEvidence:
-    """Compute one task; all numbers depend on posteriors, seed and task alone.
-
-    Parameters
-    ----------
-    subject : Subject
-        With the wider or narrower priors.
-    known : Fittable
-        The posterior with the priors as stated, in whose coordinates the task has its modes.
-    """
-    seeds = np.random.SeedSequence([seed, zlib.crc32(task.key.encode())]).spawn(3)
-    posterior, n = subject.posterior, subject.posterior.n_geometry
-    starts = posterior.adopt(known.theta(task.modes), task.modes[:, n:])
-    less = {"draws": min(DRAWS, effort.draws), "target_error": max(ERROR, effort.target_error)}
-    effort = effort.model_copy(update=less)
-    exploration, importance = _weigh(task, posterior, starts, seeds[0], seeds[1], sampler.walkers, effort)
+def weigh_widths(inputs: StudyInputs, task: WidthTask) -> ImportanceEvidence:
+    """Compute one task; all numbers depend on inputs and task alone."""
+    config, variant = inputs.config, inputs.variants[task.variant]
+    seeds = np.random.SeedSequence([config.seed, zlib.crc32(task.key.encode())]).spawn(3)
+    subject, known = ReadingSubject(variant.posterior(factor=task.factor).anchored()), variant.posterior()
+    starts = subject.posterior.adopt(known.theta(task.modes), task.modes[:, known.n_geometry :])
+    draws, error = min(DRAWS, config.evidence.draws), max(ERROR, config.evidence.target_error)
+    effort = config.evidence.model_copy(update={"draws": draws, "target_error": error})
+    exploration, importance = _weigh(task, subject.posterior, starts, seeds, config.sampler.walkers, effort)
     costly = subject.find_costly(exploration)
     return shift_evidence(importance, None if costly is None else correct_evidence(costly, exploration, seeds[2]))
 
@@ -120,8 +106,7 @@ def _weigh(
     task: WidthTask,
     posterior: Fittable,
     starts: Array,
-    explore_seed: np.random.SeedSequence,
-    importance_seed: np.random.SeedSequence,
+    seeds: Sequence[np.random.SeedSequence],
     walkers: int,
     effort: EvidenceConfig,
 ) -> tuple[Exploration, ImportanceEvidence]:
@@ -130,16 +115,16 @@ def _weigh(
     try:
         for enough in (ACCEPTABLE, GOOD_ENOUGH):
             exploration = explore_near(
-                posterior, starts, explore_seed, walkers, search=search, enough=enough, fine_enough=CORRECTABLE
+                posterior, starts, seeds[0], walkers, search=search, enough=enough, fine_enough=CORRECTABLE
             )
-            importance = weigh_proposal(exploration, importance_seed, effort)
+            importance = weigh_proposal(exploration, seeds[1], effort)
             if not importance.is_doubtful or task.behind > OUT_OF_QUESTION:
                 return exploration, importance
             starts, search = np.stack([mode.y for mode in exploration.modes]), False
     except NumericalError:
         pass  # no start led to a mode: the search from the beginning finds one, or says why not
-    exploration = explore(posterior, explore_seed, walkers, anew=True, fine_enough=CORRECTABLE)
-    return exploration, weigh_proposal(exploration, importance_seed, effort)
+    exploration = explore(posterior, seeds[0], walkers, anew=True, fine_enough=CORRECTABLE)
+    return exploration, weigh_proposal(exploration, seeds[1], effort)
 
 
 def tabulate_widths(
