@@ -18,9 +18,8 @@ from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.memory import Need, estimate_arrays
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
-from bayescal.experiments.shared.look import look_at_machine
-from bayescal.experiments.shared.readings.machine_kind import MachineExperiment
-from bayescal.experiments.shared.readings.memory import find_largest, list_variant
+from bayescal.experiments.shared.readings.machine_kind import MachineExperiment, look_at_machine
+from bayescal.experiments.shared.search_memory import find_largest, list_variant
 from bayescal.report.blocks import Page
 
 

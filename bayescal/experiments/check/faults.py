@@ -17,10 +17,9 @@ from bayescal.density.low_rank import gather_columns
 from bayescal.density.sessions import ReadingRows
 from bayescal.errors import NumericalError
 from bayescal.experiments.check.inputs import Subject, draw_posterior
-from bayescal.experiments.shared.chi_square import ChiSquare, format_chance
 from bayescal.experiments.shared.measured import MeasuredReadings
 from bayescal.experiments.shared.slip_search import PATIENCE, Search, search_cause
-from bayescal.experiments.shared.soundness import fit_rows
+from bayescal.experiments.shared.soundness import ChiSquare, fit_rows, format_chance
 from bayescal.inference.mode import Mode, find_mode
 from bayescal.inference.target import Target
 from bayescal.limits import INFORMED
@@ -268,12 +267,12 @@ def _fit_known(measured: MeasuredReadings) -> Left:
     white, slope = known.likelihood.reduced_rows(*known.around(y), known.errors, known.zeta(y))
     m, n_spare = known.n_geometry, int(known.likelihood.n_spare.sum())
     held = np.concatenate([y[:m], np.zeros(slope.shape[-1] - m)])
-    misfit = fit_rows(white, slope, held, np.eye(slope.shape[-1]), n_spare)
-    found = ChiSquare(misfit.chi_square.value, max(misfit.dof, 1.0))
+    left, found = fit_rows(white, slope, held, np.eye(slope.shape[-1]), n_spare)
+    found = ChiSquare(found.value, max(found.dof, 1.0))
     rows = ReadingRows(replace(known, errors=Errors(own.terms))).linearise(known.theta(y[None])[0])
     across = np.swapaxes(rows.basis, 1, 2)
     missing = across @ (~known.likelihood.data.present[..., None] * rows.basis)
-    errors = (across @ misfit.left[..., None])[..., 0] * np.sqrt(n_spare / found.dof)
+    errors = (across @ left[..., None])[..., 0] * np.sqrt(n_spare / found.dof)
     machine = np.zeros((*errors.shape, 0))
     if own.has_columns:  # the machine is as unknown as it was: it imitates a part of them
         machine = rows.slope @ known.around(y)[1]
@@ -284,7 +283,7 @@ def _fit_known(measured: MeasuredReadings) -> Left:
 
     present, kinds = known.likelihood.data.present, np.array([one.kind for one in known.likelihood.model.channels])
     rms = {
-        kind: float(np.sqrt(np.mean(misfit.left[:, kinds == kind][present[:, kinds == kind]] ** 2)))
+        kind: float(np.sqrt(np.mean(left[:, kinds == kind][present[:, kinds == kind]] ** 2)))
         for kind in dict.fromkeys(kinds.tolist())
         if present[:, kinds == kind].any()
     }

@@ -15,10 +15,9 @@ from typing import TYPE_CHECKING, Any, Self, cast
 
 import numpy as np
 
-from bayescal.experiments.shared.chi_square import ChiSquare
 from bayescal.experiments.shared.packing import pack_tree
 from bayescal.experiments.shared.search_memory import KEPT_READINGS
-from bayescal.experiments.shared.soundness import measure_pulls
+from bayescal.experiments.shared.soundness import ChiSquare, measure_pulls
 from bayescal.experiments.shared.trees import choose_draws
 from bayescal.inference.bridge import BridgeEvidence, estimate_by_bridge
 from bayescal.inference.correction import Correction, CostlyDensity, correct_draws, move_sample, sample_exactly

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
+from bayescal.density.calibration.model_error import FunctionsOfPose, ThinFunctionsOfPose
 from bayescal.density.calibration.poses import MANY_ROWS
-from bayescal.experiments.frame.memory import check_arrays
+from bayescal.density.components import AT_ONCE
+from bayescal.density.few_columns import list_gram_arrays
+from bayescal.experiments.frame.memory import Need, check_arrays, estimate_arrays
 from bayescal.experiments.shared.trees import limit_draws
 from bayescal.inference.schema import EvidenceConfig, SamplerConfig, count_walkers
+
+if TYPE_CHECKING:
+    from bayescal.experiments.shared.readings.inputs import ReadingInputs, Variant
 
 DERIVATIVES = 8
 """Arrays of all rows by all parameters in a mode search."""
@@ -42,11 +49,6 @@ def list_readings(n_poses: int, n_channels: int, n_parameters: int, n_coordinate
     ]
 
 
-def list_saved(n_variants: int, n_poses: int, n_channels: int) -> list[Sequence[float]]:
-    """Return the arrays that posteriors of readings leave until they are written; see `estimate_arrays`."""
-    return [(n_variants, SAVED, _count_saved(n_poses, n_channels), n_poses, n_channels)]
-
-
 def _count_saved(n_poses: int, n_channels: int) -> int:
     """Return how many draws of posterior and prior a file of readings keeps."""
     return limit_draws(KEPT_READINGS, n_poses * n_channels) + limit_draws(PRIOR_READINGS, n_poses * n_channels)
@@ -56,3 +58,56 @@ def check_readings(n_poses: int, n_channels: int, n_parameters: int, n_coordinat
     """Raise InputError where there is no memory to look for so many poses by their readings."""
     held = list_readings(n_poses, n_channels, n_parameters, n_coordinates)
     check_arrays({"poses": n_poses, "parameters": n_parameters}, held, "fewer poses")
+
+
+# --- of a calibration's variants ------------------------------------------------------------------------------------
+
+WHOLE, TOGETHER, ACTED = 4, 6, 3
+"""Covariances of all readings, batches of those of all equations, and what coefficients do to all readings, at once."""
+
+
+def list_variant(variant: Variant) -> list[Sequence[float]]:
+    """Return the arrays of a variant's posterior; see `estimate_arrays`."""
+    (n_poses, n_coordinates), n_channels = variant.start.shape, len(variant.model.channels)
+    return [
+        *list_readings(n_poses, n_channels, len(variant.priors), n_coordinates),
+        *_list_functions(variant, n_poses * n_channels, n_poses * (n_channels - n_coordinates)),
+    ]
+
+
+def _list_functions(variant: Variant, n_readings: int, n_equations: int) -> list[Sequence[float]]:
+    """Return the arrays of errors that are functions of the pose."""
+    terms = [one for one in variant.errors.terms if isinstance(one, FunctionsOfPose)]
+    n_columns = sum(one.most_columns for one in terms)
+    if not terms:
+        return []
+    if any(isinstance(one, ThinFunctionsOfPose) for one in terms):
+        n = terms[0].own.readings.shape[1]
+        return [
+            (ACTED, n_readings, n_columns),
+            (1, n_equations, n_columns / n),
+            *list_gram_arrays(n_equations, n_columns),
+        ]
+    return [
+        (len(terms), n_equations, n_equations),
+        (WHOLE, n_readings, n_readings),
+        (TOGETHER, max(AT_ONCE, n_equations**2)),
+        (ACTED, n_readings, n_columns),
+    ]
+
+
+def find_largest(variants: Mapping[str, Variant]) -> Variant:
+    """Return the variant with most poses by parameters."""
+    return max(variants.values(), key=lambda one: len(one.start) * len(one.priors))
+
+
+def estimate_calibration(inputs: ReadingInputs) -> Need:
+    """Return what a calibration needs."""
+    largest, config = find_largest(inputs.variants), inputs.config
+    n_poses, n_parameters, n_channels = len(largest.start), len(largest.priors), len(largest.model.channels)
+    return estimate_arrays(
+        {"poses": n_poses, "parameters": n_parameters, "variants": len(inputs.variants)},
+        [*list_variant(largest), *list_sampling(config.sampler, config.evidence, n_parameters)],
+        "fewer poses or variants",
+        kept=[(len(inputs.variants), SAVED, _count_saved(n_poses, n_channels), n_poses, n_channels)],
+    )

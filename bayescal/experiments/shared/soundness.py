@@ -3,48 +3,67 @@
 For a linear machine with normal tolerances, whitened parameters z ~ N(0, 1) and n measured rows, the misfit at the mode
 has the expectation n - Σ s_k, where s_k is what the measurements take off the prior variance along the k-th direction;
 their sum is the trace of the matrix that makes fitted rows of measured ones. The posterior mean along that direction is
-normal with variance s_k: over directions that were learnt, Σ m_k² / s_k is χ².
+normal with variance s_k: over directions that were learnt, Σ m_k² / s_k is χ². Sums of squares are judged against what
+chance gives: limits hang on the degrees of freedom, few of which scatter widely.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.special import chdtr, chdtrc
 
-from bayescal.experiments.shared.chi_square import ChiSquare
-from bayescal.inference.target import Fittable
 from bayescal.numerics.geometry import Array
+from bayescal.report.numbers import format_significant
 
+if TYPE_CHECKING:
+    from bayescal.inference.target import Fittable
+
+RARE = 1e-3
+"""Probability of a deviation as large by chance, from which on it is said."""
+WORTH_SAYING = 1.1
+"""Factor on noise or tolerance below which a deviation changes no interval that matters."""
 LEARNT = 0.5
 """Share of the prior variance that the measurements have to take off a direction for its mean to say something."""
 FAR_OUT = 8.0
 """Standard deviations: a draw at the very end of a uniform prior counts so much."""
 
 
-@dataclass(frozen=True, eq=False)
-class Misfit:
-    """What is left of the measured rows at a mode.
+@dataclass(frozen=True)
+class ChiSquare:
+    """A sum of squares that should be χ²-distributed."""
 
-    Attributes
-    ----------
-    left : ndarray, shape (P, K)
-        In units of the noise.
-    dof : float
-        Degrees of freedom of their sum of squares.
-    """
-
-    left: Array
+    value: float
     dof: float
 
     @property
-    def chi_square(self) -> ChiSquare:
-        """Their sum of squares."""
-        return ChiSquare(float(np.sum(self.left.ravel() ** 2)), self.dof)
+    def factor(self) -> float:
+        """How many times larger the deviations are than stated."""
+        return math.sqrt(self.value / self.dof) if self.dof > 0 else math.nan
+
+    @property
+    def chance(self) -> float:
+        """Probability of as large a deviation to either side."""
+        if not self.dof > 0:
+            return 1.0
+        return float(2 * min(chdtrc(self.dof, self.value), chdtr(self.dof, self.value), 0.5))
+
+    @property
+    def is_off(self) -> bool:
+        """Whether it lies far from its expectation, by chance and by size."""
+        return self.chance < RARE and max(self.factor, 1 / self.factor) > WORTH_SAYING
 
 
-def fit_rows(white: Array, slope: Array, prior: Array, prior_slope: Array, n_measured: int) -> Misfit:
-    """Return what a linear fit with priors leaves of white rows.
+def format_chance(chance: float) -> str:
+    """Return a probability in words."""
+    return "p < 0.0001" if chance < 1e-4 else f"p = {format_significant(chance, 1)}"
+
+
+def fit_rows(white: Array, slope: Array, prior: Array, prior_slope: Array, n_measured: int) -> tuple[Array, ChiSquare]:
+    """Return what a linear fit with priors leaves of white rows (P, K), and the sum of its squares.
 
     Parameters
     ----------
@@ -62,27 +81,19 @@ def fit_rows(white: Array, slope: Array, prior: Array, prior_slope: Array, n_mea
     held = np.concatenate([white.ravel(), prior])
     left = held - basis @ (basis.T @ held)
     used = np.sum(basis[:n_rows] ** 2)
-    return Misfit(left[:n_rows].reshape(white.shape), float(n_measured - used))
+    return left[:n_rows].reshape(white.shape), ChiSquare(float(np.sum(left[:n_rows] ** 2)), float(n_measured - used))
 
 
 def measure_pulls(posterior: Fittable, draws: Array) -> ChiSquare:
     """Return χ² of how far the posterior lies from nominal, from draws (..., n) in own units."""
-    standard = _standardise(posterior, draws)
-    variance, directions = np.linalg.eigh(_covariance(standard))
+    flat, priors = draws.reshape(-1, draws.shape[-1]), list(posterior.all_priors().values())[: posterior.n_geometry]
+    if not priors:
+        return ChiSquare(0.0, 0.0)
+    with np.errstate(all="ignore"):
+        columns = [prior.standardise(flat[:, k]) for k, prior in enumerate(priors)]
+    standard = np.clip(np.stack(columns, axis=-1), -FAR_OUT, FAR_OUT)
+    variance, directions = np.linalg.eigh(np.atleast_2d(np.cov(standard, rowvar=False)))
     learnt = 1.0 - variance
     mean = directions.T @ standard.mean(axis=0)
     told = learnt >= LEARNT
     return ChiSquare(float(np.sum(mean[told] ** 2 / learnt[told])), float(np.count_nonzero(told)))
-
-
-def _standardise(posterior: Fittable, draws: Array) -> Array:
-    """Return the geometry's draws (S, m), each parameter standard normal under its prior."""
-    flat, priors = draws.reshape(-1, draws.shape[-1]), list(posterior.all_priors().values())
-    geometry = priors[: posterior.n_geometry]
-    with np.errstate(all="ignore"):
-        columns = [prior.standardise(flat[:, k]) for k, prior in enumerate(geometry)]
-    return np.clip(np.stack(columns, axis=-1), -FAR_OUT, FAR_OUT) if columns else np.empty((len(flat), 0))
-
-
-def _covariance(standard: Array) -> Array:
-    return np.atleast_2d(np.cov(standard, rowvar=False)) if standard.shape[1] else np.empty((0, 0))

@@ -37,10 +37,9 @@ from bayescal.data.truth import (
 )
 from bayescal.density.priors import NormalPrior, Prior, UniformPrior
 from bayescal.errors import InputError, NumericalError
-from bayescal.experiments.shared.per_leg import spread_over_legs
 from bayescal.experiments.shared.readings.instruments import read_instruments
 from bayescal.experiments.shared.readings.noise import noise_of_channels
-from bayescal.experiments.shared.readings.priors import choose_priors
+from bayescal.experiments.shared.readings.priors import choose_priors, spread_over_legs
 from bayescal.experiments.shared.readings.reading_tables import USES
 from bayescal.experiments.shared.readings.workspace import (
     Workspace,

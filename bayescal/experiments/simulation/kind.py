@@ -13,8 +13,7 @@ from bayescal.data.truth import round_as_written
 from bayescal.experiments.frame.memory import Need, estimate_arrays
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
-from bayescal.experiments.shared.look import look_at_machine
-from bayescal.experiments.shared.readings.machine_kind import MachineExperiment
+from bayescal.experiments.shared.readings.machine_kind import MachineExperiment, look_at_machine
 from bayescal.experiments.simulation.compute import ReadingPlan, Twin, build_twin, plan_readings
 from bayescal.experiments.simulation.schema import SimulationConfig
 from bayescal.machines.parameters import ParameterLayout

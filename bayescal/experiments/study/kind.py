@@ -20,7 +20,7 @@ from bayescal.experiments.shared.measured import MeasuredReadings, Measuring
 from bayescal.experiments.shared.readings.instruments import list_machines
 from bayescal.experiments.shared.readings.machine_kind import MachineExperiment
 from bayescal.experiments.shared.readings.measurement import list_file_faults
-from bayescal.experiments.shared.readings.memory import estimate_calibration
+from bayescal.experiments.shared.search_memory import estimate_calibration
 from bayescal.experiments.shared.study_schema import StudyConfig
 from bayescal.experiments.study.doubts import doubt_zero
 from bayescal.experiments.study.inputs import StudyInputs

@@ -21,7 +21,6 @@ from bayescal.density.calibration.prediction import (
 )
 from bayescal.density.prediction import Prediction, compute_elpd
 from bayescal.experiments.frame.parallel import Run
-from bayescal.experiments.shared.chi_square import ChiSquare
 from bayescal.experiments.shared.estimate import Arrays, Fit, Subject, fit_posterior
 from bayescal.experiments.shared.function_errors import tabulate_functions, tabulate_model_error
 from bayescal.experiments.shared.readings.beside import Beside
@@ -36,7 +35,7 @@ from bayescal.experiments.shared.readings.knowledge import (
     tabulate_accuracy,
 )
 from bayescal.experiments.shared.search_memory import PRIOR_READINGS
-from bayescal.experiments.shared.soundness import fit_rows
+from bayescal.experiments.shared.soundness import ChiSquare, fit_rows
 from bayescal.experiments.shared.trees import Draws, Readings, build_tree, group_functions, limit_draws, spread
 from bayescal.experiments.study.calibrated import ERRORS, tabulate_errors
 from bayescal.experiments.study.inputs import StudyInputs
@@ -253,7 +252,7 @@ class ReadingSubject(Subject):
         n = slope.shape[-1]  # the geometry, then coefficients of errors common to all rows, whose prior is N(0, 1)
         prior, prior_slope = np.zeros(n), np.eye(n)
         prior[:m], prior_slope[:m, :m] = own.sampling.prior_residual(mode[:m], theta), own.sampling.prior_slope(change)
-        return fit_rows(white, slope, prior, prior_slope, int(own.likelihood.n_spare.sum())).chi_square
+        return fit_rows(white, slope, prior, prior_slope, int(own.likelihood.n_spare.sum()))[1]
 
     def build_tree(self, fit: Fit, variant: str, functions: KnownFunctions | None) -> xr.DataTree:
         """Return the fit with draws of its prior, what both predict, the data, and what is known of functions."""

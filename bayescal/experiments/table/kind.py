@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from bayescal.experiments.frame.memory import Need, estimate_arrays
 from bayescal.experiments.shared.of_another import OfAnother
-from bayescal.experiments.shared.readings.memory import list_variant
-from bayescal.experiments.shared.search_memory import KEPT_READINGS, list_sampling
+from bayescal.experiments.shared.search_memory import KEPT_READINGS, list_sampling, list_variant
 from bayescal.experiments.table.compute import compute_table
 from bayescal.experiments.table.inputs import TableInputs, read_table
 from bayescal.experiments.table.page import build_page

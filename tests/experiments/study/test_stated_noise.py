@@ -14,9 +14,8 @@ from rich.console import Console
 from bayescal.experiments.frame import run as frame
 from bayescal.experiments.frame.load import load_experiment
 from bayescal.experiments.frame.run import run_experiment
-from bayescal.experiments.shared.chi_square import ChiSquare
 from bayescal.experiments.shared.readings.errors import drop_model_error
-from bayescal.experiments.shared.soundness import measure_pulls
+from bayescal.experiments.shared.soundness import ChiSquare, measure_pulls
 from bayescal.experiments.simulation.compute import build_twin, format_survey, survey_twin
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.readings import ReadingSubject

@@ -1,15 +1,20 @@
-"""What kinds of experiment on a machine with readings have in common: its files and classes are of their identity."""
+"""What kinds of experiment on a machine have in common: its files and classes are of their identity; a first look."""
 
 from __future__ import annotations
 
 import os
 from abc import abstractmethod
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
+from bayescal.config.load import read_toml
 from bayescal.config.registry import hash_modules
 from bayescal.config.sections import ExperimentConfig
+from bayescal.errors import InputError
 from bayescal.experiments.frame.experiment import Experiment
-from bayescal.machines.read import find_machine_classes, list_machine_sources
+from bayescal.machines.mechanism import Mechanism
+from bayescal.machines.read import find_machine_classes, list_machine_sources, load_mechanism, read_reading_model
 
 
 class MachineExperiment[C: ExperimentConfig, I](Experiment[C, I]):
@@ -32,3 +37,20 @@ class MachineExperiment[C: ExperimentConfig, I](Experiment[C, I]):
         """Return the hashes of installed modules that the machines' classes stand in."""
         own = [one for name in self.machines(config) for one in find_machine_classes(folder / name)]
         return super().modules(config, folder) | hash_modules(own)
+
+
+def look_at_machine(content: Mapping[str, Any], folder: Path) -> tuple[Mechanism | None, list[str]]:
+    """Return the mechanism that a config names, None for another machine, and what is wrong with the file, in lines.
+
+    Whatever else is wrong with the config.
+    """
+    name = content.get("machine", content.get("mechanism"))
+    if not isinstance(name, str):
+        return None, []
+    try:
+        if "kind" in read_toml(folder / name)[0]:
+            read_reading_model(folder / name)
+            return None, []
+        return load_mechanism(folder / name), []
+    except InputError as error:
+        return None, list(error.lines)

@@ -25,7 +25,7 @@ from bayescal.data.photogrammetry.poses import PoseExtraction, check_exchanged, 
 from bayescal.data.photogrammetry.survey import Survey, check_reference, check_target_columns, read_survey
 from bayescal.density.schema import NormalConfig, PriorConfig
 from bayescal.errors import InputError, name_faults
-from bayescal.experiments.shared.look import look_at_machine
+from bayescal.experiments.shared.readings.machine_kind import look_at_machine
 from bayescal.experiments.shared.readings.reading_tables import PoseReadings
 from bayescal.experiments.shared.readings.schema import ChannelConfig
 from bayescal.experiments.shared.schema import FramesConfig, UnitsConfig

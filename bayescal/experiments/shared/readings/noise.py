@@ -8,7 +8,7 @@ import numpy as np
 
 from bayescal.density.calibration.terms import ErrorTerm, ModelErrorTerm, NoiseFactor
 from bayescal.errors import InputError
-from bayescal.experiments.shared.per_leg import spread_over_legs
+from bayescal.experiments.shared.readings.priors import spread_over_legs
 from bayescal.experiments.shared.readings.reading_tables import PoseReadings
 from bayescal.experiments.shared.readings.schema import NOISE_UNITS, ChannelConfig
 from bayescal.experiments.shared.study_schema import StudyConfig, VariantConfig

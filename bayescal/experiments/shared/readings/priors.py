@@ -9,9 +9,9 @@ from bayescal.config.load import suggest
 from bayescal.density.priors import NormalPrior, Prior, UniformPrior
 from bayescal.density.schema import FixedConfig, NormalConfig, PriorConfig
 from bayescal.errors import InputError
-from bayescal.experiments.shared.per_leg import spread_over_legs, spread_widths
 from bayescal.experiments.shared.readings.schema import FreeConfig
 from bayescal.experiments.shared.schema import UnitsConfig
+from bayescal.limits import WIDTH_BOUNDS
 from bayescal.machines.parameters import ParameterBlock, ParameterLayout
 from bayescal.numerics.units import Units
 
@@ -100,11 +100,24 @@ def expand(entry: str, layout: ParameterLayout, field: str) -> tuple[str, ...]:
     raise InputError(f"{field}: found {entry!r}, expected some of {', '.join(layout.symbols)}, or one of their names")
 
 
+def spread_over_legs(value: float | list[float], n: int, symbol: str, field: str = "parameters") -> list[float]:
+    """Return one value per leg, of one for all or one for each; InputError for a list of another length."""
+    values = value if isinstance(value, list) else [value] * n
+    if len(values) != n:
+        expected = "1" if n == 1 else f"1 or {n}, one per leg"
+        raise InputError(f"{field}.{symbol}: found {len(values)} values, expected {expected}")
+    return values
+
+
 def _priors_of(block: ParameterBlock, prior: PriorConfig, factor: float) -> dict[str, Prior]:
     assert not isinstance(prior, FixedConfig)
     given = prior.sd if isinstance(prior, NormalConfig) else prior.half_width
-    spread = spread_widths(given, len(block.nominal), block.symbol, block.unit, factor)
-    widths = [factor * width for width in spread]
+    widths = [factor * width for width in spread_over_legs(given, len(block.nominal), block.symbol)]
+    smallest, largest = WIDTH_BOUNDS.get(block.unit, (0.0, float("inf")))
+    for width in widths:
+        if not smallest <= width <= largest:
+            found = f"found a tolerance of {width:g}{'' if block.unit == '1' else f' {block.unit}'}"
+            raise InputError(f"parameters.{block.symbol}: {found}, expected between {smallest:g} and {largest:g}")
     pairs = zip(block.names, block.nominal, widths, strict=True)
     if isinstance(prior, NormalConfig):
         return {name: NormalPrior(value, width) for name, value, width in pairs}

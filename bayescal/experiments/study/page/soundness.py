@@ -11,8 +11,8 @@ from typing import Any
 
 from scipy import stats
 
-from bayescal.experiments.shared.chi_square import ChiSquare, format_chance
 from bayescal.experiments.shared.slips import state_slip
+from bayescal.experiments.shared.soundness import ChiSquare, format_chance
 from bayescal.experiments.study.page.results import NOISE, StudyResults, get_number
 from bayescal.limits import AGREEMENT, ESS_BULK_LIMIT, RHAT_LIMIT
 from bayescal.report.blocks import Level, Statement

@@ -8,7 +8,7 @@ import pytest
 from made_up_results import TWELVE, read_study, render_text, set_fit, set_rows
 from scipy import stats
 
-from bayescal.experiments.shared.chi_square import ChiSquare
+from bayescal.experiments.shared.soundness import ChiSquare
 from bayescal.experiments.study.page.checks import tabulate_power_scaling
 from bayescal.experiments.study.page.soundness import has_warnings, judge_bounds, state_soundness
 from bayescal.experiments.study.page.verdict import state_verdict
