@@ -177,10 +177,7 @@ def tabulate_model_error(
                 "high_um": high.ravel(),
             }
         )
-        hidden, n = (
-            hide_in_posterior(posterior, y, choose_unseen(error.lengths(), functions)),
-            posterior.n_geometry,
-        )
+        hidden, n = (hide_in_posterior(posterior, y, choose_unseen(error.lengths(), functions)), posterior.n_geometry)
         sd = posterior.natural(y)[:, :n].std(axis=0)
         known = posterior.sampling.names, posterior.units[:n]
         tables["model_error_hidden"] = tabulate_hidden(variant, *known, hidden, sd)

@@ -32,9 +32,7 @@ KNOWN = " Orange bars: how well each joint will be known, ± 1 standard deviatio
 
 
 def build_scene(
-    joints: pd.DataFrame,
-    offsets: Mapping[Joint, Triple] | None = None,
-    spreads: Mapping[Joint, Triple] | None = None,
+    joints: pd.DataFrame, offsets: Mapping[Joint, Triple] | None = None, spreads: Mapping[Joint, Triple] | None = None
 ) -> Scene | None:
     """Return the drawing of a machine on legs; None without its joints.
 

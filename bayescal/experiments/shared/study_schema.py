@@ -26,14 +26,7 @@ from bayescal.config.sections import (
 )
 from bayescal.density.outliers import NORMAL, Contaminated, Outliers, StudentT
 from bayescal.density.priors import SharePrior
-from bayescal.density.schema import (
-    KERNEL,
-    STATED,
-    FixedConfig,
-    ModelErrorConfig,
-    PriorConfig,
-    TermNames,
-)
+from bayescal.density.schema import KERNEL, STATED, FixedConfig, ModelErrorConfig, PriorConfig, TermNames
 from bayescal.experiments.shared.readings.schema import (
     BesideConfig,
     ChannelConfig,

@@ -20,13 +20,7 @@ from bayescal.calibrated.exported import (
     read_matrix_covariance,
 )
 from bayescal.calibrated.functions import KnownFunctions
-from bayescal.calibrated.machine import (
-    CalibratedMachine,
-    Errors,
-    LegErrors,
-    Source,
-    build_calibrated,
-)
+from bayescal.calibrated.machine import CalibratedMachine, Errors, LegErrors, Source, build_calibrated
 from bayescal.config.registry import list_references, list_sources
 from bayescal.config.trust import check_same
 from bayescal.density.calibration.likelihood import CalibrationPosterior

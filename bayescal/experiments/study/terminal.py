@@ -10,12 +10,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 
 from bayescal.experiments.frame.terminal import Shown, print_table, print_text
-from bayescal.experiments.shared.headline import (
-    describe_candidate,
-    order_candidates,
-    say_named_first,
-    state_rivals,
-)
+from bayescal.experiments.shared.headline import describe_candidate, order_candidates, say_named_first, state_rivals
 from bayescal.experiments.shared.origin import name_origin
 from bayescal.report.numbers import MICROMETRES, NOTHING, format_estimate, format_fixed
 

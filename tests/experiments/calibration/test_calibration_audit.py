@@ -198,11 +198,7 @@ REFUSED = {
     "workspace beyond reach": ("[sensors]", "[workspace]\nx = [900.0, 901.0]\n[sensors]", "found almost no pose"),
     "unknown symbol": ("l = { prior", "length = { prior", "parameters: found 'length'"),
     "profile of a symbol": ("seed = 4", 'seed = 4\nprofiles = ["l"]', "profile of 'l': not free here, expected one of"),
-    "draws of a posterior": (
-        "[sensors]",
-        "[posterior]\ndraws = 2000\n[sensors]",
-        "posterior: found it without [data]",
-    ),
+    "draws of a posterior": ("[sensors]", "[posterior]\ndraws = 2000\n[sensors]", "posterior: found it without [data]"),
     "a deformation": ("[sensors]", "[deformation]\nkappa = 0.1\n[sensors]", "deformation: found it without a model"),
     "a unit of no file": ("count = 40", "count = 40\nunit_mm = 2.0", "unit_mm: found it without configurations"),
     "no error to leave out": (

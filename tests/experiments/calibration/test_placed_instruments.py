@@ -278,10 +278,7 @@ kind = "pose"
 frame_mm = [0.0, 0.0, 0.0]
 frame_deg = [0.0, 0.0, 0.0]
 """
-SEEN = {
-    **{name: f"tracker[{name}]" for name in "xyz"},
-    **{f"r{name}": f"tracker_r[{name}]" for name in "xyz"},
-}
+SEEN = {**{name: f"tracker[{name}]" for name in "xyz"}, **{f"r{name}": f"tracker_r[{name}]" for name in "xyz"}}
 
 
 def write_legs(folder, rng, instruments="", names=None):
@@ -446,11 +443,7 @@ REFUSED = {
         'file = "data/readings.csv"\ncommanded = ["station"]',
         "data.commanded: found 'station[x]', expected some of encoder[1], encoder[2], encoder[3]",
     ),
-    "unknown symbol": (
-        "bar_zero = {",
-        "bar_zeros = {",
-        "'near' frees 'bar_zero', which has no prior in [parameters]",
-    ),
+    "unknown symbol": ("bar_zero = {", "bar_zeros = {", "'near' frees 'bar_zero', which has no prior in [parameters]"),
     "name of the machine's own channel": (
         "[instruments.station]",
         "[instruments.tracker]",

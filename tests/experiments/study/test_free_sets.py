@@ -137,10 +137,7 @@ def test_figures_tell_free_sets_apart(converged):
 @pytest.mark.parametrize(
     ("change", "expected"),
     [
-        (
-            ('name = "lengths"\n', ""),
-            "variant 'six_pus/none' is there twice, expected each variant once, or a name of",
-        ),
+        (('name = "lengths"\n', ""), "variant 'six_pus/none' is there twice, expected each variant once, or a name of"),
         (('name = "lengths"', 'name = "joints alone"'), "variant 'joints alone' is there twice"),
         (('name = "lengths"', 'name = "six_pus/none"'), "variant 'six_pus/none' is there twice, expected each"),
         (('name = "lengths"', 'name = "six_pus-none"'), "variants 'six_pus/none' and 'six_pus-none' would share their"),
@@ -200,10 +197,7 @@ def test_an_audit_takes_a_variant_by_its_name(tmp_path, name, symbol):
 @pytest.mark.parametrize(
     ("changes", "expected"),
     [
-        (
-            (),
-            "found 'six_pus/none', 'joints alone', 'lengths', expected data.variant with one",
-        ),
+        ((), "found 'six_pus/none', 'joints alone', 'lengths', expected data.variant with one"),
         (
             (("[[variants]]", 'variant = "length"\n[[variants]]'),),
             "found no 'length', expected 'six_pus/none', 'joints alone', 'lengths'",

@@ -307,11 +307,7 @@ POINT_FAULTS = {
     "unknown point": ("data/points.csv", swap_column(",P4,", ",P9,"), "point 'P9' is not in"),
     "no points": ("data/points.csv", lambda text: re.sub(r"\nC02,.*", "", text), "found nothing of pose 'C02'"),
     "metres": ("data/points.csv", scale_columns(("range_mm",), 1e-3), "expected"),
-    "radians": (
-        "data/points.csv",
-        scale_columns(("azimuth_deg", "elevation_deg"), np.pi / 180),
-        "angles in degrees",
-    ),
+    "radians": ("data/points.csv", scale_columns(("azimuth_deg", "elevation_deg"), np.pi / 180), "angles in degrees"),
     "another unit": ("data/points.csv", swap_column("azimuth_deg", "azimuth_rad"), "found column 'azimuth_rad'"),
     "no noise": (
         "points.toml",

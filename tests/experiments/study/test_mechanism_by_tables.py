@@ -109,11 +109,7 @@ def test_variants_are_named_after_what_they_are_seen_by(folder):
     ("old", "new", "message"),
     [
         ('model = "six_pus"\n\n', "", "expected the kinematic model that the mechanism"),
-        (
-            'deformation = "linear"',
-            'deformation = "matrix"',
-            "found 'targets' without measured ones",
-        ),
+        ('deformation = "linear"', 'deformation = "matrix"', "found 'targets' without measured ones"),
         ("[deformation]", "[frames]\nbase = { position = 1.0, rotation = 1.0 }\n[deformation]", "frames: found beside"),
         ('"six_pus"\n\n', '"six_pus"\nkernel_length = 2.0\n\n', "kernel_length: key is gone, expected terms"),
     ],

@@ -13,12 +13,7 @@ from bayescal.config.classes import choose, name_failures
 from bayescal.density.calibration.functions import FunctionErrors
 from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.density.calibration.measurements import Measurements
-from bayescal.density.calibration.model_error import (
-    FunctionsOfPose,
-    IndependentErrors,
-    OwnChannels,
-    build_model_error,
-)
+from bayescal.density.calibration.model_error import FunctionsOfPose, IndependentErrors, OwnChannels, build_model_error
 from bayescal.density.calibration.terms import Errors, ErrorTerm, TermRows, check_term
 from bayescal.density.components import MOST_ROWS
 from bayescal.density.priors import Prior

@@ -228,13 +228,7 @@ def _fill(
 
 
 def _fill_channel(
-    found: PoseReadings,
-    table: Table,
-    name: str,
-    column: _Column,
-    channel: Channel,
-    values: Array,
-    rows: list[int],
+    found: PoseReadings, table: Table, name: str, column: _Column, channel: Channel, values: Array, rows: list[int]
 ) -> None:
     into, k = (found.values if column.role == "values" else found.sd), column.places[0]
     for row in np.flatnonzero(np.isfinite(values) & np.isfinite(into[rows, k])):

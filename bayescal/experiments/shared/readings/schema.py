@@ -7,13 +7,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from bayescal.config.classes import ClassMark, OwnSection
-from bayescal.config.sections import (
-    InputFile,
-    Names,
-    NotNegative,
-    Positive,
-    Section,
-)
+from bayescal.config.sections import InputFile, Names, NotNegative, Positive, Section
 
 NOISE_UNITS = {"noise_um": "um", "noise_mm": "mm", "noise_arcsec": "arcsec", "noise_deg": "deg", "noise_rad": "rad"}
 

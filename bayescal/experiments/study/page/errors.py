@@ -30,14 +30,7 @@ from bayescal.experiments.study.page.results import (
 from bayescal.experiments.study.page.soundness import COVERAGE, is_too_narrow
 from bayescal.experiments.study.page.styles import Styles, assign_styles
 from bayescal.report.blocks import Block, Cell, Column, Figure, Fold, Section, Statement, Table, make_table
-from bayescal.report.numbers import (
-    MICROMETRES,
-    NOTHING,
-    format_fixed,
-    format_percent,
-    format_plain,
-    format_significant,
-)
+from bayescal.report.numbers import MICROMETRES, NOTHING, format_fixed, format_percent, format_plain, format_significant
 from bayescal.report.style import GREY, INK, LEG_COLOURS, PALE, RED
 from bayescal.report.symbols import describe_deformation, quote
 

@@ -94,10 +94,7 @@ COLUMNS: dict[str, dict[str, tuple[str, ...]]] = {
     "joints": {"texts": ("pose", "joint"), "numbers": ("leg", "x_mm", "y_mm", "z_mm")},
     "model_error": {"texts": ("variant", "term"), "numbers": ("median_um", "q05_um", "q95_um")},
     "model_error_members": {"texts": ("variant", "member", "term"), "numbers": ("rms_um",)},
-    "model_error_poses": {
-        "texts": ("variant", "pose", "use", "member"),
-        "numbers": ("mean_um", "low_um", "high_um"),
-    },
+    "model_error_poses": {"texts": ("variant", "pose", "use", "member"), "numbers": ("mean_um", "low_um", "high_um")},
     "model_error_alone": {"texts": ("variant", "term"), "numbers": ("log_odds", "median_um", "q05_um", "q95_um")},
     "claims": {
         "texts": ("claim", "section", "statement", "expected", "found", "unit", "verdict", "why"),

@@ -152,12 +152,7 @@ def test_without_verification_poses_there_is_one_bar_each(make_results):
 def test_the_ranking_figure_has_a_row_per_variant_in_order(drawn):
     figure = drawn("errors")
     labels = [label.get_text() for label in figure.axes[0].get_yticklabels()]
-    assert labels[:4] == [
-        "6-PUS/matrix",
-        "beam/matrix",
-        "stiffness/matrix",
-        "Jacobian/matrix",
-    ]
+    assert labels[:4] == ["6-PUS/matrix", "beam/matrix", "stiffness/matrix", "Jacobian/matrix"]
     assert len(labels) == 12
     assert [text for text in list_texts(figure) if text.startswith(("0.0", "−"))][:4] == [
         "−0.1",

@@ -66,12 +66,7 @@ def test_says_what_to_do_then_how_large_it_is_and_where(make_results):
 @pytest.mark.parametrize(
     ("sizes", "members", "level", "said"),
     [
-        (
-            all_unseen(),
-            CHANNELS,
-            "good",
-            "no systematic error is seen (95 % upper limit 4.0 µm rms over all channels)",
-        ),
+        (all_unseen(), CHANNELS, "good", "no systematic error is seen (95 % upper limit 4.0 µm rms over all channels)"),
         (all_unseen(independent=SEEN), CHANNELS, "plain", "Measure one pose several times … τ = 12 [8, 17] µm"),
         (
             all_unseen(linear=SEEN, together=SEEN),

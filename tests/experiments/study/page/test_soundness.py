@@ -59,13 +59,7 @@ def hold(summary):
             "leaves residuals 2.0 times as large as the stated noise and its model error … χ² per degree of freedom "
             "4.00 … the noise is stated too small, or every variant lacks something real",
         ),
-        (
-            set_fit(BEST, misfit_chi2=50.0, misfit_dof=200.0),
-            {},
-            "Noise",
-            "bad",
-            "the noise is stated too large",
-        ),
+        (set_fit(BEST, misfit_chi2=50.0, misfit_dof=200.0), {}, "Noise", "bad", "the noise is stated too large"),
         (spoil_targets, {}, "Noise", "bad", "1.7 times as much as the stated noise"),
         (
             set_fit(BEST, pulls_chi2=52.9, pulls_dof=10.0),

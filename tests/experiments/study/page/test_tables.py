@@ -8,16 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
-from made_up_results import (
-    PUBLICATION,
-    TWELVE,
-    read_page,
-    read_study,
-    render_text,
-    set_fit,
-    set_rows,
-    write_draws,
-)
+from made_up_results import PUBLICATION, TWELVE, read_page, read_study, render_text, set_fit, set_rows, write_draws
 
 from bayescal.errors import InputError
 from bayescal.experiments.study.page.data import (

@@ -11,11 +11,7 @@ import pytest
 from made_up_results import TWELVE, TWO, read_page, read_study, set_fit, set_rows
 from rich.console import Console
 
-from bayescal.experiments.study.page.ranking import (
-    show_ranking,
-    tabulate_effects,
-    tabulate_ranking,
-)
+from bayescal.experiments.study.page.ranking import show_ranking, tabulate_effects, tabulate_ranking
 from bayescal.experiments.study.page.verdict import describe_lead, measure_error, state_headline, state_verdict
 from bayescal.experiments.study.terminal import show_ranking as show_on_terminal
 from bayescal.report.blocks import Figure, Level, Table
@@ -157,10 +153,7 @@ CASES = {
     ),
     "convergence": Case("Checks", "good", "All 2 posteriors converged … Both evidence estimators agree"),
     "no convergence": Case(
-        "Checks",
-        "bad",
-        "1 of 2 posteriors",
-        set_fit("pus/none", converged=False, problems="R-hat 1.050, limit 1.01"),
+        "Checks", "bad", "1 of 2 posteriors", set_fit("pus/none", converged=False, problems="R-hat 1.050, limit 1.01")
     ),
     "disagreeing evidences": Case(
         "Checks", "bad", "1 of 2 posteriors", set_fit("pus/linear", log_evidence_bridge=121.5)
@@ -293,10 +286,7 @@ def test_of_variants_that_tie_the_one_with_fewest_unknowns_comes_first(make_resu
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (
-            set_fit("pus/none", converged=False, problems="R-hat 1.050, limit 1.01"),
-            "pus/none: R-hat 1.050, limit 1.01",
-        ),
+        (set_fit("pus/none", converged=False, problems="R-hat 1.050, limit 1.01"), "pus/none: R-hat 1.050, limit 1.01"),
         (
             set_fit("pus/linear", log_evidence_bridge=121.5),
             "pus/linear: the two log-evidences differ by 1.50 nat, limit 0.1",
