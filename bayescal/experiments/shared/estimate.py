@@ -112,11 +112,7 @@ class Estimate:
         Of all draws, in own units.
     modes : ndarray, shape (M, n)
         In sampling coordinates, the best first.
-    modes_converged : bool
     acceptance : ndarray, shape (E,)
-    diagnostics : Diagnostics
-    importance : ImportanceEvidence
-    bridge : BridgeEvidence
     longest_stand, n_steps : int
         For how many of its steps the most patient walker stood still, harmless visits to tails left out.
     scouts : Scouts
@@ -251,7 +247,6 @@ class Fit(Estimate):
         What is left of the rows at the mode, and how far the posterior lies from nominal.
     power_scaling : ndarray, shape (n, 2)
         How much each parameter depends on prior and data.
-    wall_seconds : float
     """
 
     names: tuple[str, ...]

@@ -124,7 +124,6 @@ def tabulate_model_error(
 
     Parameters
     ----------
-    variant : str
     data : Measurements
         Of all M rows.
     held : ndarray of bool, shape (M,)

@@ -42,7 +42,6 @@ class Candidate:
         Of the results, and as the page calls it.
     log_evidence, se : float
         With the standard error of its estimate, nat.
-    converged : bool
     size : tuple of int
         What makes it simple, the first first: free parameters, then whatever else orders variants.
     error : float
@@ -193,7 +192,6 @@ def state_ruled_out(candidates: Sequence[Candidate], what: str) -> list[Statemen
 
     Parameters
     ----------
-    candidates : sequence of Candidate
     what : str
         The error that is compared, ``the largest position error``.
     """

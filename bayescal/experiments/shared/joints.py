@@ -24,7 +24,6 @@ def tabulate_joints(mechanism: Mechanism, actuators: Array, names: Sequence[str]
 
     Parameters
     ----------
-    mechanism : Mechanism
     actuators : ndarray, shape (P, N)
         Actuator positions ρ of the poses, mm.
     names : sequence of str

@@ -94,7 +94,6 @@ def read_joint_columns(parameters: pd.DataFrame, column: str) -> dict[Joint, Tri
     ----------
     parameters : DataFrame
         One row per parameter with columns symbol (``a_x`` to ``b_z``), leg and the wanted one, mm.
-    column : str
     """
     values = {(str(row["symbol"]), int(row["leg"])): float(row[column]) for row in parameters.to_dict("records")}
     found: dict[Joint, Triple] = {}

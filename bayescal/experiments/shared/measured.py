@@ -35,7 +35,6 @@ class MeasuredReadings:
 
     Attributes
     ----------
-    name : str
     origin : str
         Of the data, in words.
     posterior : CalibrationPosterior

@@ -47,7 +47,6 @@ class Readings:
     prior : ndarray, shape (T, P, K)
     log_likelihood : ndarray, shape (E, S, P)
         Of each row.
-    meaning : str
     """
 
     rows: Sequence[str]
@@ -132,8 +131,6 @@ def build_tree(
 
     Parameters
     ----------
-    draws : Draws
-    readings : Readings
     groups : mapping of str to Group, optional
         Further groups by their paths.
     **attributes : str

@@ -111,8 +111,6 @@ def tabulate_errors(
 
     Parameters
     ----------
-    config : StudyConfig
-    variant : Variant
     posterior : CalibrationPosterior
         Of its calibration poses.
     y : ndarray, shape (T, n)

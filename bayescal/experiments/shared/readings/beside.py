@@ -24,8 +24,6 @@ class Beside:
 
     Attributes
     ----------
-    title, source : str
-    quantities : tuple of str
     units : tuple of str
         Inner ones.
     values, sd : ndarray, shape (n,)

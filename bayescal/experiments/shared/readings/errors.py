@@ -123,7 +123,6 @@ def build_terms_of_model(
         Where the nominal machine explains them best.
     used : ndarray of bool, shape (P,)
         Which rows are for calibration.
-    workspace : Workspace
     tolerances : mapping of parameter to Prior
         Of what is free.
     others : Errors

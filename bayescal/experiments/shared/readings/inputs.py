@@ -41,21 +41,15 @@ class Variant:
 
     Attributes
     ----------
-    config : VariantConfig
     whole : ReadingModel
         The machine with all its channels.
     model : ReadingModel
         The machine with the channels that the variant takes in, K of them.
-    priors : mapping of name to Prior
-    fixed : mapping of parameter name to float
-    common : mapping of name to tuple of parameter names
-    errors : Errors
     data : Measurements
         Of all poses that it takes in, without the readings of other channels.
     verification : ndarray of bool, shape (P,)
     start : ndarray, shape (P, q)
         Where the machine as expected explains the readings best.
-    workspace : Workspace
     aligned : bool
         Whether accuracy is the error that remains after base and tool were aligned over the workspace.
     """
@@ -123,11 +117,8 @@ class ReadingInputs:
 
     Attributes
     ----------
-    config : StudyConfig
     machine : str
         Its name.
-    variants : dict of name to Variant
-    beside : list of Beside
     files : dict of str to bytes
         Those that the machines are read from, by names in one folder.
     machine_folder : str

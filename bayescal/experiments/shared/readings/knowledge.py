@@ -101,9 +101,6 @@ def assess(asked: Asked, variant: Variant, posterior: CalibrationPosterior, y: A
 
     Parameters
     ----------
-    asked : Asked
-    variant : Variant
-    posterior : CalibrationPosterior
     y : ndarray, shape (n,)
         The machine, in the posterior's coordinates.
     learn : callable

@@ -84,7 +84,6 @@ def measure_pads(measured: TargetMeasurement, displacement: Array, noise: float)
 
     Parameters
     ----------
-    measured : TargetMeasurement
     displacement : ndarray, shape (P, N)
         Of the actuators, mm.
     noise : float

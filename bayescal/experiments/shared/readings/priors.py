@@ -37,7 +37,6 @@ def choose_priors(
 
     Parameters
     ----------
-    config : Tolerated
     choice : FreeConfig
         What of it is free, and what deviates alike.
     layout : ParameterLayout

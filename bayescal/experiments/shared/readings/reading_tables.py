@@ -33,7 +33,6 @@ class PoseReadings:
 
     Attributes
     ----------
-    poses : tuple of str
     verification : ndarray of bool, shape (P,)
     values, sd : ndarray, shape (P, K)
         In the channels' units; NaN where there is none: not read, or no deviation of its own.

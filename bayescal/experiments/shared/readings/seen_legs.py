@@ -31,8 +31,6 @@ class SeenLegs:
 
     Attributes
     ----------
-    mechanism : Mechanism
-    measured : Measured
     needs_matrix : bool
         Whether a variant takes K from the targets.
     reference : Path
