@@ -196,7 +196,6 @@ REFUSED = {
     "variant twice": ('name = "probe"', 'name = "both"', "variants: found 'both' twice"),
     "too few candidates": ("candidates = 30", "candidates = 3", "found 3 candidates for 4 poses"),
     "workspace beyond reach": ("[sensors]", "[workspace]\nx = [900.0, 901.0]\n[sensors]", "found almost no pose"),
-    "unknown symbol": ("l = { prior", "length = { prior", "parameters: found 'length'"),
     "profile of a symbol": ("seed = 4", 'seed = 4\nprofiles = ["l"]', "profile of 'l': not free here, expected one of"),
     "draws of a posterior": ("[sensors]", "[posterior]\ndraws = 2000\n[sensors]", "posterior: found it without [data]"),
     "a deformation": ("[sensors]", "[deformation]\nkappa = 0.1\n[sensors]", "deformation: found it without a model"),
@@ -234,23 +233,11 @@ POSE_FILES = {
 }
 
 
-@pytest.fixture
-def refuse(call, folder):
-    def check(message):
-        code, out, said = call("run", folder / "audit.toml", "--out", folder / "out", "--quiet")
-        assert (code, out) == (2, "")
-        assert message in said
-        assert said.count("\n") == 1
-        assert not list(folder.glob("out*"))
-
-    return check
-
-
 @pytest.mark.parametrize("case", REFUSED)
 def test_faulty_configs_are_one_line(case, folder, refuse):
     old, new, message = REFUSED[case]
     calibrations.change(folder / "audit.toml", old, new)
-    refuse(message)
+    refuse(re.escape(message), folder / "out", "run", folder / "audit.toml", "--quiet")
 
 
 @pytest.mark.parametrize("case", POSE_FILES)
@@ -258,7 +245,7 @@ def test_faulty_poses_are_one_line(case, folder, refuse):
     content, message = POSE_FILES[case]
     (folder / "poses.csv").write_text(content)
     calibrations.change(folder / "audit.toml", "count = 40", POSES)
-    refuse(message)
+    refuse(re.escape(message), folder / "out", "run", folder / "audit.toml", "--quiet")
 
 
 def test_units_of_a_file_are_taken_for_what_they_are(folder):

@@ -80,29 +80,24 @@ def test_clean_readings_accuse_nothing(seed, tmp_path, call):
     assert "if corrected" not in out
 
 
-def test_a_single_row_out_of_reach_is_named_with_its_channel(readings, tmp_path, call):
+def test_a_single_row_out_of_reach_is_named_with_its_channel(readings, tmp_path, refuse):
     readings = readings.copy()
     readings[6, 3] = -391.0
     path = planar_rrr.write_project(tmp_path / "project", readings)
-    code, out, complaint = call("run", path, "--out", tmp_path / "out", "--quiet")
-    assert (code, out) == (2, "")
-    assert "row 7 (pose 'R07') cannot be reached by" in complaint
-    assert "channel cam_x reads -391 mm" in complaint
-    assert "without cam_x the row fits: look at that reading" in complaint
-    assert complaint.count("\n") == 1
-    assert not list(tmp_path.glob("out*"))
+    said = (
+        r"row 7 \(pose 'R07'\) cannot be reached by .*channel cam_x reads -391 mm.*without cam_x the row fits: look at"
+    )
+    refuse(said, tmp_path / "out", "run", path, "--quiet")
 
 
-def test_channels_without_a_reading_are_named_with_the_place(readings, tmp_path, call):
+def test_channels_without_a_reading_are_named_with_the_place(readings, tmp_path, refuse):
     """Motors alone: three readings for three coordinates, which leave nothing to compare slips by."""
     study = planar_rrr.STUDY.replace("[[variants]]", '[[variants]]\nsensors = ["theta"]')
     broken = change([0, 1, 2], lambda x: -x)(readings)
     path = planar_rrr.write_project(tmp_path / "project", broken, study=study)
-    code, out, complaint = call("run", path, "--out", tmp_path / "out", "--quiet")
-    assert (code, out) == (2, "")
-    assert "cannot be reached by the nominal machine: channel" in complaint
-    assert "no reading at x = " in complaint
-    assert "rad, where the row's readings lead" in complaint
-    assert "look at units, signs, zeros, order of channels and of rows" in complaint
-    assert complaint.count("\n") == 1
-    assert not list(tmp_path.glob("out*"))
+    said = (
+        "cannot be reached by the nominal machine: channel.* no reading at x = .* rad, where the row's readings lead.*"
+    )
+    refuse(
+        f"{said}look at units, signs, zeros, order of channels and of rows", tmp_path / "out", "run", path, "--quiet"
+    )

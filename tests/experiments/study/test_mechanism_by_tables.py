@@ -114,14 +114,11 @@ def test_variants_are_named_after_what_they_are_seen_by(folder):
         ('"six_pus"\n\n', '"six_pus"\nkernel_length = 2.0\n\n', "kernel_length: key is gone, expected terms"),
     ],
 )
-def test_what_means_nothing_here_is_refused(folder, tmp_path, call, old, new, message):
+def test_what_means_nothing_here_is_refused(folder, tmp_path, refuse, old, new, message):
     for name in ("mechanism.toml", "readings.csv"):
         shutil.copy(folder / name, tmp_path)
     (tmp_path / "study.toml").write_text(STUDY.replace(old, new, 1))
-    code, out, said = call("run", tmp_path / "study.toml", "--out", tmp_path / "out", "--quiet")
-    assert (code, out) == (2, "")
-    assert message in said
-    assert not (tmp_path / "out").exists()
+    refuse(message, tmp_path / "out", "run", tmp_path / "study.toml", "--quiet")
 
 
 @pytest.mark.runs
