@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 import studies
-from experiments.study.test_instrument_study import FRAMES, write_points
+from experiments.study.test_instrument_study import FRAMES, leave_positions, write_points
 
 from bayescal.density.sorts import SORTS
 from bayescal.errors import InputError
@@ -26,11 +26,8 @@ def write_silent(folder, instrument="targets"):
     first, second = (one.start() for one in re.finditer(r"\[\[variants\]\]", text))
     text = text[:second] + text[text.index("[sampler]") :]
     if instrument in ("poses", "positions"):
-        lines = studies.feed_poses(folder / "study.toml").splitlines()
-        head = next(line for line in lines if line.startswith("pose,")).split(",")
-        kept = [k for k, name in enumerate(head) if instrument == "poses" or not re.search(r"r[xyz]", name)]
-        rows = [line if line.startswith("#") else ",".join(line.split(",")[k] for k in kept) for line in lines]
-        (folder / "data" / "poses.csv").write_text("\n".join(rows) + "\n")
+        table = studies.feed_poses(folder / "study.toml")
+        (folder / "data" / "poses.csv").write_text(table if instrument == "poses" else leave_positions(table))
         text = text.replace(studies.BY_TARGETS, studies.BY_POSES)
         if instrument == "positions":
             text = text.replace("[parameters]\n", FRAMES + "[parameters]\n")

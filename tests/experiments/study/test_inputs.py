@@ -124,55 +124,28 @@ def fail_variant(folder: Path, name: str) -> str:
     return message
 
 
-@pytest.mark.parametrize(
-    ("model", "parameter", "expected"),
-    [
-        (
-            "beam",
-            "beta = { prior = 'fixed', offset = 0.35 }",
-            "parameter beta[1]: found 0.6, expected above 0 and below",
-        ),
-        (
-            "beam",
-            "beta = { prior = 'fixed', offset = [0, 0, 0, -0.25, 0, 0] }",
-            "parameter beta[4]: found 0, expected above 0 and below 0.5",
-        ),
-        ("beam", "l_b = { prior = 'fixed', offset = -11 }", "parameter l_b[1]: found -1 mm, expected above 0"),
-        (
-            "stiffness",
-            "k1_d = { prior = 'fixed', offset = -1e6 }",
-            "parameter k1_d: found -990183 N mm2, expected above",
-        ),
-        (
-            "six_pus",
-            "u_x = { prior = 'fixed', offset = 1.5 }",
-            "parameter u_x[1]: found 1.5, expected above -1 and below",
-        ),
-    ],
-)
-def test_values_fixed_outside_the_bounds(folder, model, parameter, expected):
-    choose(folder, model, parameter)
-    assert expected in fail_variant(folder, f"{model}/none")
+OUTSIDE = [
+    ("beam", "beta", "fixed", "0.35", "found 0.6, expected above 0 and below"),
+    ("beam", "beta[4]", "fixed", "[0, 0, 0, -0.25, 0, 0]", "found 0, expected above 0 and below 0.5"),
+    ("beam", "l_b", "fixed", "-11", "found -1 mm, expected above 0"),
+    ("stiffness", "k1_d", "fixed", "-1e6", "found -990183 N mm2, expected above"),
+    ("six_pus", "u_x", "fixed", "1.5", "found 1.5, expected above -1 and below"),
+    ("beam", "beta", "uniform", "0.3", "found a prior from -0.05 to 0.55, expected it between 0 and 0.5"),
+    ("beam", "beta[3]", "uniform", "[0.1, 0.1, 0.3, 0.1, 0.1, 0.1]", "found a prior from -0.05 to 0.55"),
+    ("beam", "l_b", "uniform", "11.0", "found a prior from -1 to 21, expected it between 0"),
+    ("stiffness", "k1_d", "uniform", "1e6", "found a prior from -990183 to 1.00982e+06, expected it between 0"),
+    ("six_pus", "u_x", "uniform", "1.5", "found a prior from -1.5 to 1.5, expected it between -1 and 1"),
+]
+"""Models, parameters, the kind of their prior, its offset or half width, and what is said of it."""
 
 
-@pytest.mark.parametrize(
-    ("model", "symbol", "width", "expected"),
-    [
-        ("beam", "beta", "0.3", "parameter beta[1]: found a prior from -0.05 to 0.55, expected it between 0 and 0.5"),
-        ("beam", "beta", "[0.1, 0.1, 0.3, 0.1, 0.1, 0.1]", "parameter beta[3]: found a prior from -0.05 to 0.55"),
-        ("beam", "l_b", "11.0", "parameter l_b[1]: found a prior from -1 to 21, expected it between 0"),
-        (
-            "stiffness",
-            "k1_d",
-            "1e6",
-            "parameter k1_d: found a prior from -990183 to 1.00982e+06, expected it between 0",
-        ),
-        ("six_pus", "u_x", "1.5", "parameter u_x[1]: found a prior from -1.5 to 1.5, expected it between -1 and 1"),
-    ],
-)
-def test_uniform_priors_that_leave_the_bounds(folder, model, symbol, width, expected):
-    choose(folder, model, f"{symbol} = {{ prior = 'uniform', half_width = {width} }}", f'["{symbol}"]')
-    assert expected in fail_variant(folder, f"{model}/none")
+@pytest.mark.parametrize(("model", "name", "prior", "size", "expected"), OUTSIDE)
+def test_values_and_priors_outside_the_bounds(folder, model, name, prior, size, expected):
+    symbol, key = name.partition("[")[0], {"fixed": "offset", "uniform": "half_width"}[prior]
+    free = f'["{symbol}"]' if prior == "uniform" else '["l"]'
+    choose(folder, model, f"{symbol} = {{ prior = '{prior}', {key} = {size} }}", free)
+    first = name if "[" in name or model == "stiffness" else f"{name}[1]"
+    assert f"parameter {first}: {expected}" in fail_variant(folder, f"{model}/none")
 
 
 @pytest.mark.parametrize(

@@ -5,16 +5,13 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import warnings
 from pathlib import Path
 from typing import Any
 
-import arviz as az
 import numpy as np
 import pandas as pd
 import pytest
 import studies
-import xarray as xr
 
 from bayescal.errors import InputError, NumericalError
 from bayescal.experiments.frame import run as frame
@@ -158,33 +155,6 @@ def test_results_hold_a_report(result):
     page = (result.out / "report.html").read_text()
     assert "six_pus/matrix" in page
     assert list((result.out / "figures").glob("*.png"))
-
-
-@pytest.mark.parametrize("name", VARIANTS)
-def test_netcdf_opens_with_the_named_groups(result, summary, name):
-    path = result.out / "posterior" / f"{name.replace('/', '-')}.nc"
-    with xr.open_datatree(path, engine="h5netcdf") as tree:
-        expected = {"posterior", "sample_stats", "log_likelihood", "observed_data"}
-        assert expected <= set(tree.children)
-        draws = tree["posterior"]["l"]
-        assert draws.dims == ("chain", "draw", "leg")
-        assert draws.sizes["chain"] == 4
-        parameters = studies.read_posterior(result.out, name)
-        for leg in range(1, 7):
-            stored = draws.sel(leg=leg)
-            values = parameters[f"l[{leg}]"]
-            assert abs(float(stored.mean()) - values["mean"]) < 0.05 * values["sd"]  # the file has some of the draws
-            assert float(stored.std()) == pytest.approx(values["sd"], rel=0.05)
-        assert tree["log_likelihood"]["readings"].sizes["row"] == studies.N_CALIBRATION
-        assert np.isfinite(tree["log_likelihood"]["readings"]).all()
-        assert tree.attrs["variant"] == name
-        with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", message="Estimated shape parameter of Pareto")  # so few draws
-            loo = az.loo(tree)
-        fit = summary["variants"][name]
-        if not fit["loo_refitted"]:  # by weights alone, as ArviZ does it
-            assert float(loo.elpd) == pytest.approx(fit["elpd_loo"], abs=0.1)
-    assert az.from_netcdf(path, engine="h5netcdf")["posterior"]["l"].shape[0] == 4
 
 
 def test_provenance_says_where_the_results_come_from(result, summary, folder):

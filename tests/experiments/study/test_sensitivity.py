@@ -106,16 +106,6 @@ def test_a_doubtful_evidence_is_mended_where_the_variant_is_in_question(tmp_path
     assert weighed.pareto_k == 0.9  # on the page it is marked
 
 
-def test_modes_are_the_same_machines_within_narrower_bounds(tmp_path):
-    inputs = load(tmp_path, (NORMAL, UNIFORM))
-    known, narrow = (inputs.variants["six_pus/matrix"].posterior(factor=one) for one in (1.0, 0.25))
-    modes = 0.1 * np.random.default_rng(1).standard_normal((3, known.n_parameters))
-    modes[2] *= 30.0  # beyond the narrower bounds
-    moved = narrow.adopt(known.theta(modes), modes[:, known.n_geometry :])
-    np.testing.assert_allclose(narrow.natural(moved[:2]), known.natural(modes[:2]), atol=1e-12)
-    assert np.isfinite(narrow.log_density(moved)).all()
-
-
 def test_a_uniform_prior_made_too_wide_is_refused(tmp_path):
     changes = (
         (

@@ -21,9 +21,6 @@ ACTUATORS, TARGETS, REFERENCE = "actuators.csv", "targets.csv", "target_referenc
 HOME = 10.0  # mm, of the initial actuator positions
 NAMED = {
     "legs exchanged": (lambda rho: rho[:, [0, 2, 1, 3, 4, 5]], "readings of rho[2] and rho[3] seem to be exchanged"),
-    "legs counted otherwise": (lambda rho: np.roll(rho, 1, axis=1), "legs of rho seem to be counted from leg 2"),
-    "rows shifted": (lambda rho: np.roll(rho, 1, axis=0), "rows of rho seem to be shifted by one"),
-    "rows shifted back": (lambda rho: np.roll(rho, -1, axis=0), "rows of rho seem to be shifted by one"),
     "displacements in metres": (
         lambda rho: HOME + 1e-3 * (rho - HOME),
         "displacements of rho from home seem to be in metres",

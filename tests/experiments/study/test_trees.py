@@ -57,6 +57,16 @@ def test_leaving_poses_out_agrees_with_arviz(tree, fit):
     np.testing.assert_allclose(loo.elpd_i, found.weighted, atol=0.3)
 
 
+def test_the_draws_are_those_that_the_fit_summarises(tree, fit):
+    assert tree.attrs["variant"] == VARIANT
+    assert tree["posterior/l"].dims == ("chain", "draw", "leg")
+    assert tree["posterior/l"].sizes["chain"] == 4
+    for k, leg in enumerate(range(1, 7)):
+        stored = tree["posterior/l"].sel(leg=leg)
+        assert abs(float(stored.mean()) - fit.mean[k]) < 0.05 * fit.sd[k]  # the file has some of the draws
+        assert float(stored.std()) == pytest.approx(fit.sd[k], rel=0.05)
+
+
 def test_groups_fit_together(tree, inputs):
     sizes = {tree[name].sizes["draw"] for name in ("posterior", "log_prior", "log_likelihood", "posterior_predictive")}
     assert len(sizes) == 1
