@@ -74,9 +74,7 @@ class Sight:
     n_spare: np.ndarray  # (Q,): readings more than a pose takes
     pose: Array
     log_volume: float
-    kept: dict[tuple[bytes, bytes], Array] = field(default_factory=dict)
-    columns: dict[bytes, Array] = field(default_factory=dict)
-    gathered: dict[bytes, Array] = field(default_factory=dict)
+    kept: dict[str, tuple[object, Array]] = field(default_factory=dict)
 
     @property
     def lost(self) -> np.ndarray:
@@ -91,7 +89,8 @@ class Sight:
             part, linear = slice(int(start), int(end)), self.linear
 
             def covariance(zeta: Array, factor: Array | float = 1.0, part: slice = part) -> Array:
-                return self.covariance(zeta, factor)[part]
+                key = (zeta.tobytes(), np.asarray(factor).tobytes())
+                return self._keep("covariance", key, lambda: self.linear.covariance(zeta, factor))[part]
 
             def common(zeta: Array, part: slice = part) -> Array:
                 return self.common(zeta)[part]
@@ -99,43 +98,19 @@ class Sight:
             arrays = (linear.errors, linear.slope, linear.constant, linear.basis, linear.left)
             errors, slope, constant, basis, left = (array[part] for array in arrays)
             own = LinearRows(errors, slope, constant, covariance, basis, left, common)
-            found.append(
-                Sight(
-                    one.rows,
-                    own,
-                    self.slope[part],
-                    self.errors[part],
-                    self.stands[part],
-                    self.n_spare[part],
-                    self.pose[part],
-                    one.log_volume,
-                )
-            )
+            each = {name: getattr(self, name)[part] for name in ("slope", "errors", "stands", "n_spare", "pose")}
+            found.append(Sight(one.rows, own, log_volume=one.log_volume, **each))
         return found
 
+    def _keep(self, what: str, key: object, make: Callable[[], Array]) -> Array:
+        """Return what is made of errors, kept for the last ones that were asked for."""
+        if what not in self.kept or self.kept[what][0] != key:
+            self.kept[what] = (key, make())
+        return self.kept[what][1]
+
     def common(self, zeta: Array) -> Array:
-        """Return the columns of errors common to all rows, kept for the last errors that were asked for."""
-        key = zeta.tobytes()
-        if key not in self.columns:
-            self.columns.clear()
-            self.columns[key] = self.linear.common(zeta)
-        return self.columns[key]
-
-    def covariance(self, zeta: Array, factor: Array | float) -> Array:
-        """Return the covariance of all rows, kept for the last errors and factors that were asked for."""
-        key = (zeta.tobytes(), np.asarray(factor).tobytes())
-        if key not in self.kept:
-            self.kept.clear()
-            self.kept[key] = self.linear.covariance(zeta, factor)
-        return self.kept[key]
-
-    def _gather(self, zeta: Array) -> Array:
-        """Return the fewest columns of errors common to all rows, kept for the last errors that were asked for."""
-        key = zeta.tobytes()
-        if key not in self.gathered:
-            self.gathered.clear()
-            self.gathered[key] = gather_columns(self.common(zeta))
-        return self.gathered[key]
+        """Return the columns of errors common to all rows."""
+        return self._keep("common", zeta.tobytes(), lambda: self.linear.common(zeta))
 
     def share(self, other: Sight, zeta: Array) -> tuple[Array, Array]:
         """Return the fewest columns of errors common to all rows of this and of another table, of both."""
@@ -149,9 +124,10 @@ class Sight:
 
         Errors common to all rows are the fewest columns, or others (Q, R, N) of the same covariance.
         """
-        extra = self._gather(zeta) if common is None else common
+        if common is None:
+            common = self._keep("fewest", zeta.tobytes(), lambda: gather_columns(self.common(zeta)))
         shown = np.zeros((*self.errors.shape, 0)) if columns is None else self.linear.left @ columns[self.rows]
-        every = np.concatenate([-self.slope, extra, shown, self.errors[..., None]], axis=-1)
+        every = np.concatenate([-self.slope, common, shown, self.errors[..., None]], axis=-1)
         every = np.where(self.stands[:, None, None], every, 0.0)
         covariance = np.where(self.stands[:, None, None], self.linear.covariance(zeta, factor), np.eye(every.shape[1]))
         root = np.linalg.cholesky(covariance)
@@ -160,7 +136,7 @@ class Sight:
         constant = constant - np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1)
         usual = float(np.median(constant[self.stands])) if self.stands.any() else 0.0
         constant = np.where(self.lost, usual - LOST * every.shape[1], constant)
-        known = self.slope.shape[-1] + extra.shape[-1]
+        known = self.slope.shape[-1] + common.shape[-1]
         counted = int(self.n_spare[self.stands].sum()), int(self.n_spare[self.lost].sum())
         return White(white, constant, known, self.log_volume, *counted)
 
@@ -177,17 +153,14 @@ class White:
     n_lost: int  # the same of rows that have no pose: they are zero
 
     @cached_property
-    def _some(self) -> Array:
-        return np.concatenate([self.rows[..., : self.known], self.rows[..., -1:]], axis=-1)
-
-    @cached_property
     def total(self) -> Array:
         """`gram` of all rows."""
         return self.gram(slice(None))
 
     def gram(self, rows: np.ndarray | slice) -> Array:
         """Return products of what is known and the errors, summed over some of the rows, (m + N + 1, m + N + 1)."""
-        flat = self._some[rows].reshape(-1, self.known + 1)
+        known = np.concatenate([self.rows[rows, :, : self.known], self.rows[rows, :, -1:]], axis=-1)
+        flat = known.reshape(-1, self.known + 1)
         return np.asarray(flat.T @ flat)
 
     def weigh(self, gram: Array | None = None, constant: float | None = None) -> float:

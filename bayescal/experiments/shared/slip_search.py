@@ -226,6 +226,17 @@ class _Search:
         """Whether the readings fit as they are."""
         return self.misfit < MISFIT and self.here is not None and not bool(self.here.lost.any())
 
+    @cached_property
+    def own(self) -> tuple[np.ndarray, str]:
+        """The machine's own channels, by their places, and what they are called; none where there are no others."""
+        places = np.flatnonzero(self.readings.internal)
+        places = places if len(places) < len(self.readings.internal) else places[:0]
+        return places, join_words(list(dict.fromkeys(self.readings.channels[k].kind for k in places)))
+
+    def name_row(self, k: int) -> str:
+        """Return what messages call a row."""
+        return f"{k + 1} (pose {str(self.posterior.likelihood.data.poses[k])!r})"
+
     def run(self) -> Search:
         here, base = self.here, self.base
         if here is None:
@@ -341,38 +352,32 @@ class _Search:
         """Return causes that change the table, by some of the rows, and by how much better these are."""
         causes = [Cause("", "", table=self.readings.table), *list_tables(self.readings)]
         tables = [one.table.pick(self.some) for one in causes if one.table is not None]
-        seen: list[Sight | None] = [None] * len(causes)
+        seen: dict[int, Sight] = {}
         for alike in dict.fromkeys((one.circular, one.vague) for one in tables):
             places = [k for k, one in enumerate(tables) if (one.circular, one.vague) == alike]
-            for start in range(0, len(places), TOGETHER):
-                if not self.is_late:
-                    some = places[start : start + TOGETHER]
-                    for k, one in zip(some, self._see_together([tables[k] for k in some], here), strict=True):
-                        seen[k] = one
+            for start in range(0, len(places), TOGETHER):  # looked at one below the other
+                some = places[start : start + TOGETHER]
+                values, rows = (np.concatenate([getattr(tables[k], key) for k in some]) for key in ("values", "rows"))
+                table, y = replace(tables[some[0]], values=values, rows=rows), np.zeros(self.m)
+                every = None if self.is_late else self.readings.see(table, y, here.pose, 2)
+                if every is not None:
+                    seen |= zip(some, every.split([tables[k] for k in some]), strict=True)
         share, missing_cost = len(self.some) / max(int(self.some.sum()), 1), self._row_cost(here)
         values = np.full(len(causes), -np.inf)
         for slop in SLOPS[:2] if self.fits else SLOPS:
-            for k, one in enumerate(seen):
-                if one is not None and one.stands.any():
-                    missing = int(self.some.sum()) - len(one.rows)
-                    values[k] = max(values[k], one.whiten(self.zeta, slop).weigh() - missing * missing_cost)
+            for k, sight in seen.items():
+                if sight.stands.any():
+                    missing = int(self.some.sum()) - len(sight.rows)
+                    values[k] = max(values[k], sight.whiten(self.zeta, slop).weigh() - missing * missing_cost)
         usual = values[0] if np.isfinite(values[0]) else UNFIT
         rough = [(one, share * float(value - usual)) for one, value in zip(causes, values, strict=True)]
         return [*rough[1:], *self._weigh_shifts(here), *self._weigh_exchanges(here)]
 
-    def _see_together(self, tables: list[Table], here: Sight) -> list[Sight | None]:
-        """Return what is seen of tables that are looked at one below the other."""
-        values, rows = (np.concatenate([getattr(one, key) for one in tables]) for key in ("values", "rows"))
-        every = self.readings.see(replace(tables[0], values=values, rows=rows), np.zeros(self.m), here.pose, 2)
-        return [None] * len(tables) if every is None else list(every.split(tables))
-
     def _weigh_shifts(self, here: Sight) -> list[tuple[Cause, float]]:
         """Return rows that are shifted by one against the machine's own channels from some place on."""
-        values, own = self.readings.values, np.flatnonzero(self.readings.internal)
-        n, found = len(values), list[tuple[Cause, float]]()
-        kinds = join_words(list(dict.fromkeys(self.readings.channels[k].kind for k in own)))
-        names = self.posterior.likelihood.data.poses
-        if n < 4 or not len(own) or len(own) == values.shape[1]:
+        values, (own, kinds), found = self.readings.values, self.own, list[tuple[Cause, float]]()
+        n = len(values)
+        if n < 4 or not len(own):
             return found
         usual, row_cost = max(here.whiten(self.zeta, slop).weigh() for slop in SLOPS), self._row_cost(here)
         for step in (1, -1):  # rows hold what belongs to the one before them, or after them
@@ -397,18 +402,17 @@ class _Search:
                 table = values.copy()
                 table[chosen[there]] = moved[chosen[there]]
                 where = "from" if step > 0 else "up to"
-                text = f"rows of {kinds} seem to be shifted by one {where} row {k + 1} (pose {str(names[k])!r})"
+                text = f"rows of {kinds} seem to be shifted by one {where} row {self.name_row(k)}"
                 found.append((Cause(ROWS, text, Table(table[chosen], chosen)), float(weighed[k]) - row_cost - usual))
         return found
 
     def _weigh_exchanges(self, here: Sight) -> list[tuple[Cause, float]]:
         """Return two rows whose readings of the machine's own channels are exchanged, of the few that are far off."""
-        values, own, found = self.readings.values, np.flatnonzero(self.readings.internal), list[tuple[Cause, float]]()
-        off, names = self.readings.measure_rows(), self.posterior.likelihood.data.poses
+        values, (own, kinds), found = self.readings.values, self.own, list[tuple[Cause, float]]()
+        off = self.readings.measure_rows()
         far = np.flatnonzero(off > OUTLYING * np.median(off))
-        if not 2 <= len(far) <= MOST_FAR or not len(own) or len(own) == values.shape[1]:
+        if not 2 <= len(far) <= MOST_FAR or not len(own):
             return found
-        kinds = join_words(list(dict.fromkeys(self.readings.channels[k].kind for k in own)))
         usual = max(here.whiten(self.zeta, slop).weigh() for slop in SLOPS)
         for pair in combinations(far.tolist(), 2):
             moved = values.copy()
@@ -417,8 +421,7 @@ class _Search:
             seen = self.readings.see(table, np.zeros(self.m), here.pose, 2)
             if seen is None or not seen.stands.any():
                 continue
-            rows = " and ".join(f"{k + 1} (pose {str(names[k])!r})" for k in pair)
-            text = f"rows {rows} seem to have each other's {kinds}"
+            text = f"rows {' and '.join(map(self.name_row, pair))} seem to have each other's {kinds}"
             value = max(seen.whiten(self.zeta, slop).weigh() for slop in SLOPS)
             found.append((Cause(ROWS, text, table), float(value - usual)))
         return found
@@ -433,12 +436,14 @@ class _Search:
     def fit(self, cause: Cause, here: Sight) -> _Fit | None:
         """Return a cause about its own fit."""
         table, columns = cause.table or self.readings.table, cause.columns
-        y, unknown, zeta, start = np.zeros(self.m), np.zeros(0), self.zeta, here.pose
+        y, zeta, start = np.zeros(self.m), self.zeta, here.pose
         starts = (zeta,) if not cause.fault or self.base is None else (self.base.zeta, zeta)
         unknown = np.zeros(0 if columns is None else columns.shape[-1])
         weigher, last, misfit = None, -np.inf, np.inf
         for step in range(FITS):
-            values = table.values if columns is None else self._take_away(table, columns @ unknown)
+            values = table.values
+            if columns is not None:
+                values = self.posterior.likelihood.comparison.add(values, -(columns @ unknown)[table.rows])
             seen = self.readings.see(replace(table, values=values), y, start, 0 if step else 3)
             if seen is None or not seen.stands.any():
                 break  # steps that lead away: as good as the last one
@@ -467,11 +472,6 @@ class _Search:
             sizes = self.readings.model.read(theta, weigher.seen.pose, given)[:, cause.blind]
         text = cause.text if cause.say is None else cause.say(sizes)
         return _Fit(value, misfit, text, zeta, weigher.seen, lambda z: weigher.weigh(z) - 0.5 * float(z @ z))
-
-    def _take_away(self, table: Table, effect: Array) -> Array:
-        """Return a table's readings less an effect (P, K)."""
-        comparison = self.posterior.likelihood.comparison
-        return np.asarray(comparison.add(table.values, -effect[table.rows]))
 
 
 @dataclass(eq=False)
