@@ -14,7 +14,7 @@ import telescope_machines as machines
 
 from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.density.calibration.terms import Errors, KnownErrors
-from bayescal.experiments.shared.readings.pads import Pads
+from bayescal.experiments.shared.readings.seen_legs import Pads
 from bayescal.experiments.study.readings import weigh_beside
 from bayescal.inference.correction import correct_evidence
 from bayescal.inference.exploration import explore

@@ -78,7 +78,7 @@ def read_design(config: AuditConfig, folder: Path) -> AuditDesign:
         return AuditDesign(config, {}, read_measured(config, folder))
     assert config.machine is not None
     path, sensors = folder / config.machine, read_pose_sensors(config, folder)
-    instruments = read_instruments(config, folder) | build_instruments(sensors)
+    instruments = read_instruments(config.instruments, folder) | build_instruments(sensors)
     models, symbols = dict[tuple[str | None, str], ReadingModel](), set[str]()
     for one in config.variants:
         with name_faults("" if one is config.variants[0] else f"variant {one.name!r}"):

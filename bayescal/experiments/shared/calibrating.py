@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from bayescal.calibrated.exported import CALIBRATED, read_exported
 from bayescal.calibrated.machine import CalibratedMachine
@@ -14,15 +13,11 @@ from bayescal.config.trust import trusting
 from bayescal.errors import InputError
 from bayescal.experiments.frame.identity import identify
 from bayescal.experiments.frame.load import find_kind, load
-from bayescal.experiments.shared.trees import read_draws
 from bayescal.files.atomic import read_json
 from bayescal.files.manifest import overlooking
-from bayescal.numerics.geometry import Array
 
 if TYPE_CHECKING:
-    import pandas as pd
-
-    from bayescal.experiments.frame.results import Results, Writer
+    from bayescal.experiments.frame.results import Results
 
 KEPT = "machine"
 """Folder of the results that holds what the machine is read from."""
@@ -93,7 +88,9 @@ def load_calibrated(
     path = Path(path)
     with trusting(trust), overlooking(force):
         if (path / CALIBRATED).is_file():
-            found = _check_exported(read_exported(path), path, variant)
+            found = read_exported(path)
+            if variant not in (None, found.source.variant):
+                raise InputError(f"{path}: found an exported variant {found.source.variant!r}, expected {variant!r}")
         else:
             found = _calibrate(path, variant, None if experiment is None else Path(experiment))
     if found.source.problems and not force:
@@ -117,12 +114,6 @@ def _calibrate(path: Path, variant: str | None, experiment: Path | None) -> Cali
     return kind.calibrate(read_results(path, kind.tables_of_machine), variant, experiment)
 
 
-def _check_exported(found: CalibratedMachine, path: Path, variant: str | None) -> CalibratedMachine:
-    if variant not in (None, found.source.variant):
-        raise InputError(f"{path}: found an exported variant {found.source.variant!r}, expected {variant!r}")
-    return found
-
-
 # --- for those kinds -----------------------------------------------------------------------------------------------
 
 
@@ -138,36 +129,3 @@ def load_same[C: ExperimentConfig](results: Results, path: Path, schema: type[C]
             f"{path}: found another {config.kind} than that of {results.folder}, expected the same config and files"
         )
     return config
-
-
-def read_draws_of(results: Results, name: str) -> dict[str, Array] | None:
-    """Return the posterior's draws by parameter, (S,) each, of a file of the results; None where there is none."""
-    assert results.folder is not None
-    path = results.folder / name
-    return read_draws(path) if path.is_file() else None
-
-
-def read_parameters(results: Results, variant: str) -> pd.DataFrame:
-    """Return a variant's posterior of its parameters, with its model error if it has any, by their names."""
-    rows = results.table("parameters")
-    return rows[rows["variant"] == variant].set_index("parameter")
-
-
-def read_means(results: Results, variant: str) -> dict[str, float]:
-    """Return the posterior means of the same parameters."""
-    rows = read_parameters(results, variant)
-    return {str(name): float(mean) for name, mean in rows["mean"].items()}
-
-
-def list_problems(fit: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return why a variant of a summary did not converge; nothing where it did."""
-    return () if fit["converged"] else tuple(str(fit["problems"] or "not converged").split("; "))
-
-
-def write_bytes(content: bytes) -> Writer:
-    """Return what writes a file as it was."""
-
-    def write(path: Path) -> None:
-        path.write_bytes(content)
-
-    return write

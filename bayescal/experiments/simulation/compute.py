@@ -180,11 +180,11 @@ def read_model(config: SimulationConfig, folder: Path) -> ReadingModel:
     """
     path, matrix = folder / config.machine, None if config.truth is None else config.truth.deformation_matrix
     if "kind" not in read_toml(path)[0]:
-        return place(_read_mechanism(config, folder, matrix), read_instruments(config, folder))
+        return place(_read_mechanism(config, folder, matrix), read_instruments(config.instruments, folder))
     for field, found in (("model", config.model), ("truth.deformation_matrix", matrix)):
         if found is not None:
             raise InputError(f"{field}: found {found!r} beside a machine whose file says its kind, expected none")
-    return place(read_reading_model(path), read_instruments(config, folder))
+    return place(read_reading_model(path), read_instruments(config.instruments, folder))
 
 
 def _read_mechanism(config: SimulationConfig, folder: Path, matrix: str | None) -> Legs:

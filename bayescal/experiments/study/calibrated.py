@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -27,17 +27,10 @@ from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.density.calibration.terms import CommonDraws
 from bayescal.errors import InputError
 from bayescal.experiments.frame.results import Results, Writer
-from bayescal.experiments.shared.calibrating import (
-    KEPT,
-    list_problems,
-    read_draws_of,
-    read_means,
-    read_parameters,
-    write_bytes,
-)
+from bayescal.experiments.shared.calibrating import KEPT
 from bayescal.experiments.shared.headline import choose_best
 from bayescal.experiments.shared.origin import name_origin
-from bayescal.experiments.shared.readings.inputs import ReadingInputs, Variant
+from bayescal.experiments.shared.readings.inputs import Variant
 from bayescal.experiments.shared.readings.instruments import leave_instruments, read_model
 from bayescal.experiments.shared.readings.measurement import state_noise
 from bayescal.experiments.shared.readings.noise import group_channels, noise_of_channels
@@ -62,25 +55,17 @@ ERRORS = "errors"
 
 def list_machine_files(inputs: StudyInputs) -> dict[str, str | Writer]:
     """Return the files that a study's results hold of its machines, and the commands of its poses, by name."""
-    found: dict[str, str | Writer] = {name: write_bytes(one) for name, one in inputs.files.items()}
-    every = found | format_variants_commands(inputs) | format_matrices(inputs)
-    return {f"{KEPT}/{name}": one for name, one in every.items()}
-
-
-def format_variants_commands(inputs: ReadingInputs) -> dict[str, str]:
-    """Return what the commanded channels of each variant read at its calibration poses, as files."""
-    return {_name_commands(one.name): _format_commands(one) for one in inputs.variants.values()}
-
-
-def format_matrices(inputs: StudyInputs) -> dict[str, str]:
-    """Return K and the covariance of its rows as files, where it was measured."""
+    found: dict[str, str | Writer] = {name: partial(_write, one) for name, one in inputs.files.items()}
+    found |= {_name_commands(one.name): _format_commands(one) for one in inputs.variants.values()}
     seen = inputs.seen
-    if seen is None or seen.pads is None or not seen.needs_matrix:
-        return {}
-    return {
-        MATRIX: format_matrix(seen.pads.matrix.matrix),
-        MATRIX_COVARIANCE: format_matrix_covariance(seen.pads.matrix.by_row),
-    }
+    if seen is not None and seen.pads is not None and seen.needs_matrix:  # K and the covariance of its rows, measured
+        found[MATRIX] = format_matrix(seen.pads.matrix.matrix)
+        found[MATRIX_COVARIANCE] = format_matrix_covariance(seen.pads.matrix.by_row)
+    return {f"{KEPT}/{name}": one for name, one in found.items()}
+
+
+def _write(content: bytes, path: Path) -> None:
+    path.write_bytes(content)
 
 
 def _name_commands(variant: str) -> str:
@@ -93,13 +78,10 @@ def _format_commands(variant: Variant) -> str:
     read = dict(zip(variant.model.names, data.values.T, strict=True))
     channels = [whole.channels[k] for k in whole.select(whole.commanded)]
     columns = {f"{one.stem}_{one.unit}": read.get(one.name, np.full(data.n_poses, np.nan)) for one in channels}
-    return _write_commands(data.poses, columns | {name: np.asarray(value) for name, value in data.given.items()})
-
-
-def _write_commands(poses: Sequence[str], columns: Mapping[str, Array]) -> str:
+    columns |= {name: np.asarray(value) for name, value in data.given.items()}
     written = ([repr(float(x)) if np.isfinite(x) else "" for x in one] for one in columns.values())
     comments = ["Commands of the poses that calibrated the machine: where it is known, not extrapolated"]
-    return format_table(comments, ["pose", *columns], list(zip(poses, *written, strict=True)))
+    return format_table(comments, ["pose", *columns], list(zip(data.poses, *written, strict=True)))
 
 
 def tabulate_errors(
@@ -195,7 +177,8 @@ def calibrate_machine(
     theta, draws = _read_posterior(results, config, chosen, model)
     commands, given = _read_commands(kept, chosen.name, model)
     errors, noise = _build_errors(results, chosen.name, model), _find_noise(results, config, chosen.name, model)
-    source = Source(config.name, chosen.name, name_origin(config.origin.model_dump()), list_problems(fit))
+    problems = () if fit["converged"] else tuple(str(fit["problems"] or "not converged").split("; "))
+    source = Source(config.name, chosen.name, name_origin(config.origin.model_dump()), problems)
     functions = _read_functions(results, chosen.name)
     if isinstance(model, Legs):  # a mechanism on legs is one whatever calibrated it
         machine, size = model.machine, model.machine.layout.size
@@ -244,12 +227,18 @@ def _change(known: tuple[KnownFunctions, Array] | None, calibrated: CalibratedMa
 
 def _find_noise(results: Results, config: StudyConfig, variant: str, model: ReadingModel) -> Array:
     """Return the noise of each channel, stated and as found since, root mean square, (K,); NaN where none is stated."""
-    mine = read_parameters(results, variant)
+    mine = _read_parameters(results, variant)
     square = (mine["mean"] ** 2 + mine["sd"] ** 2).to_dict()
     groups = group_channels(config, model)
     factor = np.array([square.get(f"noise_factor({group})", 1.0) for group in groups])
     tau = np.array([square.get(f"model_error({group})", 0.0) for group in groups])
     return np.sqrt(noise_of_channels(config.sensors, model) ** 2 * factor + tau)
+
+
+def _read_parameters(results: Results, variant: str) -> pd.DataFrame:
+    """Return a variant's posterior of its parameters, with its model error if it has any, by their names."""
+    rows = results.table("parameters")
+    return rows[rows["variant"] == variant].set_index("parameter")
 
 
 def _choose(results: Results, config: StudyConfig, name: str | None) -> VariantConfig:
@@ -271,10 +260,13 @@ def _read_posterior(
     start = layout.nominal.copy()
     for name, value in fixed.items():
         start[layout.names.index(name)] = value
-    found = read_draws_of(results, f"posterior/{stem_of(variant.name)}.nc")
-    mean = read_means(results, variant.name)
+    assert results.folder is not None
+    path, mean = (
+        results.folder / f"posterior/{stem_of(variant.name)}.nc",
+        _read_parameters(results, variant.name)["mean"],
+    )
 
-    def place(values: Mapping[str, Any], theta: Array) -> Array:
+    def place(values: Any, theta: Array) -> Array:
         for name in priors:
             if name not in values:
                 raise InputError(f"{results.folder}: found no parameter {name!r} in the posterior, expected it")
@@ -282,11 +274,11 @@ def _read_posterior(
             theta[..., places] += (np.asarray(values[name]) - start[places[0]])[..., None]
         return theta
 
-    if found is None:
-        return place(mean, start.copy()), None
-    n_draws = len(next(iter(found.values())))
-    draws = place(found, np.tile(start, (n_draws, 1)))
-    return place(mean, start.copy()), draws
+    expected = place(mean, start.copy())
+    if not path.is_file():
+        return expected, None
+    found = read_draws(path)
+    return expected, place(found, np.tile(start, (len(next(iter(found.values()))), 1)))
 
 
 def _read_commands(folder: Path, variant: str, model: ReadingModel) -> tuple[Array | None, dict[str, Array]]:

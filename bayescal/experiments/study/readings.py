@@ -36,7 +36,7 @@ from bayescal.experiments.shared.readings.knowledge import (
 )
 from bayescal.experiments.shared.search_memory import PRIOR_READINGS
 from bayescal.experiments.shared.soundness import ChiSquare, fit_rows
-from bayescal.experiments.shared.trees import Draws, Readings, build_tree, group_functions, limit_draws, spread
+from bayescal.experiments.shared.trees import FUNCTIONS, NAME, limit_draws, make_dataset, split_parameters, spread
 from bayescal.experiments.study.calibrated import ERRORS, tabulate_errors
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.tables import (
@@ -61,6 +61,7 @@ from bayescal.numerics.geometry import Array
 if TYPE_CHECKING:
     import xarray as xr
 
+PREDICTED = "readings that would be measured again"
 ONLY_SAVED = ("log_likelihood", "replicated", "prior", "prior_replicated")
 POSE_DRAWS = 200  # of the posterior, that predict poses
 ERROR_DRAWS = 200  # of the posterior, from which errors common to all rows are drawn for tables
@@ -256,26 +257,43 @@ class ReadingSubject(Subject):
 
     def build_tree(self, fit: Fit, variant: str, functions: KnownFunctions | None) -> xr.DataTree:
         """Return the fit with draws of its prior, what both predict, the data, and what is known of functions."""
-        likelihood, arrays = self.posterior.likelihood, fit.evaluated
-        priors, channels = self.posterior.all_priors().values(), likelihood.model.channels
+        import xarray as xr
+
+        likelihood, arrays, channels = (
+            self.posterior.likelihood,
+            fit.evaluated,
+            self.posterior.likelihood.model.channels,
+        )
         draws, density, rows = (self._thin(one) for one in (fit.draws, fit.log_density, arrays["log_likelihood"]))
-        readings = Readings(
-            likelihood.data.poses,
-            [one.name for one in channels],
-            [one.unit for one in channels],
-            likelihood.data.values,
-            arrays["replicated"],
-            arrays["prior_replicated"],
-            rows,
-            "readings as measured",
-        )
+        priors, data = self.posterior.all_priors().values(), likelihood.data
         log_prior = np.stack([prior.log_density(draws[..., k]) for k, prior in enumerate(priors)], axis=-1)
-        return build_tree(
-            Draws(fit.names, fit.units, draws, density, log_prior, arrays["prior"]),
-            readings,
-            group_functions(functions, self.posterior.sampling.names),
-            variant=variant,
-        )
+        places = {"row": list(data.poses), "channel": [one.name for one in channels]}
+        unit = ", ".join(dict.fromkeys(one.unit for one in channels))
+
+        def keep(values: Array, meaning: str, drawn: bool) -> xr.Dataset:
+            made = make_dataset({NAME: (("row", "channel"), values, unit, meaning)}, places, drawn)
+            return made.assign_coords(unit=("channel", [one.unit for one in channels]))
+
+        of_rows = {NAME: (("chain", "draw", "row"), rows, "nat", "log-density of all readings of a row")}
+        found = {
+            "posterior": split_parameters(fit.names, draws, fit.units),
+            "sample_stats": make_dataset(
+                {"lp": ((), density, "nat", "log-density in the proposal's coordinates")}, drawn=True
+            ),
+            "log_likelihood": make_dataset(of_rows, {"row": places["row"]}),
+            "log_prior": split_parameters(fit.names, log_prior, ["nat"] * len(fit.names)),
+            "prior": split_parameters(fit.names, arrays["prior"][None], fit.units),
+            "observed_data": keep(data.values, "readings as measured", False),
+            "posterior_predictive": keep(arrays["replicated"], PREDICTED, True),
+            "prior_predictive": keep(arrays["prior_replicated"][None], PREDICTED, True),
+        }
+        if functions is not None:
+            names = {"channel": list(functions.names), "sort": list(functions.sorts)}
+            names["parameter"] = list(self.posterior.sampling.names)
+            found[FUNCTIONS] = make_dataset(functions.list_arrays(), names)
+        tree = xr.DataTree.from_dict(found)
+        tree.attrs = {"variant": variant}
+        return tree
 
 
 def weigh_beside(explored: CalibrationPosterior, exploration: Exploration) -> CostlyDensity:

@@ -268,7 +268,8 @@ FAULTS = {
         "key of another measurement": (
             "poses.toml",
             swap_column("actuator_noise_um", "target_noise_um = 3.0\nactuator_noise_um"),
-            "data.target_noise_um: unknown key, did you mean 'actuator_noise_um'?, expected one of actuator_noise_um, actu",
+            "data.target_noise_um: unknown key, did you mean 'actuator_noise_um'?, expected one of actuator_noise_um, "
+            "actu",
         ),
         "noise twice": (
             "poses.toml",

@@ -80,17 +80,16 @@ def _is_elsewhere(names: list[str], everywhere: list[set[str]], chosen: np.ndarr
 def measure_ranges(model: ReadingModel, data: Measurements, workspace: Workspace) -> tuple[Array, Array]:
     """Return what the nominal machine reads in the middle of the workspace, and how far readings go from it, (K,)."""
     q = len(workspace.low)
-    steps = np.array([*product((-1.0, 0.0, 1.0), repeat=q)]) if 3**q <= LARGEST_GRID else _draw_ends(q)
+    if 3**q <= LARGEST_GRID:
+        steps = np.array([*product((-1.0, 0.0, 1.0), repeat=q)])
+    else:
+        steps = np.random.default_rng(0).integers(-1, 2, (LARGEST_GRID, q)).astype(np.float64)
     pose = np.concatenate([workspace.middle[None], workspace.middle + workspace.half * steps.reshape(-1, q)])
     given = {name: np.full(len(pose), np.median(value)) for name, value in data.given.items()}
     with np.errstate(all="ignore"):
         read = model.read(model.layout.nominal, pose, given)
     away = np.abs(read - read[0])
     return read[0], np.where(np.isfinite(away), away, 0.0).max(axis=0)
-
-
-def _draw_ends(q: int) -> Array:
-    return np.random.default_rng(0).integers(-1, 2, (LARGEST_GRID, q)).astype(np.float64)
 
 
 # --- the model error in its terms ----------------------------------------------------------------------------------
@@ -143,7 +142,8 @@ def build_terms_of_model(
         name, why = next(iter(missing.items()))
         raise InputError(f"model_error: found term {name!r}, but {why}, expected other terms")
     floors = error.floors()
-    check_floors(floors, [prior.sd for name, prior in tolerances.items() if _is_length(model, name)])
+    lengths = {name for name, unit in zip(model.layout.names, model.layout.units, strict=True) if unit == "mm"}
+    check_floors(floors, [prior.sd for name, prior in tolerances.items() if name in lengths])
     there = [name for name in terms if name not in missing]
     left = build_model_error(
         own,
@@ -164,12 +164,6 @@ def _find_costly(others: Errors) -> str:
     if others.outliers.expected:
         return "single rows may be outliers"
     return "there are other functions in [errors]" if others.has_columns else ""
-
-
-def _is_length(model: ReadingModel, name: str) -> bool:
-    """Whether a parameter is a length; one of several that deviate alike is not asked."""
-    layout = model.layout
-    return name in layout.names and layout.units[layout.names.index(name)] == "mm"
 
 
 def check_floors(floors: Mapping[TermName, float], tolerances: Sequence[float]) -> None:

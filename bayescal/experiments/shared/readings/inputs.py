@@ -153,7 +153,7 @@ def read_inputs(config: StudyConfig, folder: Path, only: Collection[str] | None 
     seen = None if config.by_tables else look(config, folder)
     config = config if seen is None else seen.measured.translate(config)
     models = dict[str, ReadingModel]()
-    instruments = read_instruments(config, folder) if seen is None else seen.measured.instruments
+    instruments = read_instruments(config.instruments, folder) if seen is None else seen.measured.instruments
     for one in config.variants:
         file = folder / (one.machine or config.machine)
         with name_faults(f"variant {one.name!r}") if one.model else nullcontext():

@@ -21,18 +21,10 @@ from bayescal.machines.readings.legs import TILTS
 from bayescal.numerics.geometry import Array
 
 
-class Instrumented(Protocol):
-    """A config that names instruments."""
-
-    @property
-    def instruments(self) -> Mapping[str, InstrumentConfig]:
-        """By name: instruments beside the machine."""
-
-
-def read_instruments(config: Instrumented, folder: Path) -> dict[str, Instrument]:
-    """Return a config's instruments by their names; InputError for faults of an instrument's section or class."""
+def read_instruments(sections: Mapping[str, InstrumentConfig], folder: Path) -> dict[str, Instrument]:
+    """Return instruments by their names; InputError for faults of an instrument's section or class."""
     instruments = {}
-    for one, section in config.instruments.items():
+    for one, section in sections.items():
         field = f"instruments.{one}"
         choice = choose("INSTRUMENTS", section.kind, Instrument, f"{field}.kind", folder, section.options)  # type: ignore[type-abstract]
         with name_failures(choice.found, field, folder):

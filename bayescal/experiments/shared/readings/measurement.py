@@ -19,7 +19,7 @@ from bayescal.data.instruments.read_points import (
     read_stations,
 )
 from bayescal.data.instruments.read_poses import PoseNoise, Taken, check_pose_table, read_poses
-from bayescal.data.instruments.readings import Tracked, TrackedPoints, check_places, check_units, turn_of
+from bayescal.data.instruments.readings import Tracked, TrackedPoints, turn_of
 from bayescal.data.measured_poses import MeasuredPoses, check_repeated
 from bayescal.data.photogrammetry.poses import PoseExtraction, check_exchanged, check_pad_places, extract_poses
 from bayescal.data.photogrammetry.survey import Survey, check_reference, check_target_columns, read_survey
@@ -37,7 +37,6 @@ from bayescal.experiments.shared.study_schema import (
     TargetDataConfig,
 )
 from bayescal.machines.frames import frame_symbols, name_frames
-from bayescal.machines.kinematics import Machine
 from bayescal.machines.mechanism import Mechanism
 from bayescal.machines.readings import Instrument, Tracker
 from bayescal.machines.readings.base import POSE_CHANNELS
@@ -119,7 +118,6 @@ class TargetMeasurement:
 
     survey: Survey
     extraction: PoseExtraction
-    verification: np.ndarray
     noise: float
     """Standard deviation of a target's coordinate, mm."""
 
@@ -169,11 +167,6 @@ def name_data(data: InstrumentDataConfig, folder: Path) -> Path:
     if isinstance(data, TargetDataConfig):
         return folder / data.targets
     return folder / (data.poses if isinstance(data, PoseDataConfig) else data.points)
-
-
-def name_actuator_table(data: InstrumentDataConfig, folder: Path) -> Path:
-    """Return the file of the actuator positions: that of the measurements where they stand in it."""
-    return name_data(data, folder) if data.actuators is None else folder / data.actuators
 
 
 def read_measurement(config: StudyConfig, folder: Path, mechanism: Mechanism) -> Measured:
@@ -229,7 +222,7 @@ def _read_targets(data: TargetDataConfig, folder: Path, mechanism: Mechanism) ->
             "rejected_targets": ["/".join(target) for target in extraction.rejected],
         }
     }
-    targets = TargetMeasurement(survey, extraction, survey.verification, noise)
+    targets = TargetMeasurement(survey, extraction, noise)
     readings = _read_whole(extraction.poses, survey.verification)
     return Measured(readings, extraction.poses, described, targets=targets)
 
@@ -245,17 +238,6 @@ def _read_points(data: PointDataConfig, folder: Path, n_legs: int) -> tuple[Trac
         data.elevation_arcsec or 0.0,
     )
     return read_points(folder / data.points, folder / data.probe, stations, folder / data.actuators, noise, n_legs)
-
-
-def check_measurement(measured: Measured, machine: Machine, data: InstrumentDataConfig, folder: Path) -> None:
-    """Raise InputError where the readings of an instrument cannot be in the units that their table names."""
-    tracked = measured.tracked
-    if tracked is None:
-        return
-    check_units(machine, tracked, name_data(data, folder))
-    if isinstance(data, PointDataConfig) and isinstance(tracked, TrackedPoints):
-        places = read_stations(None if data.stations is None else folder / data.stations).position
-        check_places(machine, tracked, places, name_data(data, folder))
 
 
 # --- each file by itself: reading ends at the first fault, here every file is read as far as it depends on no other -

@@ -28,8 +28,8 @@ def stated_noise(sensors: Mapping[str, ChannelConfig], readings: PoseReadings, m
     result = readings.sd.copy()
     for name, section in sensors.items():
         places = model.select([name])
-        field, given = _given(section)
-        values = spread_over_legs(given, len(places), f"sensors.{name}")
+        field = next(one for one in ("noise", *NOISE_UNITS) if getattr(section, one) is not None)
+        values = spread_over_legs(getattr(section, field), len(places), f"sensors.{name}")
         for place, value in zip(places, values, strict=True):
             factor = _factor(name, model.channels[place], field)
             missing = ~np.isfinite(result[:, place])
@@ -42,11 +42,6 @@ def noise_of_channels(sensors: Mapping[str, ChannelConfig], model: ReadingModel)
     nothing = np.full((1, len(model.channels)), np.nan)
     empty = PoseReadings(("",), np.zeros(1, dtype=bool), nothing, nothing.copy(), None, np.zeros(nothing.shape, bool))
     return stated_noise(sensors, empty, model)[0]
-
-
-def _given(section: ChannelConfig) -> tuple[str, float | list[float]]:
-    field = next(name for name in ("noise", *NOISE_UNITS) if getattr(section, name) is not None)
-    return field, getattr(section, field)
 
 
 def _factor(name: str, channel: Channel, field: str) -> float:

@@ -102,6 +102,7 @@ def read_tables(
     """
     known = _list_columns(channels, given)
     tables = [_check(read_table(folder / one.file, None), known, channels, one) for one in sections]
+    is_correlated = any(name in known and known[name].role == "corr" for one in tables for name in one.columns)
     poses = list(dict.fromkeys(name for table in tables for name in table.text("pose")))
     places, n, k = {name: row for row, name in enumerate(poses)}, len(poses), len(channels)
     found = PoseReadings(
@@ -109,7 +110,7 @@ def read_tables(
         np.zeros(n, dtype=bool),
         np.full((n, k), np.nan),
         np.full((n, k), np.nan),
-        np.tile(np.eye(k), (n, 1, 1)) if _are_any_correlated(tables, known) else None,
+        np.tile(np.eye(k), (n, 1, 1)) if is_correlated else None,
         np.zeros((n, k), dtype=bool),
         {name: np.full(n, np.nan) for name in given},
     )
@@ -132,10 +133,6 @@ def _list_columns(channels: Sequence[Channel], given: Sequence[str]) -> dict[str
             factor = own * COVARIANCE_UNITS.get(other.unit, 1.0)
             columns[f"cov_{other.stem}_{channel.stem}"] = _Column("corr", (j, k), factor, covariance=True)
     return columns
-
-
-def _are_any_correlated(tables: Sequence[Table], known: Mapping[str, _Column]) -> bool:
-    return any(name in known and known[name].role == "corr" for one in tables for name in one.columns)
 
 
 def _hint(name: str, channels: Sequence[Channel], known: Mapping[str, _Column]) -> str:

@@ -1,28 +1,120 @@
-"""A platform on legs that an instrument saw: what was measured, K from targets on its pads, and what that leaves."""
+"""A platform on legs that an instrument saw: what was measured, and K and κ from targets on its pads.
+
+What these tell of the joints is deflection, K and κ (RR-8096 eqs. 1 to 4), and what that leaves of the readings.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
+import numpy as np
+
 from bayescal.data.actuators import check_moves, check_range
-from bayescal.density.calibration.terms import ErrorTerm
-from bayescal.errors import InputError, PoseInputError, name_faults
-from bayescal.experiments.shared.readings.measurement import (
-    Measured,
-    check_measurement,
-    name_actuator_table,
-    name_data,
-    read_measurement,
+from bayescal.data.instruments.read_points import read_stations
+from bayescal.data.instruments.readings import TrackedPoints, check_places, check_units
+from bayescal.data.measured_poses import MeasuredPoses
+from bayescal.data.photogrammetry.joint_deflection import (
+    JointDeflection,
+    KappaEstimate,
+    MatrixEstimate,
+    fit_linear_deformation,
+    fit_matrix_deformation,
+    measure_joint_deflection,
 )
-from bayescal.experiments.shared.readings.pads import Pads, measure_pads
-from bayescal.experiments.shared.study_schema import StudyConfig, TargetDataConfig
+from bayescal.data.photogrammetry.poses import PoseExtraction
+from bayescal.density.calibration.terms import ErrorTerm, KnownErrors
+from bayescal.errors import InputError, PoseInputError, name_faults
+from bayescal.experiments.shared.readings.measurement import Measured, TargetMeasurement, name_data, read_measurement
+from bayescal.experiments.shared.study_schema import PointDataConfig, StudyConfig, TargetDataConfig
 from bayescal.machines.mechanism import Mechanism
 from bayescal.machines.read import load_mechanism
-from bayescal.machines.readings import Legs, Placed, ReadingModel
+from bayescal.machines.readings import POSE, Legs, Placed, ReadingModel
+from bayescal.machines.readings.legs import divide_closure
 from bayescal.numerics.geometry import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Pads:
+    """What the targets on the pads tell.
+
+    Attributes
+    ----------
+    deflection : JointDeflection
+        Of every leg's joint at every pose.
+    matrix : MatrixEstimate
+        K, from the calibration poses.
+    kappa : KappaEstimate
+        κ, from the calibration poses.
+    extraction : PoseExtraction
+        The poses of base and platform that the deflection was measured from.
+    """
+
+    deflection: JointDeflection
+    matrix: MatrixEstimate
+    kappa: KappaEstimate
+    extraction: PoseExtraction
+
+    def list_terms(self, model: Legs, poses: MeasuredPoses, verification: np.ndarray) -> tuple[KnownErrors, ...]:
+        """Return what the uncertainty of the rest of K does to readings of all poses; the diagonal is free or nominal.
+
+        A joint that is known to be deflected by δ more than it is shows in its actuator as (∂f/∂ρ)⁻¹ ∂f/∂δ δ. K was
+        measured in the same photographs as the poses for calibration: their errors depend on its own.
+        """
+        machine, basis = model.machine, model.machine.basis(poses.actuators)
+        n = model.n_legs
+        rest = np.flatnonzero(~np.eye(n, dtype=bool))
+        displacement = poses.actuators - machine.mechanism.initial_actuator_positions
+        design = np.einsum("ij,pk->pijk", np.eye(n), displacement).reshape(len(displacement), n, -1)[..., rest]
+        root = np.linalg.cholesky(self.matrix.covariance[np.ix_(rest, rest)])
+        gain = basis.actuator_gain
+        closure = machine.model.prepare(machine.layout, machine.layout.nominal)
+        less, more = (
+            closure(poses.position, poses.rotation, replace(basis, actuator_gain=one), False).actuators
+            for one in (gain, gain + np.eye(n))
+        )
+        shape = (len(displacement), len(model.channels), len(rest))
+        own, beside = np.zeros(shape), np.zeros(shape)
+        names = list(model.names)
+        legs, seen = ([names.index(one) for one in names if (one in POSE) == of_pose] for of_pose in (False, True))
+        own[:, legs] = divide_closure(less, (more - less) @ design @ root)
+        on_poses = np.linalg.solve(root, self._with_poses(~verification)[:, rest])
+        beside[np.ix_(~verification, seen)] = np.swapaxes(on_poses, -1, -2)
+        return KnownErrors(own + beside), KnownErrors(beside, -1.0)
+
+    def _with_poses(self, used: np.ndarray) -> Array:
+        """Return the covariance of K, row by row, with the errors of its poses in the base frame, (P, N * N, 6)."""
+        assert self.matrix.with_pose is not None
+        rotation = self.extraction.base.rotation[used]
+        moved, turned = np.split(self.matrix.with_pose, 2, axis=-1)
+        return np.concatenate([moved @ rotation, turned @ rotation], axis=-1)
+
+
+def measure_pads(targets: TargetMeasurement, displacement: Array) -> Pads | None:
+    """Return what the targets on the pads tell, at actuator displacements (P, N), mm; None without such targets.
+
+    Raises
+    ------
+    InputError
+        For too few targets on a pad, too few poses, and deflections that are none.
+    """
+    platform, calibration = targets.survey.platform, ~targets.survey.verification
+    on_pad = platform.leg > 0
+    if not on_pad.any():
+        return None
+    deflection = measure_joint_deflection(
+        targets.extraction.platform,
+        platform.reference[on_pad],
+        platform.measured[:, on_pad],
+        platform.leg[on_pad],
+        targets.noise,
+        displacement.shape[1],
+    )
+    chosen, travel = deflection.select(calibration), displacement[calibration]
+    matrix, kappa = fit_matrix_deformation(chosen, travel), fit_linear_deformation(chosen, travel)
+    return Pads(deflection, matrix, kappa, targets.extraction)
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +147,7 @@ class SeenLegs:
         if targets is None:
             return None
         try:
-            return measure_pads(targets, self.displacement, targets.noise)
+            return measure_pads(targets, self.displacement)
         except InputError:
             if self.needs_matrix:
                 raise
@@ -84,9 +176,15 @@ class SeenLegs:
 
     def check(self, model: ReadingModel, config: StudyConfig, folder: Path) -> None:
         """Raise InputError where the measurements cannot be in the units that their tables name."""
-        legs = model.whole if isinstance(model, Placed) else model
+        legs, tracked = model.whole if isinstance(model, Placed) else model, self.measured.tracked
         assert isinstance(legs, Legs)
-        check_measurement(self.measured, legs.machine, config.measured, folder)
+        if tracked is None:
+            return
+        data, path = config.measured, name_data(config.measured, folder)
+        check_units(legs.machine, tracked, path)
+        if isinstance(data, PointDataConfig) and isinstance(tracked, TrackedPoints):
+            places = read_stations(None if data.stations is None else folder / data.stations).position
+            check_places(legs.machine, tracked, places, path)
 
 
 def look(config: StudyConfig, folder: Path) -> SeenLegs:
@@ -94,7 +192,7 @@ def look(config: StudyConfig, folder: Path) -> SeenLegs:
     mechanism, data = load_mechanism(folder / config.machine), config.measured
     measured = read_measurement(config, folder, mechanism)
     poses, used = measured.poses, ~measured.verification
-    with name_faults(name_actuator_table(data, folder)):
+    with name_faults(name_data(data, folder) if data.actuators is None else folder / data.actuators):
         check_range(poses.actuators, mechanism.initial_actuator_positions, mechanism.actuator_range, poses.names)
         check_moves(poses.actuators[used])
     from_targets = config.deformation.matrix == "targets"
