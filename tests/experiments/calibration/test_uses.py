@@ -1,7 +1,8 @@
-"""The documented script of all uses of a calibrated machine of one's own class; then the same from elsewhere."""
+"""The documented script of a machine of one's own class: its calibration and all uses of that, then from elsewhere."""
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shutil
@@ -15,6 +16,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import studies
+from saved_trees import check_tree
 
 from bayescal import load_calibrated, predict_poses
 from bayescal.files.csv_tables import read_table
@@ -58,6 +60,38 @@ def test_the_script_leaves_what_it_says(results):
     found = read(results / "commands.csv")
     np.testing.assert_allclose(found[told.columns], told, rtol=0, atol=1e-6)
     assert (found["reached"] == "yes").all()
+
+
+def test_the_class_belongs_to_the_identity(results):
+    provenance = json.loads((results / "study" / "provenance.json").read_text())
+    assert set(provenance["files"]) == {"machine.toml", "linear_delta.py", "data/readings.csv"}
+
+
+def test_the_truth_lies_where_the_posterior_says_and_so_do_held_back_readings(results):
+    tables = results / "study" / "tables"
+    found, held = (pd.read_csv(tables / f"{name}.csv") for name in ("parameters", "predictions"))
+    true = pd.read_csv(calibrations.OWN_MACHINE / "data" / "true_parameters.csv", comment="#").set_index("parameter")
+    every = found[found["variant"] == "all"].set_index("parameter")
+    z = (every["mean"] - true["value"][every.index]) / every["sd"]
+    assert (z.abs() < 4.0).all()
+    assert (z**2).mean() < 2.5
+    assert len(held) == 2 * 5 * 6
+    assert 0.75 <= held["inside"].mean() <= 1.0
+
+
+def test_arviz_judges_every_posterior(results):
+    files = sorted((results / "study" / "posterior").glob("*.nc"))
+    variants = set(pd.read_csv(results / "study" / "tables" / "variants.csv")["variant"])
+    assert {check_tree(path, k_is_good=False).attrs["variant"] for path in files} == variants
+
+
+def test_truth_fed_back_gives_the_same_readings(tmp_path, call):
+    folder = calibrations.copy_delta(tmp_path)
+    path = folder / "simulate.toml"
+    path.write_text(path.read_text() + '\n[truth]\nparameters = "data/true_parameters.csv"\n')
+    assert call("simulate", path, "--out", tmp_path / "data")[0] == 0
+    found, shipped = (base / "data" / "readings.csv" for base in (tmp_path, folder))
+    studies.assert_same_text(found.read_text(), shipped.read_text(), "readings.csv")
 
 
 def test_results_alone_are_enough_from_python(results):

@@ -366,6 +366,16 @@ def set_fit(variant, **values):
     return change
 
 
+def hide_poses(*variants):
+    """Return a change of a summary: variants, all where none is named, whose poses no instrument saw."""
+
+    def change(summary):
+        for name in variants or summary["variants"]:
+            summary["variants"][name] |= {"calibration": None, "verification": None}
+
+    return change
+
+
 def set_rows(where, **values):
     """Return a change of a table: values of the rows that have others, one for all or one for each."""
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from made_up_results import TWO, read_page, read_study, set_rows
+from made_up_results import TWO, hide_poses, read_page, read_study, set_rows
 
 from bayescal.experiments.study.page.errors import show_outliers, state_outliers
 from bayescal.experiments.study.page.parameters import show_parameters, state_undetermined
@@ -49,12 +49,8 @@ def test_joints_of_a_machine_without_members_are_shown_one_by_one(make_results):
 
 
 def test_a_page_of_tables_without_an_instrument_is_whole(make_results):
-    def hide(summary):
-        for fit in summary["variants"].values():
-            fit |= {"calibration": None, "verification": None}
-
     none = {"pose_errors": lambda table: table.iloc[:0]}
-    page = read_page(make_results((be("line"), hide), edits=none, published=False, ring=False))
+    page = read_page(make_results((be("line"), hide_poses()), edits=none, published=False, ring=False))
     anchors = {section.anchor for section in page.sections}
     assert "errors" not in anchors
     assert {"ranking", "parameters", "outliers", "ridges", "evidence", "diagnostics"} <= anchors
@@ -82,11 +78,8 @@ def test_only_poses_that_an_instrument_saw_are_counted(make_results):
 
 
 def test_a_variant_whose_poses_nobody_saw_is_left_out_of_the_errors_alone(make_results):
-    def hide(summary):
-        summary["variants"]["pus/none"] |= {"calibration": None, "verification": None}
-
     seen = {"pose_errors": lambda table: table[table["variant"] == BEST]}
-    page = read_page(make_results(hide, edits=seen))
+    page = read_page(make_results(hide_poses("pus/none"), edits=seen))
     figures = {figure.name: figure.draw() for figure in page.figures() if figure.name in ("errors_all", "bounds")}
     assert [label.get_text() for label in figures["errors_all"].axes[0].get_xticklabels()] == [BEST]
     assert [label.get_text() for label in figures["bounds"].axes[0].get_yticklabels()] == [BEST]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 import pytest
-from made_up_results import TWELVE, read_study, render_text, set_fit, set_rows
+from made_up_results import TWELVE, hide_poses, read_study, render_text, set_fit, set_rows
 from scipy import stats
 
 from bayescal.experiments.shared.soundness import ChiSquare
@@ -125,11 +125,8 @@ def test_of_poses_that_were_fitted_only_too_many_beyond_their_bounds_are_a_fault
 
 
 def test_where_no_instrument_saw_the_tool_nothing_is_said_of_bounds(make_results):
-    def hide(summary):
-        for fit in summary["variants"].values():
-            fit |= {"calibration": None, "verification": None}
-
-    study = read_study(make_results(hide, edits={"pose_errors": lambda table: table.iloc[:0]}, variants=TWELVE))
+    none = {"pose_errors": lambda table: table.iloc[:0]}
+    study = read_study(make_results(hide_poses(), edits=none, variants=TWELVE))
     assert state_soundness(study) == []
     assert not any(one.lead == "Coverage" for one in state_verdict(study))
 
