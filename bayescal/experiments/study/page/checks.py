@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 from arviz_stats.base import array_stats
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Drawing
 
 from bayescal.experiments.study.page.results import StudyResults
@@ -79,17 +78,13 @@ def _draw_ranks(draws: Mapping[str, Array], n_chains: int, effective: float) -> 
         share = np.stack([np.searchsorted(np.sort(one), GRID, side="right") / len(one) for one in own])
         axes.plot(GRID, (share - GRID).T, color=LEG_COLOURS[chain % len(LEG_COLOURS)], linewidth=0.4, alpha=0.6)
     width = KOLMOGOROV * np.sqrt((1 - 1 / n_chains) * n_chains / effective)
-    _shade(axes, GRID, np.full_like(GRID, -width), np.full_like(GRID, width))
+    axes.fill_between(GRID, -width, width, color=PALE, alpha=0.6, linewidth=0)
+    axes.axhline(0.0, color=GREY, linewidth=0.7)
+    axes.set_xlim(0, 1)
     axes.set_xlabel("Rank among all draws, as a share")
     axes.set_ylabel("share of a chain − expected")
     axes.set_title(f"Ranks, {len(draws)} parameters, {n_chains} chains")
     return figure
-
-
-def _shade(axes: Axes, points: Array, low: Array, high: Array) -> None:
-    axes.fill_between(points, low, high, color=PALE, alpha=0.6, linewidth=0)
-    axes.axhline(0.0, color=GREY, linewidth=0.7)
-    axes.set_xlim(0, 1)
 
 
 def _draw_pareto_k(left_out: pd.DataFrame, variants: list[str], styles: Styles) -> Drawing:

@@ -41,28 +41,25 @@ def _title_functions(study: StudyResults) -> dict[str, str]:
 
 def state_functions(study: StudyResults) -> list[Statement]:
     """Return in a sentence for each variant which sensors err by how much."""
-    found = _title_functions(study) if study.has("functions") else {}
-    return [_judge_functions(title, study.rows("functions", name)) for name, title in found.items()]
-
-
-def _judge_functions(title: str, rows: list[Row]) -> Statement:
-    kinds: dict[tuple[str, str], list[Row]] = {}
-    for row in rows:
-        kinds.setdefault((split_name(str(row["sensor"]))[0], INPUTS[row["of"]]), []).append(row)
-    parts = []
-    level: Level = "good"
-    for (kind, of), own in kinds.items():
-        largest = max(own, key=lambda row: row["rms"])
-        present = max(row["present"] for row in own)
-        percent = "above 99.9 %" if present > CERTAIN else f"{format_fixed(100.0 * present, 1)} %"
-        if present > SHARE:
-            level = "warning"
-            size = f"{format_significant(largest['rms'], 2)} {_name_unit(largest)} rms"
-            text = f"err by functions of {of} (probability {percent}), {largest['sensor']} most, {size}"
-        else:
+    statements = []
+    for name, title in (_title_functions(study) if study.has("functions") else {}).items():
+        kinds: dict[tuple[str, str], list[Row]] = {}
+        for row in study.rows("functions", name):
+            kinds.setdefault((split_name(str(row["sensor"]))[0], INPUTS[row["of"]]), []).append(row)
+        parts = list[str]()
+        level: Level = "good"
+        for (kind, of), own in kinds.items():
+            largest = max(own, key=lambda row: row["rms"])
+            present = max(row["present"] for row in own)
+            percent = "above 99.9 %" if present > CERTAIN else f"{format_fixed(100.0 * present, 1)} %"
             text = f"need none of {of} (probability {percent})"
-        parts.append(f"sensors {kind} {text}")
-    return Statement(f"“{title}”: {join_words(parts)}.", level, "Sensors' errors")
+            if present > SHARE:
+                level = "warning"
+                size = f"{format_significant(largest['rms'], 2)} {_name_unit(largest)} rms"
+                text = f"err by functions of {of} (probability {percent}), {largest['sensor']} most, {size}"
+            parts.append(f"sensors {kind} {text}")
+        statements.append(Statement(f"“{title}”: {join_words(parts)}.", level, "Sensors' errors"))
+    return statements
 
 
 def _name_unit(row: Row) -> str:

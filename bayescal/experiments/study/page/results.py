@@ -60,54 +60,36 @@ ROW_KEYS: dict[str, Kinds] = {
     **dict.fromkeys(("rhat_max", "ess_bulk_min", "ess_tail_min"), NUMBER),
     "converged": bool,
 }
-COLUMNS: dict[str, dict[str, tuple[str, ...]]] = {
-    "parameters": {
-        "texts": ("variant", "parameter", "unit", "verdict"),
-        "numbers": ("nominal", "prior_sd", "mean", "sd", "q05", "q95", "contraction"),
-    },
-    "poses": {
-        "texts": ("variant", "pose"),
-        "numbers": ("elpd_loo", "pareto_k", "refitted", "equations", "square", "trust", "contradicting"),
-    },
-    "pose_errors": {
-        "texts": ("variant", "pose", "use"),
-        "numbers": (
-            *("position_error_mm", "position_bound_95_mm"),
-            *("orientation_error_deg", "orientation_bound_95_deg"),
-        ),
-    },
-    "predictions": {"texts": ("variant", "pose", "channel", "unit"), "numbers": ("measured", "mean", "sd", "inside")},
-    "not_predicted": {"texts": ("variant", "pose", "channel", "why"), "numbers": ()},
-    "tool_predictions": {"texts": ("variant", "pose", "channel"), "numbers": ("inside",)},
-    "sensitivity": {"texts": ("variant",), "numbers": ("factor", "log_evidence", "pareto_k")},
-    "tau_scale": {"texts": ("variant",), "numbers": ("own_um", "tau_scale_um", "log_evidence", "pareto_k")},
-    "least_squares": {
-        "texts": ("variant", "parameter", "unit"),
-        "numbers": ("leg", "offset", "published_offset", "difference", "leg_residual_rms_um", "converged"),
-    },
-    "ring": {
-        "texts": ("pose", "use"),
-        "numbers": ("leg", "actuator_displacement_mm", "deflection_um", "deflection_sd_um"),
-    },
-    "deformation": {"texts": ("quantity",), "numbers": ("leg", "actuator", "mean_1e-3", "sd_1e-3")},
-    "flexure": {"texts": (), "numbers": ("flexure_length_mm", "bending_deg", "along_beam_um", "circle_error_nm")},
-    "joints": {"texts": ("pose", "joint"), "numbers": ("leg", "x_mm", "y_mm", "z_mm")},
-    "model_error": {"texts": ("variant", "term"), "numbers": ("median_um", "q05_um", "q95_um")},
-    "model_error_members": {"texts": ("variant", "member", "term"), "numbers": ("rms_um",)},
-    "model_error_poses": {"texts": ("variant", "pose", "use", "member"), "numbers": ("mean_um", "low_um", "high_um")},
-    "model_error_alone": {"texts": ("variant", "term"), "numbers": ("log_odds", "median_um", "q05_um", "q95_um")},
-    "claims": {
-        "texts": ("claim", "section", "statement", "expected", "found", "unit", "verdict", "why"),
-        "numbers": ("value",),
-    },
-    "accuracy": {"texts": ("variant", "coordinate", "unit"), "numbers": ("before", "after", "noise")},
-    "ridges": {"texts": ("variant", "parameter", "sentence"), "numbers": ("contraction",)},
-    "next": {"texts": ("variant", "sensors"), "numbers": ("gain",)},
-    "beside": {"texts": ("variant", "beside", "quantity", "unit"), "numbers": ("mean", "sd", "value", "value_sd")},
-    "functions": {"texts": ("variant", "sensor", "of"), "numbers": ("present", "rms")},
-    "function_curves": {"texts": ("variant", "sensor"), "numbers": ("reading", "mean", "low", "high")},
+COLUMNS: dict[str, tuple[str, str]] = {
+    "parameters": ("variant parameter unit verdict", "nominal prior_sd mean sd q05 q95 contraction"),
+    "poses": ("variant pose", "elpd_loo pareto_k refitted equations square trust contradicting"),
+    "pose_errors": (
+        "variant pose use",
+        "position_error_mm position_bound_95_mm orientation_error_deg orientation_bound_95_deg",
+    ),
+    "predictions": ("variant pose channel unit", "measured mean sd inside"),
+    "not_predicted": ("variant pose channel why", ""),
+    "tool_predictions": ("variant pose channel", "inside"),
+    "sensitivity": ("variant", "factor log_evidence pareto_k"),
+    "tau_scale": ("variant", "own_um tau_scale_um log_evidence pareto_k"),
+    "least_squares": ("variant parameter unit", "leg offset published_offset difference leg_residual_rms_um converged"),
+    "ring": ("pose use", "leg actuator_displacement_mm deflection_um deflection_sd_um"),
+    "deformation": ("quantity", "leg actuator mean_1e-3 sd_1e-3"),
+    "flexure": ("", "flexure_length_mm bending_deg along_beam_um circle_error_nm"),
+    "joints": ("pose joint", "leg x_mm y_mm z_mm"),
+    "model_error": ("variant term", "median_um q05_um q95_um"),
+    "model_error_members": ("variant member term", "rms_um"),
+    "model_error_poses": ("variant pose use member", "mean_um low_um high_um"),
+    "model_error_alone": ("variant term", "log_odds median_um q05_um q95_um"),
+    "claims": ("claim section statement expected found unit verdict why", "value"),
+    "accuracy": ("variant coordinate unit", "before after noise"),
+    "ridges": ("variant parameter sentence", "contraction"),
+    "next": ("variant sensors", "gain"),
+    "beside": ("variant beside quantity unit", "mean sd value value_sd"),
+    "functions": ("variant sensor of", "present rms"),
+    "function_curves": ("variant sensor", "reading mean low high"),
 }
-"""Columns of the tables that pages read; a table of another name belongs to whoever reads it."""
+"""Columns of texts and of numbers of tables that pages read; a table of another name belongs to whoever reads it."""
 REQUIRED = ("parameters", "poses")
 
 
@@ -204,8 +186,7 @@ class StudyResults:
 
     def table(self, name: str, variant: str | None = None) -> pd.DataFrame:
         """Return a table, or a variant's rows of it; without rows where there is none."""
-        columns = COLUMNS.get(name, {"texts": (), "numbers": ()})
-        table = self.tables.get(name, pd.DataFrame(columns=[*columns["texts"], *columns["numbers"]]))
+        table = self.tables.get(name, pd.DataFrame(columns=" ".join(COLUMNS.get(name, ())).split()))
         return table if variant is None else table[table["variant"] == variant]
 
     def rows(self, name: str, variant: str | None = None) -> list[Row]:
@@ -235,11 +216,7 @@ class StudyResults:
     @cached_property
     def compared(self) -> list[str]:
         """Those of the ranking that converged, as only they are compared."""
-        return [name for name in self.ranking if self.is_compared(name)]
-
-    def is_compared(self, name: str) -> bool:
-        """Whether a variant's posterior converged."""
-        return bool(self.fit(name)["converged"])
+        return [name for name in self.ranking if self.fit(name)["converged"]]
 
     @property
     def best_name(self) -> str:
@@ -285,7 +262,7 @@ class StudyResults:
 
     def find_best(self, model: str, deformation: str) -> str | None:
         """Return the variant of a model and deformation with the largest log-evidence; None where none converged."""
-        compared = [name for name in self.find(model, deformation) if self.is_compared(name)]
+        compared = [name for name in self.find(model, deformation) if self.fit(name)["converged"]]
         return max(compared, key=self.evidence, default=None)
 
     @property
@@ -491,19 +468,14 @@ def _read_draws(folder: Path, variant: str) -> dict[str, Array] | None:
             for symbol, values in file["posterior"].items():
                 if values.ndim < 2 or symbol in OF_FUNCTIONS:
                     continue  # coordinates; scale and length of an error, not of the machine
-                every = np.asarray(values, dtype=np.float64).reshape(*values.shape[:2], -1)
-                draws |= {name: every[..., k] for k, name in enumerate(_name_entries(symbol, values))}
+                every, names = np.asarray(values, dtype=np.float64).reshape(*values.shape[:2], -1), [symbol]
+                if values.ndim > 2:  # entries are called as the file calls them, else by numbers from one
+                    labels = values.dims[2][0][()] if len(values.dims[2]) else range(1, values.shape[2] + 1)
+                    names = [f"{symbol}[{one.decode() if isinstance(one, bytes) else one}]" for one in labels]
+                draws |= {name: every[..., k] for k, name in enumerate(names)}
     except (OSError, KeyError) as error:
         raise InputError(f"{path}: cannot be read as a posterior ({error})") from error
     return draws
-
-
-def _name_entries(symbol: str, values: h5py.Dataset) -> list[str]:
-    """Return the names of a symbol's entries, which are called as the file calls them, else by numbers from one."""
-    if values.ndim < 3:
-        return [symbol]
-    entries = values.dims[2][0][()] if len(values.dims[2]) else range(1, values.shape[2] + 1)
-    return [f"{symbol}[{one.decode() if isinstance(one, bytes) else one}]" for one in entries]
 
 
 def _check_tables(tables: Mapping[str, pd.DataFrame], results: Path) -> None:
@@ -512,14 +484,13 @@ def _check_tables(tables: Mapping[str, pd.DataFrame], results: Path) -> None:
     for name in REQUIRED:
         if name not in tables:
             raise InputError(f"{folder / name}.csv: found no rows, expected a study's table")
-    for name, columns in COLUMNS.items():
-        if name not in tables:
-            continue
-        for column in (*columns["texts"], *columns["numbers"]):
+    for name in [one for one in COLUMNS if one in tables]:
+        texts, numbers = (columns.split() for columns in COLUMNS[name])
+        for column in (*texts, *numbers):
             if column not in tables[name].columns:
-                wanted = ", ".join((*columns["texts"], *columns["numbers"]))
+                wanted = ", ".join((*texts, *numbers))
                 raise InputError(f"{folder / name}.csv: found no column {column!r}, expected {wanted}")
-        for column in columns["numbers"]:
+        for column in numbers:
             if not pd.api.types.is_numeric_dtype(tables[name][column]):  # flags are numeric too
                 raise InputError(f"{folder / name}.csv: column {column!r}: found text, expected numbers")
     for row in list_rows(tables["model_error"]) if "model_error" in tables else ():

@@ -31,8 +31,11 @@ FEW = 10  # parameters of which the correlations are written as numbers
 
 def show_ridges(study: StudyResults) -> Section | None:
     """Return undetermined combinations, and the most correlated parameters; None without either."""
-    first, others = _split(knowledge_page.state_ridges(study.tables, study.chosen))
-    blocks: list[Block] = [*first, *others, *state_ridges(study)]
+    stated = knowledge_page.state_ridges(study.tables, study.chosen)
+    blocks: list[Block] = [*stated[:SHOWN_RIDGES]]
+    if others := stated[SHOWN_RIDGES:]:
+        blocks.append(Fold(f"{len(others)} more undetermined combinations", tuple(others)))
+    blocks += state_ridges(study)
     if study.has_members:
         blocks.append(_illustrate(study))
     if not blocks:
@@ -50,12 +53,6 @@ def show_ridges(study: StudyResults) -> Section | None:
     table = make_table("Most correlated pairs of parameters, correlation of the draws.", columns, rows)
     blocks += [Fold("The most correlated pairs of every variant", (table,))] if rows else []
     return Section("Undetermined combinations", tuple(blocks), anchor="ridges", short="Ridges")
-
-
-def _split(ridges: list[Statement]) -> tuple[list[Statement], list[Fold]]:
-    """Return the first of many statements, and the others behind a line."""
-    shown, others = ridges[:SHOWN_RIDGES], ridges[SHOWN_RIDGES:]
-    return shown, [Fold(f"{len(others)} more undetermined combinations", tuple(others))] if others else []
 
 
 def rank_pairs(draws: dict[str, Array]) -> list[tuple[str, str, float]]:

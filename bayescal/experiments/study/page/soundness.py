@@ -234,10 +234,6 @@ def list_failures(study: StudyResults) -> list[Statement]:
     return failures
 
 
-def _passed(fit: Mapping[str, Any]) -> bool:
-    return bool(fit["converged"] and measure_gap(fit) <= AGREEMENT and not fit["problems"])
-
-
 def measure_gap(fit: Mapping[str, Any]) -> float:
     """Return how far the two log-evidences of a posterior lie apart."""
     return abs(float(fit["log_evidence_importance"] - fit["log_evidence_bridge"]))
@@ -246,7 +242,7 @@ def measure_gap(fit: Mapping[str, Any]) -> float:
 def state_convergence(study: StudyResults) -> list[Statement]:
     """Say whether all posteriors passed their checks, and by what margin."""
     fits = study.fits.values()
-    failed = sum(not _passed(fit) for fit in fits)
+    failed = sum(not fit["converged"] or bool(fit["problems"]) or not measure_gap(fit) <= AGREEMENT for fit in fits)
     if failed:
         text = f"{failed} of {len(fits)} posteriors did not pass their checks (listed above)."
         return [Statement(text, "bad", "Checks")]
