@@ -75,72 +75,34 @@ MUCH_BEYOND = 0.05
 
 @dataclass(frozen=True)
 class Wishes:
-    """What a certificate is to state.
+    """What a certificate is to state."""
 
-    Attributes
-    ----------
-    coverage : float
-        Probability of the expanded uncertainty.
-    n_poses : int
-        Of the workspace.
-    n_draws : int
-        Of the posterior, at most.
-    cube_mm : float or None
-        Edge of the cube of ISO 9283; by default the largest about home that is within reach and within the region.
-    region : Region or None
-        Where; by default that of the poses that calibrated the machine, where they are known.
-    whole_range : bool
-        All over its range instead.
-    """
-
-    coverage: float = 0.95
-    n_poses: int = 512
-    n_draws: int = 2000
-    cube_mm: float | None = None
+    coverage: float = 0.95  # probability of the expanded uncertainty
+    n_poses: int = 512  # of the workspace
+    n_draws: int = 2000  # of the posterior, at most
+    cube_mm: float | None = None  # of ISO 9283; by default the largest about home within reach and within the region
     seed: int = 0
-    region: Region | None = None
-    whole_range: bool = False
+    region: Region | None = None  # by default that of the poses that calibrated the machine, where they are known
+    whole_range: bool = False  # all over its range instead
 
 
 @dataclass(frozen=True, eq=False)
 class Certificate:
-    """What is certified.
-
-    Attributes
-    ----------
-    factor : float
-        k of the law of propagation.
-    spread : Spread
-        By Monte Carlo, of the first poses of the budget.
-    cube_mm : float
-        Zero where figures of the standards have no meaning.
-    poses : PoseFigures or None
-        ISO 9283 of each machine of the posterior (S, 5).
-    axes : tuple of AxisFigures
-        ISO 230-2 along the tool's lengths, of each machine (S,).
-    without : str
-        Why there are no figures of the standards, in words; else empty.
-    summary, provenance : dict
-        Of the results; empty for a machine that was exported.
-    region : Region or None
-        Where; None for all over the actuators' range.
-    beyond : float
-        Share of its poses outside of the box of those that calibrated the machine.
-    """
+    """What is certified."""
 
     calibrated: CalibratedMachine
     wishes: Wishes
     budget: Budget
-    factor: float
-    spread: Spread
-    cube_mm: float
-    poses: PoseFigures | None
-    axes: tuple[AxisFigures, ...]
-    summary: dict[str, Any]
+    factor: float  # k of the law of propagation
+    spread: Spread  # by Monte Carlo, of the first poses of the budget
+    cube_mm: float  # zero where figures of the standards have no meaning
+    poses: PoseFigures | None  # ISO 9283 of each machine of the posterior, (S, 5)
+    axes: tuple[AxisFigures, ...]  # ISO 230-2 along the tool's lengths, of each machine, (S,)
+    summary: dict[str, Any]  # of the results, as is the provenance; empty for a machine that was exported
     provenance: dict[str, Any]
-    region: Region | None = None
-    beyond: float = 0.0
-    without: str = ""
+    region: Region | None = None  # where; None for all over the actuators' range
+    beyond: float = 0.0  # share of its poses outside of the box of those that calibrated the machine
+    without: str = ""  # why there are no figures of the standards, in words
 
     @property
     def axis_names(self) -> tuple[str, ...]:
@@ -251,6 +213,8 @@ def certify(calibrated: CalibratedMachine, path: Path, wishes: Wishes) -> Certif
     if without and wishes.cube_mm is not None:
         raise InputError(f"cube: not meaningful: {without}")
     cube, poses, axes = (0.0, None, ()) if without else _judge(calibrated, wishes, region, budget)
+    files = [path / name for name in (SUMMARY_FILE, PROVENANCE_FILE)]
+    summary, provenance = (read_json(one) if one.is_file() else {} for one in files)
     return Certificate(
         calibrated,
         wishes,
@@ -260,8 +224,8 @@ def certify(calibrated: CalibratedMachine, path: Path, wishes: Wishes) -> Certif
         cube,
         poses,
         axes,
-        _read(path / SUMMARY_FILE),
-        _read(path / PROVENANCE_FILE),
+        summary,
+        provenance,
         region,
         measure_beyond(calibrated, commands, known),
         without,
@@ -282,10 +246,6 @@ def _judge(
         poses = place_lengths(calibrated, home, list_axis_poses(cube, axis, n))
         axes.append(judge_axis(draw_cycles(calibrated, poses, AXIS_CYCLES, *effort)[..., axis]))
     return cube, judge_poses(visited), tuple(axes)
-
-
-def _read(path: Path) -> dict[str, Any]:
-    return read_json(path) if path.is_file() else {}
 
 
 def build_certificate(found: Certificate) -> Page:

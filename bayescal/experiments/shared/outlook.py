@@ -32,9 +32,9 @@ def tell_outlook(counted: str, rows: Array, names: Sequence[str]) -> str:
     contraction = values / (1.0 + values)
     known, dead = int(np.sum(contraction >= INFORMED)), int(np.sum(contraction < DEAD))
     weak, m = len(names) - known - dead, len(names)
-    said = f"{counted}: "
     if known == m:
-        return f"{said}{_name_all(m)} of parameters will be determined (their uncertainty at least halved)"
+        every = {1: "the one combination", 2: "both combinations"}.get(m, f"all {format_count(m)} combinations")
+        return f"{counted}: {every} of parameters will be determined (their uncertainty at least halved)"
     parts = [f"{known} of {m} combinations of parameters will be determined (their uncertainty at least halved)"]
     parts += [f"{weak} hardly"] if weak else []
     parts += [f"{dead} {'stay at their tolerances' if dead > 1 else 'stays at its tolerance'}"] if dead else []
@@ -43,7 +43,7 @@ def tell_outlook(counted: str, rows: Array, names: Sequence[str]) -> str:
     lost = lost or [name for name, verdict in zip(names, verdicts, strict=True) if verdict != "identifiable"]
     if len(lost) > NAMED:
         lost = list(dict.fromkeys(name.partition("[")[0] for name in lost))
-    return f"{said}{join_words(parts)}{f'; least known: {_list(lost)}' if lost else ''}"
+    return f"{counted}: {join_words(parts)}{f'; least known: {_list(lost)}' if lost else ''}"
 
 
 def join_outlooks(told: Mapping[str, str]) -> list[str]:
@@ -52,10 +52,6 @@ def join_outlooks(told: Mapping[str, str]) -> list[str]:
     for name, text in told.items():
         groups.setdefault(text, []).append(repr(name))
     return [f"variant{'s' * (len(names) > 1)} {_list(names)}: {text}" for text, names in groups.items()]
-
-
-def _name_all(m: int) -> str:
-    return "the one combination" if m == 1 else "both combinations" if m == 2 else f"all {format_count(m)} combinations"
 
 
 def _list(names: Sequence[str]) -> str:

@@ -10,7 +10,7 @@ import io
 import sys
 import zlib
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import nullcontext
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -73,11 +73,7 @@ def _write_blank(tree: xr.DataTree) -> bytes:
         variable = tree[path].variable
         zeros = np.broadcast_to(np.zeros((), values.dtype), values.shape)
         blank[path] = type(variable)(variable.dims, zeros, variable.attrs, variable.encoding)
-    with _lock_here():
-        return bytes(blank.to_netcdf(engine="h5netcdf"))
-
-
-def _lock_here() -> AbstractContextManager[object]:
-    """Let xarray write on its own: on a worker of a scheduler it asks that for a lock of what is in memory here."""
     dask = sys.modules.get("dask")
-    return nullcontext() if dask is None else dask.config.set(scheduler="synchronous")
+    # on a worker of a scheduler xarray asks that for a lock of what is in memory here
+    with nullcontext() if dask is None else dask.config.set(scheduler="synchronous"):
+        return bytes(blank.to_netcdf(engine="h5netcdf"))

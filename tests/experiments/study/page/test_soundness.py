@@ -9,7 +9,7 @@ from made_up_results import TWELVE, hide_poses, read_study, render_text, set_fit
 from scipy import stats
 
 from bayescal.experiments.shared.soundness import ChiSquare
-from bayescal.experiments.study.page.checks import tabulate_power_scaling
+from bayescal.experiments.study.page.evidence import tabulate_power_scaling
 from bayescal.experiments.study.page.soundness import has_warnings, judge_bounds, state_soundness
 from bayescal.experiments.study.page.verdict import state_verdict
 
