@@ -6,7 +6,6 @@ all machines read, in µm at the tool.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -28,8 +27,6 @@ from bayescal.numerics.units import ARCSECOND, MICROMETRE
 
 if TYPE_CHECKING:
     import pandas as pd
-
-    from bayescal.inference.causes import Alone
 
 CURVE = 25
 SHOWN = {"mm": (1.0 / MICROMETRE, "um"), "rad": (1.0 / ARCSECOND, "arcsec")}
@@ -180,7 +177,11 @@ def tabulate_model_error(
         sd = posterior.natural(y)[:, :n].std(axis=0)
         known = posterior.sampling.names, posterior.units[:n]
         tables["model_error_hidden"] = tabulate_hidden(variant, *known, hidden, sd)
-        tables["model_error_alone"] = tabulate_causes(variant, weigh_causes(posterior, y.mean(axis=0), rng))
+        # by how many nats one cause alone, or none, explains the data better than all, and its size then
+        alone = weigh_causes(posterior, y.mean(axis=0), rng)
+        rows = [(variant, name, one.log_odds, *(np.array(one[1:]) / MICROMETRE)) for name, one in alone.items()]
+        columns = ["variant", "term", "log_odds", "median_um", "q05_um", "q95_um"]
+        tables["model_error_alone"] = pd.DataFrame(rows, columns=columns)
     return {name: one for name, one in tables.items() if len(one)}
 
 
@@ -206,12 +207,3 @@ def _summarise(data: Measurements, used: np.ndarray, errors: Errors, draws: Comm
     square = {name: np.sum(one[:, used] ** 2, axis=(1, 2)) for name, one in functions.items()}
     interval = np.quantile(functions[TOGETHER], INTERVAL, axis=0) if functions else np.zeros((2, 0, 0))
     return _Functions(names, square, {name: one.mean(axis=0) for name, one in functions.items()}, interval)
-
-
-def tabulate_causes(variant: str, weights: Mapping[str, Alone]) -> pd.DataFrame:
-    """Return by how many nats one cause alone, or none, explains the data better than all, and its size then, µm."""
-    import pandas as pd  # a third of a second, for those who have tables
-
-    columns = ["variant", "term", "log_odds", "median_um", "q05_um", "q95_um"]
-    rows = [(variant, name, one.log_odds, *(np.array(one[1:]) / MICROMETRE)) for name, one in weights.items()]
-    return pd.DataFrame(rows, columns=columns)

@@ -397,7 +397,9 @@ class StudyConfig(ExperimentConfig):
     def _check_route(self) -> None:
         """Raise ValueError for what means nothing beside such data."""
         data, meant = ("tables of readings", "[data]") if self.by_tables else ("an instrument's poses", "[[data]]")
-        for name in sorted(_list_stated(self) & (BY_INSTRUMENT if self.by_tables else BY_TABLES)):
+        fields = type(self).model_fields
+        stated = {key for key, one in fields.items() if getattr(self, key) != one.default}
+        for name in sorted(stated & (BY_INSTRUMENT if self.by_tables else BY_TABLES)):
             raise ValueError(f"{name}: found beside {data}, where it means nothing, expected it beside {meant} alone")
         for variant in self.variants:
             if variant.model is None and (not self.by_tables or variant.deformation != "none"):
@@ -414,11 +416,6 @@ class StudyConfig(ExperimentConfig):
 
 def _is_tables(known: Mapping[str, Any]) -> bool:
     return isinstance(known.get("data"), list)
-
-
-def _list_stated(section: Section) -> set[str]:
-    """Return the keys whose values are not what holds where nothing is said."""
-    return {key for key, one in type(section).model_fields.items() if getattr(section, key) != one.default}
 
 
 def _check_names(names: list[str]) -> None:

@@ -71,16 +71,12 @@ def show_ranking(summary: Mapping[str, Any], console: Console) -> None:
         print_text(console, said)
     for name, fit in summary["variants"].items():
         if fit.get("log_evidence_tempered") is not None:
-            print_text(console, _describe_check(name, fit))
+            own, check = (
+                format_estimate(fit[f"log_evidence{by}"], fit[f"log_evidence{by}_se"], 3) for by in ("", "_tempered")
+            )
+            print_text(console, f"checked {name}: log-evidence {own}, by tempering {check}")
         if fit["problems"]:
             print_text(console, f"NOT CONVERGED {name}: {fit['problems']}")
-
-
-def _describe_check(name: str, fit: Mapping[str, Any]) -> str:
-    """Return both log-evidences of a posterior that was checked by tempering."""
-    own = format_estimate(fit["log_evidence"], fit["log_evidence_se"], 3)
-    check = format_estimate(fit["log_evidence_tempered"], fit["log_evidence_tempered_se"], 3)
-    return f"checked {name}: log-evidence {own}, by tempering {check}"
 
 
 def _format_errors(errors: Mapping[str, Any] | None) -> str:
@@ -93,7 +89,9 @@ def _format_errors(errors: Mapping[str, Any] | None) -> str:
 
 def show_comparison(comparison: pd.DataFrame, console: Console) -> None:
     """Print variants of several studies ranked together, their directories without what is common to all."""
-    short = _shorten(sorted({str(name) for name in comparison["results"]}))
+    folders = sorted({str(name) for name in comparison["results"]})
+    last = [PurePath(folder).name for folder in folders]  # where these tell them apart
+    short = dict(zip(folders, last if all(last) and len(set(last)) == len(last) else folders, strict=True))
     rows = [
         (
             short[str(row["results"])],
@@ -108,9 +106,3 @@ def show_comparison(comparison: pd.DataFrame, console: Console) -> None:
         for row in comparison.to_dict("records")
     ]
     print_table(console, COMPARED, rows)
-
-
-def _shorten(folders: list[str]) -> dict[str, str]:
-    """Return directories by their last names where these tell them apart."""
-    last = [PurePath(folder).name for folder in folders]
-    return dict(zip(folders, last if all(last) and len(set(last)) == len(last) else folders, strict=True))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -244,32 +245,24 @@ def _read_points(data: PointDataConfig, folder: Path, n_legs: int) -> tuple[Trac
 
 
 def list_file_faults(content: Mapping[str, Any], folder: Path) -> list[str]:
-    """Return what is wrong with the files that a study's config names, a line each; the config may be at fault."""
+    """Return what is wrong with the files that a study's config names, a line each; the config may be at fault.
+
+    A machine at fault has as many legs as there are places of its base, where these say it.
+    """
     data = content.get("data")
     machine, faults = look_at_machine(content, folder)
-    n_legs = _count_legs(content, folder) if machine is None else machine.n_legs
+    n_legs = None if machine is None else machine.n_legs
+    if machine is None:
+        with suppress(InputError):
+            base = read_toml(folder / str(content.get("machine")))[0].get("base")
+            places = (base.get("points_mm") or base.get("azimuth_deg")) if isinstance(base, dict) else None
+            n_legs = len(places) if isinstance(places, list) else None
     for check in _list_checks(data if isinstance(data, dict) else {}, folder, n_legs, machine):
-        faults += _catch(check)
+        try:
+            check()
+        except InputError as error:
+            faults += error.lines
     return faults
-
-
-def _catch(check: Callable[[], object]) -> list[str]:
-    """Return what a check finds, a line each."""
-    try:
-        check()
-    except InputError as error:
-        return list(error.lines)
-    return []
-
-
-def _count_legs(content: Mapping[str, Any], folder: Path) -> int | None:
-    """Return how many legs a machine at fault has by the places of its base; None where these do not say."""
-    try:
-        base = read_toml(folder / str(content.get("machine")))[0].get("base")
-    except InputError:
-        return None
-    places = (base.get("points_mm") or base.get("azimuth_deg")) if isinstance(base, dict) else None
-    return len(places) if isinstance(places, list) else None
 
 
 def _list_checks(
@@ -284,8 +277,9 @@ def _list_checks(
         if "reference" in tables:
             yield lambda: check_reference(tables["reference"], legs)
         if data.get("measurement") == "poses" and "poses" in tables:
-            own = name_actuators(legs)
-            yield lambda: check_pose_table(tables["poses"], _read_noise(data), own)
+            stated = (any(key.startswith(begin) for key in data) for begin in ("position_", "orientation_"))
+            noise = PoseNoise(*(1.0 if one else None for one in stated))  # whatever its size: the config answers for it
+            yield lambda: check_pose_table(tables["poses"], noise, name_actuators(legs))
     if data.get("measurement", "targets") == "targets" and "targets" in tables:
         yield lambda: check_target_columns(tables["targets"])
     if data.get("measurement") == "points" and "points" in tables:
@@ -302,9 +296,3 @@ def _check_actuators(path: Path, n_legs: int, machine: Mechanism | None) -> None
     if machine is not None:
         with name_faults(path):
             check_range(actuators, machine.initial_actuator_positions, machine.actuator_range, names)
-
-
-def _read_noise(data: Mapping[str, Any]) -> PoseNoise:
-    """Return a noise of poses where the config states any, whatever its size: the config itself answers for that."""
-    stated = ("position_", "orientation_")
-    return PoseNoise(*(1.0 if any(key.startswith(begin) for key in data) else None for begin in stated))

@@ -214,30 +214,23 @@ def _fill(
         elif column.role == "corr":
             _fill_correlation(found, table, name, column, values, rows)
         else:
-            _fill_channel(found, table, name, column, channels[column.places[0]], values, rows)
+            into, k = (found.values if column.role == "values" else found.sd), column.places[0]
+            for at in np.flatnonzero(np.isfinite(values) & np.isfinite(into[rows, k])):
+                raise InputError(
+                    f"{table.where(int(at))}: {name}: found a second reading of {channels[k].name} at pose "
+                    f"{found.poses[rows[at]]!r}, expected one; another table has it already"
+                )
+            for at in np.flatnonzero((values < 0.0) & (column.role == "sd"))[:1]:
+                raise InputError(f"{table.where(int(at))}: {name}: found {values[at]:g}, expected no negative noise")
+            values = np.sqrt(values) if column.covariance else values
+            there = np.isfinite(values)
+            into[np.array(rows)[there], k] = column.factor * values[there]
     for k, channel in enumerate(channels):
         if {channel.name, channel.kind} & set(section.commanded):
             for row in np.flatnonzero(~np.isfinite(found.values[rows, k]))[:1]:
                 where = table.where(int(row))
                 raise InputError(f"{where}: found no {channel.name}, expected it as data.commanded says")
             found.commanded[rows, k] = True
-
-
-def _fill_channel(
-    found: PoseReadings, table: Table, name: str, column: _Column, channel: Channel, values: Array, rows: list[int]
-) -> None:
-    into, k = (found.values if column.role == "values" else found.sd), column.places[0]
-    for row in np.flatnonzero(np.isfinite(values) & np.isfinite(into[rows, k])):
-        raise InputError(
-            f"{table.where(int(row))}: {name}: found a second reading of {channel.name} at pose "
-            f"{found.poses[rows[row]]!r}, expected one; another table has it already"
-        )
-    if column.role == "sd":
-        for row in np.flatnonzero(values < 0.0)[:1]:
-            raise InputError(f"{table.where(int(row))}: {name}: found {values[row]:g}, expected no negative noise")
-        values = np.sqrt(values) if column.covariance else values
-    there = np.isfinite(values)
-    into[np.array(rows)[there], k] = column.factor * values[there]
 
 
 def _fill_correlation(
