@@ -100,50 +100,28 @@ class Check:
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """What was found of a posterior of n coordinates.
+    """What was found of a posterior of n coordinates."""
 
-    Attributes
-    ----------
-    y, draws : ndarray, shape (E, S, n)
-        Some draws of each ensemble, in sampling coordinates and in own units.
-    log_density : ndarray, shape (E, S)
-        Theirs, in the proposal's coordinates.
-    mean, sd, q05, q95 : ndarray, shape (n,)
-        Of all draws, in own units.
-    modes : ndarray, shape (M, n)
-        In sampling coordinates, the best first.
-    acceptance : ndarray, shape (E,)
-    longest_stand, n_steps : int
-        For how many of its steps the most patient walker stood still, harmless visits to tails left out.
-    scouts : Scouts
-        Where walkers that started far out ended.
-    tails : Tails
-        What the draws have of the mass where the proposal seldom leads.
-    check : Check or None
-        Where the config asks for it.
-    correction : Correction or None
-        What led to a density that leaves less out: draws and evidences are its own.
-    """
-
-    y: Array
+    y: Array  # with draws, (E, S, n): some draws of each ensemble, in sampling coordinates and in own units
     draws: Array
-    log_density: Array
-    mean: Array
+    log_density: Array  # (E, S): theirs, in the proposal's coordinates
+    mean: Array  # with sd, q05 and q95, (n,): of all draws, in own units
     sd: Array
     q05: Array
     q95: Array
-    modes: Array
+    modes: Array  # (M, n): in sampling coordinates, the best first
     modes_converged: bool
-    acceptance: Array
+    acceptance: Array  # (E,)
     diagnostics: Diagnostics
     importance: ImportanceEvidence
     bridge: BridgeEvidence
+    # with n_steps: for how many of its steps the most patient walker stood still, harmless visits to tails left out
     longest_stand: int
     n_steps: int
-    scouts: Scouts
-    tails: Tails
-    check: Check | None
-    correction: Correction | None
+    scouts: Scouts  # where walkers that started far out ended
+    tails: Tails  # what the draws have of the mass where the proposal seldom leads
+    check: Check | None  # where the config asks for it
+    correction: Correction | None  # what led to a density that leaves less out: draws and evidences are its own
 
     @property
     def kept(self) -> Array:
@@ -232,31 +210,16 @@ class Estimate:
 
 @dataclass(frozen=True, eq=False)
 class Fit(Estimate):
-    """An estimate and what judges it.
+    """An estimate and what judges it."""
 
-    Attributes
-    ----------
-    names, units : tuple of str
-        Of the n parameters.
-    prior_sd : ndarray, shape (n,)
-    evaluated : dict of str to ndarray
-        What the draws say of the rows, as `Subject.evaluate` and `Subject.replicate_prior` return it.
-    left_out : LeftOut
-        Each of the posterior's rows left out.
-    misfit, pulls : ChiSquare
-        What is left of the rows at the mode, and how far the posterior lies from nominal.
-    power_scaling : ndarray, shape (n, 2)
-        How much each parameter depends on prior and data.
-    """
-
-    names: tuple[str, ...]
+    names: tuple[str, ...]  # with units: of the n parameters
     units: tuple[str, ...]
-    prior_sd: Array
-    evaluated: Arrays
-    left_out: LeftOut
-    misfit: ChiSquare
+    prior_sd: Array  # (n,)
+    evaluated: Arrays  # what the draws say of the rows, as `Subject.evaluate` and `Subject.replicate_prior` return it
+    left_out: LeftOut  # each of the posterior's rows left out
+    misfit: ChiSquare  # with pulls: what is left of the rows at the mode, and how far the posterior lies from nominal
     pulls: ChiSquare
-    power_scaling: Array
+    power_scaling: Array  # (n, 2): how much each parameter depends on prior and data
     wall_seconds: float
 
     def pack(self, tree: xr.DataTree, only_saved: tuple[str, ...]) -> Self:

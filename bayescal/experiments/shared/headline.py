@@ -34,27 +34,16 @@ NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight",
 
 @dataclass(frozen=True)
 class Candidate:
-    """A variant among those of the same data.
+    """A variant among those of the same data."""
 
-    Attributes
-    ----------
-    name, label : str
-        Of the results, and as the page calls it.
-    log_evidence, se : float
-        With the standard error of its estimate, nat.
-    size : tuple of int
-        What makes it simple, the first first: free parameters, then whatever else orders variants.
-    error : float
-        Of predictions, in any unit that all candidates share; NaN where none is known.
-    """
-
-    name: str
+    name: str  # with label: of the results, and as the page calls it
     label: str
-    log_evidence: float
+    log_evidence: float  # with se: with the standard error of its estimate, nat
     se: float = 0.0
     converged: bool = True
+    # what makes it simple, the first first: free parameters, then whatever else orders variants
     size: tuple[int, ...] = ()
-    error: float = math.nan
+    error: float = math.nan  # of predictions, in any unit that all candidates share; NaN where none is known
 
     def is_distinguishable(self, other: Candidate) -> bool:
         """Whether two log-evidences differ by more than 1 nat and by more than twice the error of the estimates."""

@@ -31,32 +31,16 @@ class Measuring(ABC):
 
 @dataclass(frozen=True, eq=False)
 class MeasuredReadings:
-    """A machine of K channels that has been measured, seen through one variant.
-
-    Attributes
-    ----------
-    origin : str
-        Of the data, in words.
-    posterior : CalibrationPosterior
-        Of the calibration poses.
-    low, high : ndarray, shape (q,)
-        The workspace, mm and rad.
-    internal : ndarray of bool, shape (K,)
-        Which channels the machine keeps after its calibration.
-    n_held_back : int
-        How many poses were measured besides, kept for verification.
-    described : mapping
-        What was measured, in the study's own words.
-    """
+    """A machine of K channels that has been measured, seen through one variant."""
 
     name: str
-    origin: str
-    posterior: CalibrationPosterior
-    low: Array
+    origin: str  # of the data, in words
+    posterior: CalibrationPosterior  # of the calibration poses
+    low: Array  # with high, (q,): the workspace, mm and rad
     high: Array
-    internal: np.ndarray
-    n_held_back: int = 0
-    described: Mapping[str, Any] = field(default_factory=dict)
+    internal: np.ndarray  # (K,): which channels the machine keeps after its calibration
+    n_held_back: int = 0  # how many poses were measured besides, kept for verification
+    described: Mapping[str, Any] = field(default_factory=dict)  # what was measured, in the study's own words
 
     @property
     def half(self) -> Array:

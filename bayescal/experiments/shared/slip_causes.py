@@ -79,14 +79,7 @@ STEADY = 2.0  # noises within which all readings of a channel that does not move
 
 @dataclass(frozen=True, eq=False)
 class Cause:
-    """What may have happened: readings as they would be without it, columns, a noise, rows that do not count.
-
-    Attributes
-    ----------
-    say : callable
-        From the sizes of its columns' unknowns (k,), or from its factor (1,), to words; of a channel that may read
-        anything from what the others say that it reads, (P,).
-    """
+    """What may have happened: readings as they would be without it, columns, a noise, rows that do not count."""
 
     fault: str
     text: str
@@ -100,6 +93,8 @@ class Cause:
     noise: tuple[int, ...] = ()  # channels whose noise is another one, by one of the factors
     blind: int | None = None  # channel that may read anything
     without: tuple[int, ...] = ()  # rows
+    # from the sizes of its columns' unknowns (k,), or from its factor (1,), to words; of a channel that may read
+    # anything from what the others say that it reads, (P,)
     say: Callable[[Array], str] | None = None
 
 

@@ -213,22 +213,12 @@ class White:
 
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """Readings of one variant, of which causes are weighed.
+    """Readings of one variant, of which causes are weighed."""
 
-    Attributes
-    ----------
-    posterior : CalibrationPosterior
-        With the poses at which the nominal machine explains the readings best.
-    low, high : ndarray, shape (q,)
-        The workspace, mm and rad.
-    internal : ndarray of bool, shape (K,)
-        Which channels the machine keeps after its calibration.
-    """
-
-    posterior: CalibrationPosterior
-    low: Array
+    posterior: CalibrationPosterior  # with the poses at which the nominal machine explains the readings best
+    low: Array  # with high, (q,): the workspace, mm and rad
     high: Array
-    internal: np.ndarray
+    internal: np.ndarray  # (K,): which channels the machine keeps after its calibration
 
     @property
     def model(self) -> ReadingModel:

@@ -25,18 +25,12 @@ type DeniedSlips = Annotated[
 
 @dataclass(frozen=True)
 class FoundSlip:
-    """A slip that explains the data better than they are: by how many nats, and how much smaller the misfit.
-
-    Attributes
-    ----------
-    factor : float or None
-        None where no machine within the tolerances has the data as they are.
-    """
+    """A slip that explains the data better than they are: by how many nats, and how much smaller the misfit."""
 
     fault: str
     text: str
     gain: float
-    factor: float | None
+    factor: float | None  # None where no machine within the tolerances has the data as they are
 
     def say(self) -> str:
         """Return it in words."""

@@ -73,27 +73,16 @@ DISTRUSTED = 0.5  # mean of a pose's precision below which a robust density take
 
 @dataclass(frozen=True, eq=False)
 class Residuals:
-    """What the best machine leaves of the readings at P poses.
+    """What the best machine leaves of the readings at P poses."""
 
-    Attributes
-    ----------
-    pose : ndarray, shape (P, q)
-    left, noise : ndarray, shape (P, K)
-        Measured minus read, NaN where nothing was, and the noise at the best machine; in the channels' units.
-    square : ndarray, shape (P,)
-        r².
-    trust : ndarray, shape (P,)
-        Mean of the pose's precision; one but for robust densities.
-    freedom : ndarray of int, shape (P,)
-        Readings less coordinates.
-    """
-
-    pose: Array
+    pose: Array  # (P, q)
+    # with noise, (P, K): measured minus read, NaN where nothing was, and the noise at the best machine; in the
+    # channels' units
     left: Array
     noise: Array
-    square: Array
-    trust: Array
-    freedom: np.ndarray
+    square: Array  # (P,): r²
+    trust: Array  # (P,): mean of the pose's precision; one but for robust densities
+    freedom: np.ndarray  # (P,): readings less coordinates
 
     @property
     def chance(self) -> Array:
@@ -111,46 +100,23 @@ class Residuals:
 
 @dataclass(frozen=True, eq=False)
 class Held:
-    """What one fold tells.
+    """What one fold tells."""
 
-    Attributes
-    ----------
-    rows : ndarray of int, shape (V,)
-        The held-back poses, of the variant's.
-    elpd : float
-        Log predictive density of all their readings together.
-    efficiency, pareto_k : float
-        Of the posterior's draws.
-    predictions : ReadingPredictions
-        Its poses count within ``rows``.
-    tool : ReadingPredictions
-        The same of what an instrument reads of the tool, from the machine's own readings alone.
-    """
-
-    rows: np.ndarray
-    elpd: float
-    efficiency: float
+    rows: np.ndarray  # (V,): the held-back poses, of the variant's
+    elpd: float  # log predictive density of all their readings together
+    efficiency: float  # with pareto_k: of the posterior's draws
     pareto_k: float
-    predictions: ReadingPredictions
-    tool: ReadingPredictions
+    predictions: ReadingPredictions  # its poses count within ``rows``
+    tool: ReadingPredictions  # the same of what an instrument reads of the tool, from the machine's own readings alone
 
 
 @dataclass(frozen=True, eq=False)
 class ReadingFit(Fit):
-    """A fit of readings, and all that is said of its variant.
+    """A fit of readings, and all that is said of its variant."""
 
-    Attributes
-    ----------
-    tables : dict of str to DataFrame
-        Its rows of the study's tables, by name; none where it has none.
-    held : list of Held
-        The prediction of poses kept for verification.
-    poses : Prediction or None
-        Errors of all poses that an instrument saw, by the machine's own channels; None where none saw any.
-    """
-
-    tables: dict[str, pd.DataFrame]
-    held: list[Held]
+    tables: dict[str, pd.DataFrame]  # its rows of the study's tables, by name; none where it has none
+    held: list[Held]  # the prediction of poses kept for verification
+    # errors of all poses that an instrument saw, by the machine's own channels; None where none saw any
     poses: Prediction | None = None
 
 

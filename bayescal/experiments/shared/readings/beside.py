@@ -20,21 +20,13 @@ OF_TRUTH = "parameter"  # in place of the first, in true parameters as a simulat
 
 @dataclass(frozen=True, eq=False)
 class Beside:
-    """Values of parameters, or of channels read where all coordinates are zero.
-
-    Attributes
-    ----------
-    units : tuple of str
-        Inner ones.
-    values, sd : ndarray, shape (n,)
-        NaN for a deviation that is not known.
-    """
+    """Values of parameters, or of channels read where all coordinates are zero."""
 
     title: str
     source: str
     quantities: tuple[str, ...]
-    units: tuple[str, ...]
-    values: Array
+    units: tuple[str, ...]  # inner ones
+    values: Array  # with sd, (n,): NaN for a deviation that is not known
     sd: Array
 
     def evaluate(self, model: ReadingModel, theta: Array) -> Array:

@@ -37,34 +37,20 @@ FEWEST_ROWS = 3  # fewer may be alike on purpose
 
 @dataclass(frozen=True, eq=False)
 class Variant:
-    """A model of the readings.
-
-    Attributes
-    ----------
-    whole : ReadingModel
-        The machine with all its channels.
-    model : ReadingModel
-        The machine with the channels that the variant takes in, K of them.
-    data : Measurements
-        Of all poses that it takes in, without the readings of other channels.
-    verification : ndarray of bool, shape (P,)
-    start : ndarray, shape (P, q)
-        Where the machine as expected explains the readings best.
-    aligned : bool
-        Whether accuracy is the error that remains after base and tool were aligned over the workspace.
-    """
+    """A model of the readings."""
 
     config: VariantConfig
-    whole: ReadingModel
-    model: ReadingModel
+    whole: ReadingModel  # the machine with all its channels
+    model: ReadingModel  # the machine with the channels that the variant takes in, K of them
     priors: Mapping[str, Prior]
     fixed: Mapping[str, float]
     common: Mapping[str, tuple[str, ...]]
     errors: Errors
-    data: Measurements
-    verification: np.ndarray
-    start: Array
+    data: Measurements  # of all poses that it takes in, without the readings of other channels
+    verification: np.ndarray  # (P,)
+    start: Array  # (P, q): where the machine as expected explains the readings best
     workspace: Workspace
+    # whether accuracy is the error that remains after base and tool were aligned over the workspace
     aligned: bool = False
     missing: str = ""
 
@@ -113,33 +99,18 @@ class Variant:
 
 @dataclass(frozen=True, eq=False)
 class ReadingInputs:
-    """Readings and variants.
-
-    Attributes
-    ----------
-    machine : str
-        Its name.
-    files : dict of str to bytes
-        Those that the machines are read from, by names in one folder.
-    machine_folder : str
-        Where in that folder the config's own one is.
-    unused : str
-        Which columns of the tables no variant takes in, in a line; empty where it takes in all.
-    missing : str
-        Which terms of the model error there cannot be, by variant, in a line; empty where there are all.
-    seen : SeenLegs or None
-        What an instrument measured of a platform on legs, where it is no table of readings.
-    """
+    """Readings and variants."""
 
     config: StudyConfig
-    machine: str
+    machine: str  # its name
     variants: dict[str, Variant]
     beside: list[Beside]
-    files: dict[str, bytes]
-    machine_folder: str
-    unused: str = ""
+    files: dict[str, bytes]  # those that the machines are read from, by names in one folder
+    machine_folder: str  # where in that folder the config's own one is
+    unused: str = ""  # which columns of the tables no variant takes in, in a line; empty where it takes in all
+    # which terms of the model error there cannot be, by variant, in a line; empty where there are all
     missing: str = ""
-    seen: SeenLegs | None = None
+    seen: SeenLegs | None = None  # what an instrument measured of a platform on legs, where it is no table of readings
 
 
 def read_inputs(config: StudyConfig, folder: Path, only: Collection[str] | None = None) -> ReadingInputs:

@@ -38,42 +38,25 @@ from bayescal.pose_selection.next_pose import compute_gains
 
 @dataclass(frozen=True, eq=False)
 class Knowledge:
-    """What a variant's readings tell.
+    """What a variant's readings tell."""
 
-    Attributes
-    ----------
-    verdicts : tuple of str
-        On each parameter of the machine.
-    ridges : list of tuple of str, float, str
-        A parameter, the contraction, and a sentence.
-    coordinates, units : tuple of str
-        What has to be accurate, m of them.
-    before, after, noise : ndarray, shape (m,)
-        Root mean square error over the workspace by what is unknown of the parameters beforehand, by what is unknown of
-        them and of systematic errors now, and by the noise of one pose's own readings; NaN where the machine's own
-        sensors do not tell it.
-    worst, worst_pose : ndarray, shapes (m,) and (m, q)
-        The largest standard uncertainty over the workspace by what is unknown of both now, and where.
-    next_pose : ndarray, shape (c, q)
-        Poses to measure next, the best first for each set of sensors.
-    next_sensors : tuple of str
-        ``own`` or ``all``, of each.
-    next_gain : ndarray, shape (c,)
-        By what part the mean squared error over the workspace would fall.
-    """
-
-    verdicts: tuple[str, ...]
-    ridges: list[tuple[str, float, str]]
-    coordinates: tuple[str, ...]
+    verdicts: tuple[str, ...]  # on each parameter of the machine
+    ridges: list[tuple[str, float, str]]  # a parameter, the contraction, and a sentence
+    coordinates: tuple[str, ...]  # with units: what has to be accurate, m of them
     units: tuple[str, ...]
+    # with after and noise, (m,): root mean square error over the workspace by what is unknown of the parameters
+    # beforehand, by what is unknown of them and of systematic errors now, and by the noise of one pose's own
+    # readings; NaN where the machine's own sensors do not tell it
     before: Array
     after: Array
     noise: Array
+    # with worst_pose, (m,) and (m, q): the largest standard uncertainty over the workspace by what is unknown of both
+    # now, and where
     worst: Array
     worst_pose: Array
-    next_pose: Array
-    next_sensors: tuple[str, ...]
-    next_gain: Array
+    next_pose: Array  # (c, q): poses to measure next, the best first for each set of sensors
+    next_sensors: tuple[str, ...]  # ``own`` or ``all``, of each
+    next_gain: Array  # (c,): by what part the mean squared error over the workspace would fall
 
 
 class Asked(Protocol):

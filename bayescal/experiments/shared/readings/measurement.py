@@ -47,33 +47,18 @@ from bayescal.numerics.units import MICROMETRE, Units
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """What an instrument measured of a platform on legs, as readings of the legs' channels and of its own.
+    """What an instrument measured of a platform on legs, as readings of the legs' channels and of its own."""
 
-    Attributes
-    ----------
-    readings : PoseReadings
-        Of actuators, then of poses; of a tracker's channels in place of these where there is one.
-    poses : MeasuredPoses
-        Poses of the platform as measured, all frames as they should be; NaN where a coordinate is not.
-    described : dict
-        Entries of the summary that say what was measured.
-    tracker : Tracker or None
-        An instrument whose frames have to be found, or that sees points which tell no whole pose.
-    parameters : dict of str to PriorConfig
-        What is known of its frames, in the units of a config.
-    tracked : Tracked or None
-        What it tracked, but for targets.
-    targets : TargetMeasurement or None
-        The photogrammetry.
-    """
-
-    readings: PoseReadings
+    readings: PoseReadings  # of actuators, then of poses; of a tracker's channels in place of these where there is one
+    # poses of the platform as measured, all frames as they should be; NaN where a coordinate is not
     poses: MeasuredPoses
-    described: dict[str, Any]
+    described: dict[str, Any]  # entries of the summary that say what was measured
+    # an instrument whose frames have to be found, or that sees points which tell no whole pose
     tracker: Tracker | None = None
+    # what is known of its frames, in the units of a config
     parameters: dict[str, PriorConfig] = field(default_factory=dict)
-    tracked: Tracked | None = None
-    targets: TargetMeasurement | None = None
+    tracked: Tracked | None = None  # what it tracked, but for targets
+    targets: TargetMeasurement | None = None  # the photogrammetry
 
     @property
     def verification(self) -> np.ndarray:

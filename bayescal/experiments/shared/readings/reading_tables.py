@@ -29,30 +29,17 @@ COVARIANCE_UNITS = {"mm": MICROMETRE, "rad": 1e-6}
 
 @dataclass(frozen=True, eq=False)
 class PoseReadings:
-    """Readings of all tables together.
-
-    Attributes
-    ----------
-    verification : ndarray of bool, shape (P,)
-    values, sd : ndarray, shape (P, K)
-        In the channels' units; NaN where there is none: not read, or no deviation of its own.
-    correlation : ndarray, shape (P, K, K), or None
-    commanded : ndarray of bool, shape (P, K)
-        Which readings are positions that the machine was commanded to.
-    given : dict of str to ndarray, shape (P,)
-        NaN where it is not known.
-    columns : list of (channel, column, file)
-        Where the channels' readings come from.
-    """
+    """Readings of all tables together."""
 
     poses: tuple[str, ...]
-    verification: np.ndarray
+    verification: np.ndarray  # (P,)
+    # with sd, (P, K): in the channels' units; NaN where there is none: not read, or no deviation of its own
     values: Array
     sd: Array
-    correlation: Array | None
-    commanded: np.ndarray
-    given: dict[str, Array] = field(default_factory=dict)
-    columns: list[tuple[str, str, str]] = field(default_factory=list)
+    correlation: Array | None  # (P, K, K)
+    commanded: np.ndarray  # (P, K): which readings are positions that the machine was commanded to
+    given: dict[str, Array] = field(default_factory=dict)  # (P,): NaN where it is not known
+    columns: list[tuple[str, str, str]] = field(default_factory=list)  # where the channels' readings come from
 
     def tell_unused(self, taken: Collection[str]) -> str:
         """Return in a line which columns are of other channels than those taken in; nothing where there are none."""

@@ -38,24 +38,12 @@ from bayescal.numerics.geometry import Array
 
 @dataclass(frozen=True, eq=False)
 class Pads:
-    """What the targets on the pads tell.
+    """What the targets on the pads tell."""
 
-    Attributes
-    ----------
-    deflection : JointDeflection
-        Of every leg's joint at every pose.
-    matrix : MatrixEstimate
-        K, from the calibration poses.
-    kappa : KappaEstimate
-        κ, from the calibration poses.
-    extraction : PoseExtraction
-        The poses of base and platform that the deflection was measured from.
-    """
-
-    deflection: JointDeflection
-    matrix: MatrixEstimate
-    kappa: KappaEstimate
-    extraction: PoseExtraction
+    deflection: JointDeflection  # of every leg's joint at every pose
+    matrix: MatrixEstimate  # K, from the calibration poses
+    kappa: KappaEstimate  # κ, from the calibration poses
+    extraction: PoseExtraction  # the poses of base and platform that the deflection was measured from
 
     def list_terms(self, model: Legs, poses: MeasuredPoses, verification: np.ndarray) -> tuple[KnownErrors, ...]:
         """Return what the uncertainty of the rest of K does to readings of all poses; the diagonal is free or nominal.
@@ -119,21 +107,13 @@ def measure_pads(targets: TargetMeasurement, displacement: Array) -> Pads | None
 
 @dataclass(frozen=True, eq=False)
 class SeenLegs:
-    """What was measured of a mechanism.
-
-    Attributes
-    ----------
-    needs_matrix : bool
-        Whether a variant takes K from the targets.
-    reference : Path
-        Where that should be said.
-    """
+    """What was measured of a mechanism."""
 
     mechanism: Mechanism
     measured: Measured
-    needs_matrix: bool
+    needs_matrix: bool  # whether a variant takes K from the targets
     from_targets: bool
-    reference: str
+    reference: str  # where that should be said
 
     @property
     def displacement(self) -> Array:

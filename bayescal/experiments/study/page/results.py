@@ -130,25 +130,14 @@ POSITION = ErrorScale("position", "position_error_mm", "position_bound_95_mm", M
 
 @dataclass(frozen=True, eq=False)
 class StudyResults:
-    """What a study left, as its page needs it.
+    """What a study left, as its page needs it."""
 
-    Attributes
-    ----------
-    summary, config : dict
-        As JSON has them.
-    tables : mapping of str to DataFrame
-        Those that have rows, by name.
-    draws : dict
-        For each variant whose posterior file is there, the draws (S,) of each parameter.
-    n_chains : int
-        Of the draws, in which they are laid end to end.
-    """
-
-    summary: dict[str, Any]
+    summary: dict[str, Any]  # with config: as JSON has them
     config: dict[str, Any]
-    tables: Mapping[str, pd.DataFrame]
+    tables: Mapping[str, pd.DataFrame]  # those that have rows, by name
+    # for each variant whose posterior file is there, the draws (S,) of each parameter
     draws: dict[str, dict[str, Array]] = field(default_factory=dict)
-    n_chains: int = 1
+    n_chains: int = 1  # of the draws, in which they are laid end to end
 
     @classmethod
     def of(cls, results: Results) -> Self:
