@@ -54,19 +54,12 @@ SHRINKS = 40  # halvings of an interval about the edge of the largest cube
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """A box of poses: coordinates from home, a rotation vector about the base axes.
+    """A box of poses: coordinates from home, a rotation vector about the base axes."""
 
-    Attributes
-    ----------
-    low, high : ndarray, shape (q,)
-        mm, rad, or what else a coordinate is in.
-    words : str
-        What it is.
-    """
-
+    # (q,): mm, rad, or what else a coordinate is in
     low: Array
     high: Array
-    words: str
+    words: str  # what the box is
 
 
 def enclose_measured(calibrated: CalibratedMachine) -> Region | None:
@@ -180,20 +173,11 @@ def sample_range(calibrated: CalibratedMachine, n: int, seed: int) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Budget:
-    """Covariances of P poses by source.
+    """Covariances of P poses by source."""
 
-    Attributes
-    ----------
-    commands : ndarray, shape (P, C)
-    tool : ndarray, shape (P, m)
-        Where it is, as the posterior has it in the mean.
-    parts : dict of str to ndarray, shape (P, m, m)
-        Of the tool, by source.
-    """
-
-    commands: Array
-    tool: Array
-    parts: dict[str, Array]
+    commands: Array  # (P, C)
+    tool: Array  # (P, m): where it is, as the posterior has it in the mean
+    parts: dict[str, Array]  # (P, m, m): of the tool, by source
 
     @property
     def combined(self) -> Array:
@@ -208,21 +192,12 @@ class Budget:
 
 @dataclass(frozen=True, eq=False)
 class Spread:
-    """What Monte Carlo finds of P poses.
+    """What Monte Carlo finds of P poses."""
 
-    Attributes
-    ----------
-    half_width : ndarray, shape (P, m)
-        Half the interval, as wide on both sides of the mean, that holds the stated share of draws.
-    radius : ndarray, shape (P,)
-        Of the sphere about the mean that holds it, mm; zero for a tool without lengths.
-    n_draws : int
-        How many draws of the posterior.
-    """
-
+    # (P, m): half the interval, as wide on both sides of the mean, that holds the stated share of draws
     half_width: Array
-    radius: Array
-    n_draws: int
+    radius: Array  # (P,): of the sphere about the mean that holds it, mm; zero for a tool without lengths
+    n_draws: int  # how many draws of the posterior
 
 
 def compute_budget(calibrated: CalibratedMachine, commands: Array, given: Given = NOTHING) -> Budget:
@@ -278,37 +253,19 @@ def propagate(
 
 @dataclass(frozen=True, eq=False)
 class PoseFigures:
-    """ISO 9283:1998 of poses, (...,) each.
+    """ISO 9283:1998 of poses, (...,) each."""
 
-    Attributes
-    ----------
-    accuracy : ndarray
-        AP_p, distance of the barycentre of attained positions from the commanded one, mm.
-    repeatability : ndarray
-        RP_l = l̄ + 3 S_l of the distances from the barycentre, mm.
-    """
-
-    accuracy: Array
-    repeatability: Array
+    accuracy: Array  # AP_p, distance of the barycentre of attained positions from the commanded one, mm
+    repeatability: Array  # RP_l = l̄ + 3 S_l of the distances from the barycentre, mm
 
 
 @dataclass(frozen=True, eq=False)
 class AxisFigures:
-    """ISO 230-2:2014 of an axis approached from one side, (...,) each, mm.
+    """ISO 230-2:2014 of an axis approached from one side, (...,) each, mm."""
 
-    Attributes
-    ----------
-    accuracy : ndarray
-        A, from the largest x̄ + 2 s to the smallest x̄ - 2 s.
-    systematic : ndarray
-        E, from the largest mean deviation to the smallest.
-    repeatability : ndarray
-        R, the largest 4 s.
-    """
-
-    accuracy: Array
-    systematic: Array
-    repeatability: Array
+    accuracy: Array  # A, from the largest x̄ + 2 s to the smallest x̄ - 2 s
+    systematic: Array  # E, from the largest mean deviation to the smallest
+    repeatability: Array  # R, the largest 4 s
 
 
 def judge_poses(deviations: Array) -> PoseFigures:

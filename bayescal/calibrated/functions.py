@@ -44,42 +44,25 @@ LATER: Final = 10**9  # place in measuring order of rows that are none of the ca
 
 @dataclass(frozen=True, eq=False)
 class KnownFunctions:
-    """Errors of a machine's N own channels, as its calibration leaves them.
+    """Errors of a machine's N own channels, as its calibration leaves them."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        Of the channels.
-    home, range, levers : ndarray, shape (N,)
-        As of `OwnChannels`.
-    travel, time : ndarray, shapes (P, N) and (P,)
-        Of the rows over which functions are normalised.
-    sorts : tuple of str
-        Names of the C sorts.
-    square : ndarray, shape (C,)
-        Posterior mean of each sort's variance, mm² at the tool.
-    drifts : ndarray, shape (J,)
-        Sizes of a drift, each as probable as any other, in units of the root of its mean variance; ones without drifts.
-    independent : ndarray, shape (N,)
-        Posterior mean of the variance of errors that are drawn anew at every pose, in the channels' units.
-    mean : ndarray, shape (A,)
-        Of the coefficients of all sorts but drifts, amplitudes included.
-    covariance : ndarray, shape (n + A, n + A)
-        Of n numbers of the geometry and these coefficients.
-    """
-
-    names: tuple[str, ...]
+    names: tuple[str, ...]  # of the channels
+    # (N,): as of `OwnChannels`
     home: Array
     range: Array
     levers: Array
+    # (P, N) and (P,): of the rows over which functions are normalised
     travel: Array
     time: Array
-    sorts: tuple[str, ...]
-    square: Array
+    sorts: tuple[str, ...]  # names of the C sorts
+    square: Array  # (C,): posterior mean of each sort's variance, mm² at the tool
+    # (J,): sizes of a drift, each as probable as any other, in units of the root of its mean variance; ones without
+    # drifts
     drifts: Array
+    # (N,): posterior mean of the variance of errors that are drawn anew at every pose, in the channels' units
     independent: Array
-    mean: Array
-    covariance: Array
+    mean: Array  # (A,): of the coefficients of all sorts but drifts, amplitudes included
+    covariance: Array  # (n + A, n + A): of n numbers of the geometry and these coefficients
 
     # --- from a posterior --------------------------------------------------------------------------------------------
 

@@ -135,22 +135,13 @@ def express_parameters(machine: Machine, settled: Machine, theta: Array) -> Arra
 
 @dataclass(frozen=True)
 class Source:
-    """Where a calibrated machine comes from.
+    """Where a calibrated machine comes from."""
 
-    Attributes
-    ----------
-    experiment, variant : str
-        Names of the experiment and of its variant.
-    data : str
-        What its data are, in words.
-    problems : tuple of str
-        What speaks against its convergence; none of what is exported without force.
-    """
-
+    # names of the experiment and of its variant
     experiment: str
     variant: str
-    data: str
-    problems: tuple[str, ...] = ()
+    data: str  # what its data are, in words
+    problems: tuple[str, ...] = ()  # what speaks against its convergence; none of what is exported without force
 
     @property
     def stem(self) -> str:
@@ -170,17 +161,10 @@ class Errors:
     """By what the C commanded channels err besides the geometry, in their units: h(θ, v) = s + δ at commands s.
 
     A model error with a mean, or one that changes over the workspace, is another class of these methods.
-
-    Attributes
-    ----------
-    noise : ndarray, shape (C, C)
-        Covariance of the channels' readings, independent from one visit of a pose to the next.
-    model_variance : ndarray, shape (C,)
-        Posterior mean of τ², the same at each visit.
     """
 
-    noise: Array
-    model_variance: Array
+    noise: Array  # (C, C): covariance of the channels' readings, independent from one visit of a pose to the next
+    model_variance: Array  # (C,): posterior mean of τ², the same at each visit
 
     def mean(self, pose: Array, commands: Array, given: Given = NOTHING) -> Array:
         """Return the mean of δ at poses (P, q) and commands (P, C), shape (P, C)."""
@@ -210,16 +194,12 @@ class LegErrors(Errors):
 
     τ_i and what K's rest leaves of Δb_z are errors of a leg's own closure, e_i = A_ii ε_i with A = ∂F/∂ρ; the
     deflection does not pass them on: δ = A⁻¹ diag(A_ii) ε.
-
-    Attributes
-    ----------
-    theta : ndarray, shape (D,)
-    matrix_covariance : ndarray, shape (N, N, N), or None
-        Covariance of each row of a measured deformation matrix K, whose diagonal is a parameter and counts as known.
     """
 
     machine: Machine
-    theta: Array
+    theta: Array  # (D,)
+    # (N, N, N): covariance of each row of a measured deformation matrix K, whose diagonal is a parameter and counts
+    # as known
     matrix_covariance: Array | None = None
 
     def covariance(self, pose: Array, commands: Array, given: Given = NOTHING) -> Array:

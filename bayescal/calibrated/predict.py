@@ -114,33 +114,19 @@ class Command:
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """The mean machine at P commands, to first order.
+    """The mean machine at P commands, to first order."""
 
-    Attributes
-    ----------
-    commands : ndarray, shape (P, C)
-    given : mapping of str to ndarray, shape (P,)
-    pose, found : ndarray, shapes (P, q) and (P,)
-    by_pose, by_parameters : ndarray, shapes (P, C, q) and (P, C, D)
-        H and A.
-    outputs : ndarray, shape (P, M)
-        The tool's m numbers, then the coordinates where these are others.
-    outputs_by_pose, outputs_by_parameters : ndarray, shapes (P, M, q) and (P, M, D)
-        Of what the outputs err by, rotations about the base axes.
-    gain : ndarray, shape (P, M, C)
-        What moves the outputs by errors of the commands; NaN where there is no pose.
-    """
-
-    commands: Array
-    given: Given
-    pose: Array
-    found: np.ndarray
-    by_pose: Array
-    by_parameters: Array
-    outputs: Array
+    commands: Array  # (P, C)
+    given: Given  # (P,)
+    pose: Array  # (P, q)
+    found: np.ndarray  # (P,)
+    by_pose: Array  # (P, C, q): H
+    by_parameters: Array  # (P, C, D): A
+    outputs: Array  # (P, M): the tool's m numbers, then the coordinates where these are others
+    # (P, M, q) and (P, M, D): of what the outputs err by, rotations about the base axes
     outputs_by_pose: Array
     outputs_by_parameters: Array
-    gain: Array
+    gain: Array  # (P, M, C): what moves the outputs by errors of the commands; NaN where there is no pose
 
     @property
     def by_geometry(self) -> Array:

@@ -22,23 +22,12 @@ from bayescal.numerics.geometry import Array
 
 @dataclass(frozen=True)
 class DeformationBasis:
-    """Actuator displacements and the deflections they cause, as a linear function of the parameters.
+    """Actuator displacements and the deflections they cause, as a linear function of the parameters."""
 
-    Attributes
-    ----------
-    displacement : ndarray, shape (..., N)
-        Δρ, actuator displacements from the nominal initial position, mm.
-    constant : ndarray, shape (..., N)
-        The part of Δb_z without parameters, mm.
-    coefficients : mapping of symbol to ndarray, shape (..., N)
-        The factor of each per-leg parameter, mm.
-    actuator_gain : ndarray, shape (..., N, N)
-        dΔb_z,i / dΔρ_j at the nominal parameters; leading axes broadcast against those of the poses.
-    """
-
-    displacement: Array
-    constant: Array
-    coefficients: Mapping[str, Array]
+    displacement: Array  # (..., N): Δρ, actuator displacements from the nominal initial position, mm
+    constant: Array  # (..., N): the part of Δb_z without parameters, mm
+    coefficients: Mapping[str, Array]  # (..., N): the factor of each per-leg parameter, mm
+    # (..., N, N): dΔb_z,i / dΔρ_j at the nominal parameters; leading axes broadcast against those of the poses
     actuator_gain: Array
 
     def deflection(self, layout: ParameterLayout, theta: Array) -> Array:
@@ -51,18 +40,10 @@ class DeformationBasis:
 
 @dataclass(frozen=True)
 class NominalDeformation:
-    """What is known of a machine's deformation before it is calibrated.
+    """What is known of a machine's deformation before it is calibrated."""
 
-    Attributes
-    ----------
-    kappa : float
-        κ of every leg.
-    matrix : callable
-        Returns K, shape (N, N), in mm per mm; called only by a deformation that needs it.
-    """
-
-    kappa: float
-    matrix: Callable[[], Array]
+    kappa: float  # κ of every leg
+    matrix: Callable[[], Array]  # returns K, shape (N, N), in mm per mm; called only by a deformation that needs it
 
 
 class Deformation(ABC):

@@ -40,87 +40,43 @@ def section_of_rod(diameter: float, young_modulus: float, shear_modulus: float) 
 
 @dataclass(frozen=True)
 class Flexures:
-    """Flexure joints at both ends of every leg (RR-8096 figures 10 and 12).
+    """Flexure joints at both ends of every leg (RR-8096 figures 10 and 12)."""
 
-    Attributes
-    ----------
-    lengths : ndarray, shape (N,)
-        l_b of the flexures of each leg, mm.
-    beta : ndarray, shape (N,)
-        β, where a flexure's centre of motion lies, as a share of l_b; between 0 and 1/2.
-    section, leg_section : BeamSection or None
-        Of a flexure and of a leg between its flexures.
-    """
-
-    lengths: Array
-    beta: Array
+    lengths: Array  # (N,): l_b of the flexures of each leg, mm
+    beta: Array  # (N,): β, where a flexure's centre of motion lies, as a share of l_b; between 0 and 1/2
+    # of a flexure and of a leg between its flexures
     section: BeamSection | None = None
     leg_section: BeamSection | None = None
 
 
 @dataclass(frozen=True)
 class ExternalLoad:
-    """What pulls at the platform besides its legs: a wrench at the platform's origin, and its weight.
+    """What pulls at the platform besides its legs: a wrench at the platform's origin, and its weight."""
 
-    Attributes
-    ----------
-    force, moment : tuple of 3 floats
-        In N and N mm, base frame.
-    weight : tuple of 3 floats
-        The platform's weight in N, base frame.
-    centre_of_mass : tuple of 3 floats
-        Where the weight acts, mm, platform frame.
-    """
-
+    # in N and N mm, base frame
     force: tuple[float, float, float] = (0.0, 0.0, 0.0)
     moment: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    weight: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    centre_of_mass: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    weight: tuple[float, float, float] = (0.0, 0.0, 0.0)  # the platform's weight in N, base frame
+    centre_of_mass: tuple[float, float, float] = (0.0, 0.0, 0.0)  # where the weight acts, mm, platform frame
 
 
 @dataclass(frozen=True)
 class Mechanism:
-    """Nominal geometry of an N-leg platform, frames and symbols of RR-8096 section 2.2.
-
-    Attributes
-    ----------
-    name : str
-        Name of the machine.
-    base_points : ndarray, shape (N, 3)
-        a_i, attachment of actuator i or lower joint of strut i, base frame, mm.
-    platform_points : ndarray, shape (N, 3)
-        b_i, joint of leg i on the platform, platform frame, mm.
-    directions : ndarray, shape (N, 3)
-        u_i, unit direction of actuator i, base frame; zeros for struts.
-    leg_lengths : ndarray, shape (N,)
-        l_i, mm; of a strut, its length at the initial actuator position.
-    initial_actuator_positions : ndarray, shape (N,)
-        rho_i^0, mm; displacements are measured from here.
-    actuator_range : float
-        Largest displacement from the initial position, mm.
-    flexures : Flexures, optional
-        For the models that know of flexures.
-    load : ExternalLoad
-        For the models that know of forces.
-    drive : {"base", "strut"}
-        Whether actuators move the joints at the base or change the lengths of struts.
-    home_position : tuple of 3 floats, optional
-        Where the platform's origin stands at home, level, base frame, mm; the start of the search for the home pose.
-    platform_below : bool
-        Without a home position, whether the platform stands below the lower joints at home and not above them.
-    """
+    """Nominal geometry of an N-leg platform, frames and symbols of RR-8096 section 2.2."""
 
     name: str
-    base_points: Array
-    platform_points: Array
-    directions: Array
-    leg_lengths: Array
-    initial_actuator_positions: Array
-    actuator_range: float
-    flexures: Flexures | None = None
-    load: ExternalLoad = ExternalLoad()
-    drive: Drive = "base"
+    base_points: Array  # (N, 3): a_i, attachment of actuator i or lower joint of strut i, base frame, mm
+    platform_points: Array  # (N, 3): b_i, joint of leg i on the platform, platform frame, mm
+    directions: Array  # (N, 3): u_i, unit direction of actuator i, base frame; zeros for struts
+    leg_lengths: Array  # (N,): l_i, mm; of a strut, its length at the initial actuator position
+    initial_actuator_positions: Array  # (N,): rho_i^0, mm; displacements are measured from here
+    actuator_range: float  # largest displacement from the initial position, mm
+    flexures: Flexures | None = None  # for the models that know of flexures
+    load: ExternalLoad = ExternalLoad()  # for the models that know of forces
+    drive: Drive = "base"  # whether actuators move the joints at the base or change the lengths of struts
+    # where the platform's origin stands at home, level, base frame, mm; the start of the search for the home pose
     home_position: tuple[float, float, float] | None = None
+    # without a home position, whether the platform stands below the lower joints at home and not above them
     platform_below: bool = False
 
     def __post_init__(self) -> None:

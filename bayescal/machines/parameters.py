@@ -35,18 +35,10 @@ type Rows = tuple[tuple[float, float, float], ...]
 
 @dataclass(frozen=True)
 class DirectionChart:
-    """Which components of the directions are parameters.
+    """Which components of the directions are parameters."""
 
-    Attributes
-    ----------
-    symbols : pair of str
-        Of the two components.
-    frames : tuple, N x 3 x 3
-        e1, e2 and the pole of each leg in rows, base frame.
-    """
-
-    symbols: tuple[str, str]
-    frames: tuple[Rows, ...]
+    symbols: tuple[str, str]  # of the two components
+    frames: tuple[Rows, ...]  # e1, e2 and the pole of each leg in rows, base frame
 
     @cached_property
     def axes(self) -> Array:
@@ -154,36 +146,21 @@ class ParameterBlock:
 
 @dataclass(frozen=True)
 class HomeStart:
-    """Where the search for the home pose begins, always with the platform level.
+    """Where the search for the home pose begins, always with the platform level."""
 
-    Attributes
-    ----------
-    position : tuple of 3 floats, or None
-        Of the platform's origin, base frame, mm; None where it follows from the lengths of the legs.
-    below : bool
-        Then, whether the platform stands below the legs' lower joints and not above them.
-    """
-
+    # of the platform's origin, base frame, mm; None where it follows from the lengths of the legs
     position: tuple[float, float, float] | None = None
-    below: bool = False
+    below: bool = False  # then, whether the platform stands below the legs' lower joints and not above them
 
 
 @dataclass(frozen=True)
 class ParameterLayout:
-    """Blocks of parameters laid out in one flat vector.
-
-    Attributes
-    ----------
-    blocks : tuple of ParameterBlock
-    directions : DirectionChart or None
-        What the components of the actuators' directions mean; None for machines without any.
-    home : HomeStart
-        Where a search for the home pose of these parameters begins.
-    """
+    """Blocks of parameters laid out in one flat vector."""
 
     blocks: tuple[ParameterBlock, ...]
+    # what the components of the actuators' directions mean; None for machines without any
     directions: DirectionChart | None = None
-    home: HomeStart = HomeStart()
+    home: HomeStart = HomeStart()  # where a search for the home pose of these parameters begins
 
     def extend(self, blocks: tuple[ParameterBlock, ...]) -> ParameterLayout:
         """Return the same with more blocks after its own."""

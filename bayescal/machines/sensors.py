@@ -59,20 +59,11 @@ def information_of_points(points: Array, rotation: Array, noise: float) -> Array
 
 @dataclass(frozen=True, eq=False)
 class PointSensor(Sensor):
-    """Targets on the platform, and on the base where the instrument's own frame wanders: photogrammetry, a tracker.
+    """Targets on the platform, and on the base where the instrument's own frame wanders: photogrammetry, a tracker."""
 
-    Attributes
-    ----------
-    platform : ndarray, shape (K, 3)
-        Targets, platform frame, mm.
-    noise : float
-        Standard deviation of a coordinate, mm.
-    base : ndarray, shape (M, 3), optional
-        Targets on the base, base frame, mm, three or more; without them the instrument stands in the base frame.
-    """
-
-    platform: Array
-    noise: float
+    platform: Array  # (K, 3): targets, platform frame, mm
+    noise: float  # standard deviation of a coordinate, mm
+    # (M, 3): targets on the base, base frame, mm, three or more; without them the instrument stands in the base frame
     base: Array | None = None
 
     def information(self, position: Array, rotation: Array) -> Array:
@@ -88,21 +79,11 @@ class PointSensor(Sensor):
 
 @dataclass(frozen=True)
 class PoseSensor(Sensor):
-    """Whole poses, or only positions or orientations, as a laser tracker with its probe has them; noise is independent.
+    """Whole poses, or only positions or orientations, as a laser tracker with its probe has them, noise independent."""
 
-    Attributes
-    ----------
-    position_noise : float or None
-        Standard deviation of each coordinate, mm; None where it is not measured.
-    rotation_noise : float or None
-        Standard deviation, rad.
-    axes : str
-        Which coordinates are measured, of both, along the base frame's axes.
-    """
-
-    position_noise: float | None
-    rotation_noise: float | None
-    axes: str = "xyz"
+    position_noise: float | None  # standard deviation of each coordinate, mm; None where it is not measured
+    rotation_noise: float | None  # standard deviation, rad
+    axes: str = "xyz"  # which coordinates are measured, of both, along the base frame's axes
 
     def information(self, position: Array, rotation: Array) -> Array:
         """Return the inverse variances on the diagonal; see `Sensor.information`."""

@@ -36,75 +36,40 @@ class Statement:
 
 @dataclass(frozen=True)
 class Column:
-    """A column of a table.
-
-    Attributes
-    ----------
-    title : str
-    unit : str
-        Shown below the title.
-    group : str
-        Neighbours of the same group share a heading.
-    kind : str
-        ``number`` columns are right-aligned, ``symbol`` columns are set as the field writes the symbol; ``seconds``
-        are wall times, the only numbers that differ between runs of the same config.
-    symbolic : bool
-        Whether the title is a parameter's symbol.
-    """
+    """A column of a table."""
 
     title: str
-    unit: str = ""
-    group: str = ""
+    unit: str = ""  # shown below the title
+    group: str = ""  # neighbours of the same group share a heading
+    # ``number`` columns are right-aligned, ``symbol`` columns are set as the field writes the symbol; ``seconds`` are
+    # wall times, the only numbers that differ between runs of the same config
     kind: Literal["number", "text", "name", "symbol", "seconds"] = "number"
-    symbolic: bool = False
+    symbolic: bool = False  # whether the title is a parameter's symbol
 
 
 @dataclass(frozen=True)
 class Cell:
-    """Text of a table.
-
-    Attributes
-    ----------
-    text : str
-    level : str
-    span : int
-        How many rows it covers, zero where the cell above covers it.
-    badge : bool
-        Whether the text stands on a coloured ground, as a mark does.
-    more : str
-        What the text opens on a click; in print it is open.
-    """
+    """Text of a table."""
 
     text: str
     level: Level = "plain"
-    span: int = 1
-    badge: bool = False
-    more: str = ""
+    span: int = 1  # how many rows it covers, zero where the cell above covers it
+    badge: bool = False  # whether the text stands on a coloured ground, as a mark does
+    more: str = ""  # what the text opens on a click; in print it is open
 
 
 @dataclass(frozen=True)
 class Table:
-    """A table with its caption.
-
-    Attributes
-    ----------
-    caption : str
-    columns : tuple of Column
-    rows : tuple of tuple of Cell
-    notes : tuple of Statement
-        Below the table.
-    style : str
-        ``wide`` tables are set smaller, ``long`` ones join the rows of a parameter, ``claims`` have fixed widths.
-    headings : mapping of int to str
-        Headings over groups of rows, by the number of the row that follows.
-    """
+    """A table with its caption."""
 
     block: ClassVar = "table"
     caption: str
     columns: tuple[Column, ...]
     rows: tuple[tuple[Cell, ...], ...]
-    notes: tuple[Statement, ...] = ()
+    notes: tuple[Statement, ...] = ()  # below the table
+    # ``wide`` tables are set smaller, ``long`` ones join the rows of a parameter, ``claims`` have fixed widths
     style: str = ""
+    # headings over groups of rows, by the number of the row that follows
     headings: Mapping[int, str] = field(default_factory=dict)
 
     @property
@@ -137,24 +102,13 @@ def make_pairs(caption: str, rows: Sequence[Sequence[str | Cell]], notes: Sequen
 
 @dataclass(frozen=True, eq=False)
 class Figure:
-    """A figure with its caption, or the reason why it cannot be drawn.
-
-    Attributes
-    ----------
-    name : str
-        Of its file in ``figures``, without the ending; letters, digits, ``_`` and ``-``.
-    caption : str
-    draw : callable or None
-        Draws it; None where it is left out.
-    reason : str
-        Why it is left out.
-    """
+    """A figure with its caption, or the reason why it cannot be drawn."""
 
     block: ClassVar = "figure"
-    name: str
+    name: str  # of its file in ``figures``, without the ending; letters, digits, ``_`` and ``-``
     caption: str
-    draw: Callable[[], mpl.Figure] | None
-    reason: str = ""
+    draw: Callable[[], mpl.Figure] | None  # draws it; None where it is left out
+    reason: str = ""  # why it is left out
 
     def __post_init__(self) -> None:
         """Check the name: a file is called by it."""
@@ -216,17 +170,7 @@ class Side:
 
 @dataclass(frozen=True)
 class Card:
-    """One finding: a parameter's symbol with words and marks, sentences, and more of the kind behind a line.
-
-    Attributes
-    ----------
-    symbol, where : str
-    marks : tuple of Cell
-    text : str
-    facts : tuple of str
-    more_title : str
-    more : tuple of str
-    """
+    """One finding: a parameter's symbol with words and marks, sentences, and more of the kind behind a line."""
 
     block: ClassVar = "card"
     symbol: str
@@ -294,42 +238,22 @@ def make_section(
 
 @dataclass(frozen=True, eq=False)
 class Page:
-    """What the page of an experiment says.
+    """What the page of an experiment says."""
 
-    Attributes
-    ----------
-    kind, name, title : str
-        What sort of experiment it is, its own name, and its heading.
-    origin : str
-        Where its data come from: simulated, reconstructed, measured.
-    headline : str
-        The result in one sentence.
-    verdict : tuple of Statement
-        What was found, each with a level; where one is bad the verdict is marked as failed.
-    sections : tuple of Section
-    facts : tuple of (str, str)
-        Below the heading, such as machine and plan.
-    failures : tuple of Statement
-        What forbids to rely on the numbers; before the headline.
-    failures_title : str
-    doubtful : bool
-        Whether the verdict is marked as one to be read with care.
-    symbols : tuple of str
-        Parameters' symbols that running text sets as the field writes them.
-    """
-
+    # what sort of experiment it is, its own name, and its heading
     kind: str
     name: str
     title: str
-    origin: str
-    headline: str
+    origin: str  # where its data come from: simulated, reconstructed, measured
+    headline: str  # the result in one sentence
+    # what was found, each with a level; where one is bad the verdict is marked as failed
     verdict: tuple[Statement, ...]
     sections: tuple[Section, ...]
-    facts: tuple[tuple[str, str], ...] = ()
-    failures: tuple[Statement, ...] = ()
+    facts: tuple[tuple[str, str], ...] = ()  # below the heading, such as machine and plan
+    failures: tuple[Statement, ...] = ()  # what forbids to rely on the numbers; before the headline
     failures_title: str = ""
-    doubtful: bool = False
-    symbols: tuple[str, ...] = ()
+    doubtful: bool = False  # whether the verdict is marked as one to be read with care
+    symbols: tuple[str, ...] = ()  # parameters' symbols that running text sets as the field writes them
 
     def __post_init__(self) -> None:
         """Check that no two figures would share a file."""

@@ -32,21 +32,11 @@ LEAST_SCALE = 0.8  # of a figure on a small screen, which scrolls; letters of 6.
 
 @dataclass(frozen=True)
 class Picture:
-    """A drawn figure.
+    """A drawn figure."""
 
-    Attributes
-    ----------
-    png : bytes
-        The figure as a file.
-    markup : str
-        As it stands in a page, escaped; without its name, see `place`.
-    stacked : str
-        As it stands there on a narrow screen; empty where that is the same.
-    """
-
-    png: bytes
-    markup: str = ""
-    stacked: str = ""
+    png: bytes  # the figure as a file
+    markup: str = ""  # as it stands in a page, escaped; without its name, see `place`
+    stacked: str = ""  # as it stands there on a narrow screen; empty where that is the same
 
     def place(self, name: str) -> Markup:
         """Return the markup with the ids of its parts made the figure's own."""

@@ -23,26 +23,13 @@ DIGITS = 7
 
 @dataclass(frozen=True)
 class ScenePoint:
-    """A point of a machine.
+    """A point of a machine."""
 
-    Attributes
-    ----------
-    name : str
-        In words, such as ``b of leg 2``.
-    group : str
-    at : tuple of triples
-        Where it stands, mm: once, or once for each pose of the scene.
-    offset : triple
-        How far it was found from there, mm; zeros for nothing.
-    spread : triple
-        Standard deviations of its coordinates, mm; zeros for nothing.
-    """
-
-    name: str
+    name: str  # in words, such as ``b of leg 2``
     group: Group
-    at: tuple[Triple, ...]
-    offset: Triple = (0.0, 0.0, 0.0)
-    spread: Triple = (0.0, 0.0, 0.0)
+    at: tuple[Triple, ...]  # where it stands, mm: once, or once for each pose of the scene
+    offset: Triple = (0.0, 0.0, 0.0)  # how far it was found from there, mm; zeros for nothing
+    spread: Triple = (0.0, 0.0, 0.0)  # standard deviations of its coordinates, mm; zeros for nothing
 
 
 @dataclass(frozen=True)
@@ -56,30 +43,17 @@ class SceneLine:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A machine that can be turned.
-
-    Attributes
-    ----------
-    name, caption, alt : str
-        ``alt`` says what is seen.
-    points : tuple of ScenePoint
-    lines : tuple of SceneLine
-    poses : tuple of str
-        Names of the poses, the one shown at first before all others.
-    labels : tuple of (str, tuple of int)
-        Symbols, each in the middle of points.
-    magnified : float
-        How many times offsets and standard deviations are drawn too large at first; zero where there are none.
-    """
+    """A machine that can be turned."""
 
     block: ClassVar = "scene"
     name: str
     caption: str
-    alt: str
+    alt: str  # what is seen
     points: tuple[ScenePoint, ...]
     lines: tuple[SceneLine, ...]
-    poses: tuple[str, ...] = ("home",)
-    labels: tuple[tuple[str, tuple[int, ...]], ...] = ()
+    poses: tuple[str, ...] = ("home",)  # names of the poses, the one shown at first before all others
+    labels: tuple[tuple[str, tuple[int, ...]], ...] = ()  # symbols, each in the middle of points
+    # how many times offsets and standard deviations are drawn too large at first; zero where there are none
     magnified: float = 0.0
 
     @property

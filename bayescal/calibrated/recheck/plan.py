@@ -54,57 +54,26 @@ PERCENT = 100.0
 
 @dataclass(frozen=True, eq=False)
 class Demand:
-    """What a recheck has to do.
+    """What a recheck has to do."""
 
-    Attributes
-    ----------
-    shift : ndarray, shape (N,)
-        Of each parameter that may have shifted, in its unit.
-    power : float
-        With which it has to be found, whichever parameter it is.
-    false_alarm : float
-        Of all sessions together.
-    sessions : int
-        Within which it has to be found; each measures the same poses.
-    most : int
-        Poses that a session may have.
-    in_sd : float or None
-        The shift in standard deviations of each parameter, where it was stated so.
-    """
-
-    shift: Array
-    power: float = 0.95
-    false_alarm: float = 0.01
-    sessions: int = 2
-    most: int = 40
-    in_sd: float | None = None
+    shift: Array  # (N,): of each parameter that may have shifted, in its unit
+    power: float = 0.95  # with which it has to be found, whichever parameter it is
+    false_alarm: float = 0.01  # of all sessions together
+    sessions: int = 2  # within which it has to be found; each measures the same poses
+    most: int = 40  # poses that a session may have
+    in_sd: float | None = None  # the shift in standard deviations of each parameter, where it was stated so
 
 
 @dataclass(frozen=True, eq=False)
 class RecheckPlan:
-    """Poses of one session of a recheck.
+    """Poses of one session of a recheck."""
 
-    Attributes
-    ----------
-    suspects : Suspects
-        N parameters, one of which may shift.
-    chosen : ndarray of int, shape (P,)
-        Which of the candidates, the one that shows most first.
-    commands : ndarray, shape (P, C)
-        In the channels' units.
-    given : mapping of str to ndarray, shape (P,)
-    test : ShiftTest
-        Of all sessions.
-    power : ndarray, shape (N,)
-        With which the shift of each parameter is found.
-    """
-
-    suspects: Suspects
-    chosen: np.ndarray
-    commands: Array
-    given: Given
-    test: ShiftTest
-    power: Array
+    suspects: Suspects  # N parameters, one of which may shift
+    chosen: np.ndarray  # (P,): which of the candidates, the one that shows most first
+    commands: Array  # (P, C): in the channels' units
+    given: Given  # (P,)
+    test: ShiftTest  # of all sessions
+    power: Array  # (N,): with which the shift of each parameter is found
     demand: Demand
 
     @cached_property

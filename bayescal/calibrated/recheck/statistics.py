@@ -47,25 +47,13 @@ ODD = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Suspects:
-    """N parameters that may have shifted, one at a time.
+    """N parameters that may have shifted, one at a time."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        As texts call them.
-    places : ndarray of int, shape (N,)
-        In the machine's layout.
-    kind : str
-        What any of them is called.
-    stated : bool
-        Whether they were asked for, and are not all that there are.
-    """
-
-    names: tuple[str, ...]
-    places: np.ndarray
+    names: tuple[str, ...]  # as texts call them
+    places: np.ndarray  # (N,): in the machine's layout
     units: tuple[str, ...]
-    kind: str
-    stated: bool
+    kind: str  # what any of them is called
+    stated: bool  # whether they were asked for, and are not all that there are
 
     def pick(self, some: np.ndarray) -> Suspects:
         """Return some of them, by a mask."""
@@ -118,30 +106,16 @@ def say_shift(value: float, sd: float, unit: str) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Knowledge:
-    """What poses say.
+    """What poses say."""
 
-    Attributes
-    ----------
-    rows : ndarray, shape (P, k, q + N + 1)
-        White rows, poses eliminated: of Δθ in units of its posterior, of δ in the parameters' units, the residual.
-    n_shifts : int
-        N.
-    n_rows : int
-        How many of all these rows hold anything.
-    seen : ndarray of bool, shape (N,)
-        Whether a shift changes anything that is read, other than another pose would.
-    drifting : ndarray, shape (P, k, D)
-        What drifts of one root mean square of D channels do to the rows.
-    functions : KnownFunctions or None
-        Which tell how drifts hang together.
-    """
-
+    # (P, k, q + N + 1): white rows, poses eliminated: of Δθ in units of its posterior, of δ in the parameters' units,
+    # the residual
     rows: Array
-    n_shifts: int
-    n_rows: int
-    seen: np.ndarray
-    drifting: Array
-    functions: KnownFunctions | None = None
+    n_shifts: int  # N
+    n_rows: int  # how many of all these rows hold anything
+    seen: np.ndarray  # bool (N,): whether a shift changes anything that is read, other than another pose would
+    drifting: Array  # (P, k, D): what drifts of one root mean square of D channels do to the rows
+    functions: KnownFunctions | None = None  # which tell how drifts hang together
 
     def pick(self, some: np.ndarray) -> Knowledge:
         """Return what they say of some of the shifts, by a mask."""
@@ -402,21 +376,11 @@ def _find_root(covariance: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class ShiftTest:
-    """The test of the largest statistic of all N parameters at any of several looks.
+    """The test of the largest statistic of all N parameters at any of several looks."""
 
-    Attributes
-    ----------
-    threshold : float
-        Of |t|.
-    false_alarm : float
-        With which the threshold is passed at any look while the calibration holds.
-    information : ndarray, shape (J, N, N)
-        K at each look.
-    """
-
-    threshold: float
-    false_alarm: float
-    information: Array
+    threshold: float  # of |t|
+    false_alarm: float  # with which the threshold is passed at any look while the calibration holds
+    information: Array  # (J, N, N): K at each look
 
     def find_power(self, n_simulated: int = SIMULATED // 2) -> Array:
         """Return with which probability a shift of one unit of each parameter is found at any look, shape (N,)."""
@@ -456,33 +420,19 @@ def look_again(knowledge: Knowledge, grams: Sequence[Array], n_looks: int) -> Ar
 
 @dataclass(frozen=True, eq=False)
 class Recheck:
-    """What the sessions of a recheck say.
+    """What the sessions of a recheck say."""
 
-    Attributes
-    ----------
-    suspects : Suspects
-        N parameters, one of which may have shifted.
-    holds : bool
-        Whether no statistic of any session passed the threshold.
-    statistic : ndarray, shape (J, N)
-        t of every parameter, the sessions pooled from the first.
-    shift, sd : ndarray, shape (N,)
-        Of every parameter as if it alone had shifted, all sessions together, in its unit.
-    probability : ndarray, shape (N,)
-        That it is this one, where one shifted.
-    left_over : float
-        With which probability as much is left over by chance, beside the shift of the most probable parameter, where
-        the calibration does not hold; on average over the sizes that a drift may have.
-    """
-
-    suspects: Suspects
-    holds: bool
-    statistic: Array
+    suspects: Suspects  # N parameters, one of which may have shifted
+    holds: bool  # whether no statistic of any session passed the threshold
+    statistic: Array  # (J, N): t of every parameter, the sessions pooled from the first
     threshold: float
     false_alarm: float
+    # (N,): of every parameter as if it alone had shifted, all sessions together, in its unit
     shift: Array
     sd: Array
-    probability: Array
+    probability: Array  # (N,): that it is this one, where one shifted
+    # with which probability as much is left over by chance, beside the shift of the most probable parameter, where
+    # the calibration does not hold; on average over the sizes that a drift may have
     left_over: float
 
     @property

@@ -45,24 +45,12 @@ class Seen(NamedTuple):
 
 
 class Tracked(ABC):
-    """What an instrument tracked at P poses.
+    """What an instrument tracked at P poses."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        Of the P poses.
-    actuators : ndarray, shape (P, N)
-        Actuator positions, mm.
-    stations : tuple of str
-        Names of the S stations, each with a frame of its own.
-    values : ndarray, shape (P, ...)
-        As read; NaN where nothing was.
-    """
-
-    names: tuple[str, ...]
-    actuators: Array
-    stations: tuple[str, ...]
-    values: Array
+    names: tuple[str, ...]  # of the P poses
+    actuators: Array  # (P, N): actuator positions, mm
+    stations: tuple[str, ...]  # names of the S stations, each with a frame of its own
+    values: Array  # (P, ...): as read; NaN where nothing was
 
     @property
     @abstractmethod

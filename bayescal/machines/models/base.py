@@ -27,23 +27,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Linearisation:
-    """Closure residual and its derivatives at given poses; leading axes are those of the poses.
+    """Closure residual and its derivatives at given poses; leading axes are those of the poses."""
 
-    Attributes
-    ----------
-    residual : ndarray, shape (..., N)
-        f, mm.
-    pose : ndarray, shape (..., N, 6)
-        Derivative with respect to the pose, position in mm and rotation vector in radians, base frame.
-    actuators : ndarray, shape (..., N, N)
-        Derivative with respect to the actuator positions.
-    parameters : ndarray, shape (..., N, D)
-        Derivative with respect to the parameter vector; empty where it was not asked for.
-    """
-
-    residual: Array
+    residual: Array  # (..., N): f, mm
+    # (..., N, 6): derivative with respect to the pose, position in mm and rotation vector in radians, base frame
     pose: Array
-    actuators: Array
+    actuators: Array  # (..., N, N): derivative with respect to the actuator positions
+    # (..., N, D): derivative with respect to the parameter vector; empty where it was not asked for
     parameters: Array = field(default_factory=lambda: np.empty(0))
 
 
@@ -71,14 +61,9 @@ class BoundClosure(ABC):
 
     Arrays run over (leg, pose, batch), the batch last: there every operation is a long contiguous loop. What a method
     returns is scratch, valid until the method is called again.
-
-    Attributes
-    ----------
-    home : BatchHome or None
-        Home poses found by the last ``evaluate``, for models that need them.
     """
 
-    home: BatchHome | None = None
+    home: BatchHome | None = None  # home poses found by the last ``evaluate``, for models that need them
 
     @abstractmethod
     def evaluate(self, theta: Array) -> Array:

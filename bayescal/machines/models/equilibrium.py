@@ -112,19 +112,12 @@ type Changes = tuple[Array, Array, Array]
 
 @dataclass(frozen=True, eq=False)
 class LegState(ABC):
-    """What a leg's chain feels, with its derivatives.
+    """What a leg's chain feels, with its derivatives."""
 
-    Attributes
-    ----------
-    legs, home : LegVectors
-        As the legs stand and at the home pose.
-    length : ndarray, shape (..., N)
-        l, mm.
-    """
-
+    # as the legs stand and at the home pose
     legs: LegVectors
     home: LegVectors
-    length: Array
+    length: Array  # (..., N): l, mm
 
     @property
     @abstractmethod

@@ -84,26 +84,17 @@ class PulledBack:
 
 @dataclass(frozen=True, eq=False)
 class LegVectors:
-    """Leg vectors at given poses; leading axes are those of poses and parameter vectors, broadcast.
-
-    Attributes
-    ----------
-    layout : ParameterLayout
-    basis : DeformationBasis
-    rotation : ndarray, shape (..., 3, 3)
-    direction, arm, vector, axis : ndarray, shape (..., N, 3)
-        u, R b* and g in mm, z = g / |g|; base frame. u is zero for struts.
-    travel, length : ndarray, shape (..., N)
-        ρ, zero for struts, and |g| in mm.
-    """
+    """Leg vectors at given poses; leading axes are those of poses and parameter vectors, broadcast."""
 
     layout: ParameterLayout
     basis: DeformationBasis
-    rotation: Array
+    rotation: Array  # (..., 3, 3)
+    # (..., N, 3): u, R b* and g in mm, z = g / |g|; base frame. u is zero for struts.
     direction: Array
     arm: Array
     vector: Array
     axis: Array
+    # (..., N): ρ, zero for struts, and |g| in mm
     travel: Array
     length: Array
 

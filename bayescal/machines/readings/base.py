@@ -255,20 +255,11 @@ EVERY = (Channel("every", ""),)
 
 @dataclass(frozen=True)
 class Readings:
-    """Readings and their derivatives; leading axes are those of machines and poses.
+    """Readings and their derivatives; leading axes are those of machines and poses."""
 
-    Attributes
-    ----------
-    values : ndarray, shape (..., K)
-        h, mm and rad; NaN where the machine cannot stand.
-    by_pose : ndarray, shape (..., K, q)
-        H = ∂h/∂v.
-    by_parameters : ndarray, shape (..., K, D)
-        A = ∂h/∂d; empty where it was not asked for.
-    """
-
-    values: Array
-    by_pose: Array
+    values: Array  # (..., K): h, mm and rad; NaN where the machine cannot stand
+    by_pose: Array  # (..., K, q): H = ∂h/∂v
+    # (..., K, D): A = ∂h/∂d; empty where it was not asked for
     by_parameters: Array = field(default_factory=lambda: np.empty(0))
 
     def pick(self, places: np.ndarray | None) -> Readings:
@@ -289,14 +280,9 @@ class Bound(ABC):
 
     Arrays run over (channel, pose, machine), the machine last: there every operation is a long contiguous loop. What a
     method returns is scratch, valid until the method is called again.
-
-    Attributes
-    ----------
-    places : ndarray of int, shape (C,)
-        The channels; what others read at a pose is the same for all machines.
     """
 
-    places: np.ndarray
+    places: np.ndarray  # (C,): the channels; what others read at a pose is the same for all machines
 
     @abstractmethod
     def read(self, theta: Array) -> Array:
@@ -313,14 +299,9 @@ class Bound(ABC):
 
 @dataclass(frozen=True, eq=False)
 class ReadingModel(ABC):
-    """A machine seen by its sensors: K readings of a pose with q coordinates, D parameters.
+    """A machine seen by its sensors: K readings of a pose with q coordinates, D parameters."""
 
-    Attributes
-    ----------
-    channels : tuple of Channel
-        The sensors that it has, by default all that it could have.
-    """
-
+    # the sensors that it has, by default all that it could have
     channels: tuple[Channel, ...] = field(default=EVERY, kw_only=True)
 
     def __post_init__(self) -> None:

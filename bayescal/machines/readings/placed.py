@@ -182,17 +182,10 @@ def _find_target(parameters: Parameters, position: Any, rotation: Any) -> Any:
 
 @dataclass(frozen=True, eq=False)
 class Placed(ReadingModel):
-    """A machine with instruments beside it; made by `place`.
-
-    Attributes
-    ----------
-    whole : ReadingModel
-        The machine.
-    instruments : tuple of FunctionModel
-        Their coordinates are the tool's pose. Any of their channels may be left out, none of their parameters.
-    """
+    """A machine with instruments beside it; made by `place`."""
 
     whole: ReadingModel
+    # their coordinates are the tool's pose. Any of their channels may be left out, none of their parameters.
     instruments: tuple[FunctionModel, ...]
 
     @property
