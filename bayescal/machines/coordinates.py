@@ -32,7 +32,6 @@ from math import prod
 from typing import Self
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 from scipy.special import ndtr, ndtri
 
 from bayescal.machines.kinematics import Machine
@@ -69,26 +68,32 @@ class Coordinates:
         return mask
 
     @cached_property
-    def _circles(self) -> tuple[np.ndarray, DirectionCircles] | None:
-        """Legs with both components of u free, without bounds, and κ not; their circles."""
+    def _turning(self) -> np.ndarray:
+        """Legs with both components of u free and κ not."""
         index, symbols = self.layout.index, self.layout.direction_symbols
         if not symbols:
-            return None
-        first, second = (index[symbol] for symbol in symbols)
-        both = self._mask[first] & self._mask[second]
+            return np.empty(0, dtype=int)
+        turning = np.all([np.isin(index[symbol], self.free) for symbol in symbols], axis=0)
         if "kappa" in index:
-            both &= ~np.isin(index["kappa"], self.free)
-        legs = np.flatnonzero(both)
+            turning &= ~np.isin(index["kappa"], self.free)
+        return np.flatnonzero(turning)
+
+    def _places(self, legs: np.ndarray) -> np.ndarray:
+        """Return where in y both components of legs' directions stand, shape (K, 2)."""
+        index, symbols = self.layout.index, self.layout.direction_symbols
+        return np.stack([np.searchsorted(self.free, index[symbol][legs]) for symbol in symbols], axis=1)
+
+    @cached_property
+    def _circles(self) -> tuple[np.ndarray, DirectionCircles] | None:
+        """Legs whose direction is free and without bounds, and their circles."""
+        legs = self._turning
+        if len(legs):
+            legs = legs[~self.bounded[self._places(legs)].any(axis=1)]
         if not len(legs):
             return None
-        sd = self._direction_spread(legs).max(axis=1)
+        sd = self.scale[self._places(legs)].max(axis=1)
         clear, circles = find_circles(*self._local_pairs(legs), sd)
         return (legs[clear], circles) if clear.any() else None
-
-    def _direction_spread(self, legs: np.ndarray) -> Array:
-        """Return the prior sds of both components of legs' directions, shape (K, 2)."""
-        places = [np.searchsorted(self.free, self.layout.index[s][legs]) for s in self.layout.direction_symbols]
-        return np.stack([self.scale[place] for place in places], axis=1)
 
     def _local_pairs(self, legs: np.ndarray) -> tuple[Array, Array]:
         """Return nominal directions and lines of legs in their local frames, shapes (K, 3)."""
@@ -98,28 +103,18 @@ class Coordinates:
     @cached_property
     def rings(self) -> tuple[tuple[int, np.ndarray, DirectionRing], ...]:
         """Legs whose direction's prior is wide or bounded, where in y its components stand, and the ring of each."""
-        index, symbols = self.layout.index, self.layout.direction_symbols
-        if not symbols:
-            return ()
-        first, second = (np.isin(index[symbol], self.free) for symbol in symbols)
-        both = first & second
-        if "kappa" in index:
-            both &= ~np.isin(index["kappa"], self.free)
-        if self._circles is not None:
-            both[self._circles[0]] = False
-        return tuple(ring for leg in np.flatnonzero(both) if (ring := self._find_ring(int(leg))) is not None)
+        others = self._turning if self._circles is None else np.setdiff1d(self._turning, self._circles[0])
+        return tuple(ring for leg in others if (ring := self._find_ring(int(leg))) is not None)
 
     def _find_ring(self, leg: int) -> tuple[int, np.ndarray, DirectionRing] | None:
         """Return a leg's ring; None where the direction lies so near to the leg that the prior hardly sees it."""
         legs = np.array([leg])
         direction, line = self._local_pairs(legs)
-        spread = self._direction_spread(legs)[0]
+        places = self._places(legs)[0]
+        spread = self.scale[places]
         sine = float(np.linalg.norm(np.cross(direction[0], line[0])) / np.linalg.norm(line[0]))
         if not 0.0 < spread.max() < WIDEST * sine:
             return None
-        places = np.array(
-            [np.searchsorted(self.free, self.layout.index[s][leg]) for s in self.layout.direction_symbols]
-        )
         ring = DirectionRing(
             frame_circles(direction, line), direction[0, :2], spread, self.lower[places], self.upper[places]
         )
@@ -147,8 +142,7 @@ class Coordinates:
     def _on_circles(self) -> tuple[np.ndarray, np.ndarray]:
         """Where the coordinates of gain and azimuth stand in y."""
         assert self._circles is not None
-        legs, _ = self._circles
-        gain, azimuth = (np.searchsorted(self.free, self.layout.index[s][legs]) for s in self.layout.direction_symbols)
+        gain, azimuth = self._places(self._circles[0]).T
         return gain, azimuth
 
     @cached_property
@@ -509,16 +503,3 @@ class ClosingCoordinates(Coordinates):
             slope[:, index] = 0.0
             change[index] -= (slope @ change[: self.machine.layout.size]) / self._slope[:, None]
         return change
-
-
-def close_at_mean(
-    known: Coordinates, machine: Machine, position: Array, rotation: Array, actuators: Array
-) -> ClosingCoordinates:
-    """Return coordinates whose lengths close the legs at the mean of poses (P, 3), (P, 3, 3) and actuators (P, N)."""
-    where = position.mean(axis=0), average_rotation(rotation), actuators.mean(axis=0)
-    return ClosingCoordinates.around(known, machine, *(one[None] for one in where))
-
-
-def average_rotation(rotations: Array) -> Array:
-    """Return the rotation nearest to the mean of rotations (P, 3, 3)."""
-    return np.asarray(Rotation.from_matrix(rotations).mean().as_matrix())

@@ -57,15 +57,7 @@ def compute_signs(
 ) -> tuple[Array, Array]:
     """Return the signs of u · g, shape (..., N), and of the determinant of the legs' lines, shape (...); zero for none.
 
-    Parameters
-    ----------
-    drive : str
-    layout : ParameterLayout
-    theta : ndarray, shape (..., D)
-    position, rotation : ndarray, shapes (..., 3) and (..., 3, 3)
-        Base frame, mm.
-    actuators : ndarray, shape (..., N)
-        mm.
+    Of machines (..., D) at poses (..., 3), (..., 3, 3) and actuator positions (..., N), mm, base frame.
     """
     arm = layout.take_vector(theta, "b") @ np.swapaxes(rotation, -1, -2)
     leg = position[..., None, :] + arm - layout.take_vector(theta, "a")
@@ -130,9 +122,8 @@ class Machine:
 
         Of the two positions from which a leg of given length reaches a point it has the one on the side of home.
         """
-        mechanism, home = self.mechanism, self.nominal_home
-        legs = home.position + mechanism.platform_points @ home.rotation.T - mechanism.home_joints
-        return np.asarray(np.sign(np.sum(mechanism.directions * legs, axis=1)))
+        legs = span_home_legs(self.mechanism, self.nominal_home)
+        return np.asarray(np.sign(np.sum(self.mechanism.directions * legs, axis=1)))
 
     @cached_property
     def nominal_home(self) -> ForwardKinematics:
@@ -267,7 +258,12 @@ def solve_forward_kinematics(
         converged = np.max(np.abs(step), axis=-1, initial=0.0) < STEP_TOLERANCE
         iteration += 1
     if follow:
-        kept = _keep_to_branch(machine, theta, position, rotation, actuators, kept)
+        on_branch = np.array(machine.holds_branch(theta, position, rotation, actuators))
+        strayed = on_branch & ~kept & np.isfinite(position).all(axis=-1)  # of these paths; the straight way decides
+        if strayed.any():
+            some = np.broadcast_to(theta, (*shape, theta.shape[-1]))[strayed]
+            on_branch[strayed] = comes_straight(machine, some, position[strayed], rotation[strayed])
+        kept = on_branch
     if check and not (converged & kept).all():
         index = int(np.argmin((converged & kept).ravel()))
         fault = f"not found in {max_iterations} Newton steps, expected one nearer to home that the legs can reach"
@@ -276,18 +272,6 @@ def solve_forward_kinematics(
         raise NumericalError(f"forward kinematics: pose {index + 1} of {converged.size} {fault}")
     converged = np.asarray(converged & kept)
     return ForwardKinematics(position, rotation, converged, iteration)
-
-
-def _keep_to_branch(
-    machine: Machine, theta: Array, position: Array, rotation: Array, actuators: Array, kept: np.ndarray
-) -> np.ndarray:
-    """Return which poses are on home's branch: by their signs, and by the path that kept to it or a straight way."""
-    good = np.array(machine.holds_branch(theta, position, rotation, actuators))
-    strayed = good & ~kept & np.isfinite(position).all(axis=-1)
-    if strayed.any():
-        some = np.broadcast_to(theta, (*good.shape, theta.shape[-1]))[strayed]
-        good[strayed] = comes_straight(machine, some, position[strayed], rotation[strayed])
-    return good
 
 
 @dataclass(frozen=True)
@@ -415,9 +399,14 @@ def check_home_pose(machine: Machine) -> ForwardKinematics:
             f"mechanism {mechanism.name!r}: singular geometry, the home pose Jacobian has condition {condition:.1e}, "
             f"expected below {SINGULAR_CONDITION:.0e}"
         )
-    _check_level(mechanism, home)
-    _check_strokes(mechanism)
-    _check_actuators(mechanism, home)
+    tilt = float(np.degrees(np.arccos(np.clip(home.rotation[2, 2], -1.0, 1.0))))
+    if tilt > TILTED:  # home is level by definition
+        raise InputError(
+            f"mechanism {mechanism.name!r}: found legs that close at home only with the platform tilted by "
+            f"{tilt:.3g} deg, expected it level to {TILTED:g} deg: other lengths, or [home] with position_mm, which "
+            "gives them"
+        )
+    _check_strokes(mechanism, home)
     return home
 
 
@@ -433,34 +422,19 @@ def _name_widest_gap(mechanism: Mechanism) -> str:
     )
 
 
-def _check_level(mechanism: Mechanism, home: ForwardKinematics) -> None:
-    """Raise InputError where the legs close with a tilted platform only: home is level by definition."""
-    tilt = float(np.degrees(np.arccos(np.clip(home.rotation[2, 2], -1.0, 1.0))))
-    if tilt > TILTED:
-        raise InputError(
-            f"mechanism {mechanism.name!r}: found legs that close at home only with the platform tilted by "
-            f"{tilt:.3g} deg, expected it level to {TILTED:g} deg: other lengths, or [home] with position_mm, which "
-            "gives them"
-        )
-
-
-def _check_strokes(mechanism: Mechanism) -> None:
-    """Raise InputError for struts that could shrink to nothing: lengths were written in another unit than mm."""
-    leg = int(np.argmin(mechanism.leg_lengths))
-    length, stroke = float(mechanism.leg_lengths[leg]), mechanism.actuator_range
-    if mechanism.drive == "strut" and stroke >= length:
-        metres = "; the joints look like metres" if stroke < METRE * length else ""
-        raise InputError(
-            f"mechanism {mechanism.name!r}: found an actuator range of {stroke:g} mm and a strut of {length:.4g} mm "
-            f"(leg {leg + 1}), expected a range that leaves something of the strut{metres}"
-        )
-
-
-def _check_actuators(mechanism: Mechanism, home: ForwardKinematics) -> None:
-    """Raise InputError where a leg stands across its actuator at home, which then cannot move it."""
+def _check_strokes(mechanism: Mechanism, home: ForwardKinematics) -> None:
+    """Raise InputError for a strut that could shrink to nothing, or a leg across its actuator, which cannot move it."""
     if mechanism.drive == "strut":
+        leg = int(np.argmin(mechanism.leg_lengths))
+        length, stroke = float(mechanism.leg_lengths[leg]), mechanism.actuator_range
+        if stroke >= length:  # lengths were written in another unit than mm
+            metres = "; the joints look like metres" if stroke < METRE * length else ""
+            raise InputError(
+                f"mechanism {mechanism.name!r}: found an actuator range of {stroke:g} mm and a strut of {length:.4g} "
+                f"mm (leg {leg + 1}), expected a range that leaves something of the strut{metres}"
+            )
         return
-    legs = home.position + mechanism.platform_points @ home.rotation.T - mechanism.home_joints
+    legs = span_home_legs(mechanism, home)
     along = np.abs(np.sum(mechanism.directions * legs, axis=1)) / np.linalg.norm(legs, axis=1)
     if not along.min() >= ACROSS:
         leg = int(np.argmin(along))
@@ -472,7 +446,11 @@ def _check_actuators(mechanism: Mechanism, home: ForwardKinematics) -> None:
 
 def compute_home_legs(machine: Machine) -> Array:
     """Return the nominal vectors from lower to upper joint at the home pose, shape (N, 3), base frame, mm."""
-    home, mechanism = check_home_pose(machine), machine.mechanism
+    return span_home_legs(machine.mechanism, check_home_pose(machine))
+
+
+def span_home_legs(mechanism: Mechanism, home: ForwardKinematics) -> Array:
+    """Return the same of a home pose that is known."""
     return home.position + mechanism.platform_points @ home.rotation.T - mechanism.home_joints
 
 

@@ -225,10 +225,6 @@ class LegLoads:
         moment = chain.near[..., None, None] * np.eye(3) + along[..., :, None] * axis[..., None, :]
         return self._at_origin(skew_matrix(-self._slim * axis), moment, 1)
 
-    def by_arm(self) -> Array:
-        """Return the derivative of a x F by a, shape (..., N, 3, 3)."""
-        return skew_matrix(self.force)
-
     def _at_origin(self, force: Array, moment: Array, n_axes: int = 0) -> Array:
         """Return loads at the joints, with axes between those of the legs and the last, as wrenches at the origin."""
         arm = self.state.legs.arm
@@ -298,8 +294,9 @@ class Equilibrium:
         residual = (external - loads.wrench().sum(axis=-2)) @ to_rows
         rows = _take_to_rows(loads.by_state(state.changes() if with_parameters else state.by_vector()), -to_rows)
         by_vector = _covectors(rows[..., :3, :])
-        by_joint = by_vector - _covectors(_take_to_rows(loads.by_arm(), to_rows[3:]))  # the upper joint moves g and a
-        by_phi = np.swapaxes(_take_to_rows(_sum_legs(loads.by_phi()), -to_rows), -1, -2)
+        by_arm = skew_matrix(loads.force)  # the derivative of a x F by a
+        by_joint = by_vector - _covectors(_take_to_rows(by_arm, to_rows[3:]))  # the upper joint moves g and a
+        by_phi = np.swapaxes(_take_to_rows(np.einsum("...nkm->...km", loads.by_phi()), -to_rows), -1, -2)
         left = compute_left_inverse_jacobian(phi)
         by_turn = _sum_moments(legs.arm, by_joint) + by_phi @ left
         by_turn = by_turn + np.swapaxes(_take_to_rows(by_rotation, to_rows), -1, -2)
@@ -339,11 +336,6 @@ def _take_to_rows(wrenches: Array, to_rows: Array) -> Array:
     """Return wrenches (..., k) times Qᵀ, shape (k, 6): one product for all, where NumPy would make one of each leg."""
     flat = wrenches.reshape(-1, wrenches.shape[-1]) @ to_rows
     return np.asarray(flat.reshape(*wrenches.shape[:-1], to_rows.shape[-1]))
-
-
-def _sum_legs(slope: Array) -> Array:
-    """Return the sum over legs of derivatives (..., N, 3, 6)."""
-    return np.asarray(np.einsum("...nkm->...km", slope))
 
 
 def _sum_moments(arm: Array, covector: Array) -> Array:

@@ -2,12 +2,8 @@
 
 Each leg is a chain flexure, leg, flexure of beams that is free of stress at the home pose and clamped to actuator and
 platform. With the elongation e, the chord's turn ψ since home and the platform's turn φ = Log(R R^0ᵀ), the platform has
-to pull with
-
-    F = k_a e z + (k_n + k_f) / l · z x (φ - 2 ψ),    M = k_n φ + (k_t - k_n) (φ · z) z - (k_n + k_f) ψ
-
-at the leg's upper joint centre b*: eqs. (20) to (29) with the chain's stiffness of `equilibrium`, moved from the
-chain's end nodes to the joint centres. Equilibrium is eq. (33), W = P_E - Σ [F; M + R b* x F] = 0.
+to pull with F and M of `equilibrium` at the leg's upper joint centre b*: eqs. (20) to (29) with the chain's stiffness
+there, moved from the chain's end nodes to the joint centres. Equilibrium is eq. (33).
 
 The report keeps the legs' directions of the home pose in F and M (eq. 28); then the model is linear and misses how a
 leg that leans shortens, some 30 µm at the ends of the telescope's workspace. `Stiffness` takes the directions as they

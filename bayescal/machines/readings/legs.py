@@ -22,7 +22,7 @@ from functools import cached_property
 
 import numpy as np
 
-from bayescal.machines.coordinates import Coordinates, close_at_mean
+from bayescal.machines.coordinates import ClosingCoordinates, Coordinates
 from bayescal.machines.kinematics import (
     Machine,
     check_home_pose,
@@ -309,7 +309,7 @@ class Legs(ReadingModel):
         if not hidden:
             return straight
         start, turn = machine.mechanism.initial_actuator_positions, matrix_from_rotation_vector(home[None, 3:])
-        return close_at_mean(straight, machine, home[None, :3], turn, start[None])
+        return ClosingCoordinates.around(straight, machine, home[None, :3], turn, start[None])
 
     # --- commands --------------------------------------------------------------------------------------------------
 
