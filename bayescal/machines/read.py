@@ -11,8 +11,7 @@ from pydantic import create_model
 from bayescal.config.classes import Choice, choose, find_classes, find_files, name_failures
 from bayescal.config.load import check_section, find_line, read_toml
 from bayescal.config.registry import find_class, is_own, list_references, list_sources
-from bayescal.config.sections import Section
-from bayescal.errors import BayescalError, InputError, name_faults
+from bayescal.errors import InputError, name_faults
 from bayescal.files.csv_tables import read_matrix
 from bayescal.machines.deformations import Deformation, NominalDeformation
 from bayescal.machines.kinematics import Machine, check_drive, check_home_pose
@@ -93,7 +92,13 @@ def _legs(config: MechanismConfig, base: Array, home: HomeStart, path: Path) -> 
             raise InputError(f"{path}: {field}: found {len(values)} legs, expected {n_legs} as in base")
     if config.legs.length_mm is None:
         travel = columns["legs.initial_actuator_position_mm"][:, None] * columns["legs.direction"]
-        columns["legs.length_mm"] = _span(base + travel, np.array(home.position) + columns["platform"], path)
+        lengths = np.linalg.norm(np.array(home.position) + columns["platform"] - (base + travel), axis=1)
+        if np.any(lengths < SHORTEST):
+            leg = int(np.argmin(lengths)) + 1
+            raise InputError(
+                f"{path}: home.position_mm: found both joints of leg {leg} in one place, expected a length"
+            )
+        columns["legs.length_mm"] = lengths
     if config.flexures is not None:
         lengths, flexures = np.broadcast_arrays(columns["legs.length_mm"], columns["flexures.length_mm"])
         if np.any(flexures >= lengths):
@@ -135,22 +140,11 @@ def _home(config: MechanismConfig, path: Path, text: str) -> HomeStart:
     return HomeStart((x, y, z))
 
 
-def _span(lower: Array, upper: Array, path: Path) -> Array:
-    """Return the distances between joints, shape (N,), mm."""
-    lengths = np.linalg.norm(upper - lower, axis=1)
-    if np.any(lengths < SHORTEST):
-        leg = int(np.argmin(lengths)) + 1
-        raise InputError(f"{path}: home.position_mm: found both joints of leg {leg} in one place, expected a length")
-    return lengths
-
-
 def _flexures(config: MechanismConfig, full: dict[str, Array]) -> Flexures | None:
     if config.flexures is None:
         return None
-    length, beta = full["flexures.length_mm"], full["flexures.beta"]
-    if config.stiffness is None:
-        return Flexures(length, beta)
-    return Flexures(length, beta, _section(config.stiffness.flexure), _section(config.stiffness.leg))
+    sections = [_section(config.stiffness.flexure), _section(config.stiffness.leg)] if config.stiffness else []
+    return Flexures(full["flexures.length_mm"], full["flexures.beta"], *sections)
 
 
 def _section(config: BeamSectionConfig) -> BeamSection:
@@ -171,19 +165,16 @@ def _load(config: LoadConfig) -> ExternalLoad:
 def points_of(config: PointsConfig | list[TargetRingConfig]) -> Array:
     """Return points of a body, shape (n, 3), mm, those of rings with the digits that are written of them."""
     if isinstance(config, list):
-        return np.round(np.concatenate([_points_on(ring) for ring in config]), RING_DECIMALS)
+        turns = [np.radians(ring.azimuth_deg) + 2 * np.pi * np.arange(ring.count) / ring.count for ring in config]
+        rings = [_on_circle(ring.radius_mm, turn, ring.height_mm) for ring, turn in zip(config, turns, strict=True)]
+        return np.round(np.concatenate(rings), RING_DECIMALS)
     if config.points_mm is not None:
         return np.array(config.points_mm, dtype=np.float64)
-    azimuth = np.radians(config.azimuth_deg or [])
-    radius = config.radius_mm or 0.0
-    height = np.full_like(azimuth, config.height_mm)
-    return np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), height], axis=1)
+    return _on_circle(config.radius_mm or 0.0, np.radians(config.azimuth_deg or []), config.height_mm)
 
 
-def _points_on(ring: TargetRingConfig) -> Array:
-    azimuth = np.radians(ring.azimuth_deg) + 2 * np.pi * np.arange(ring.count) / ring.count
-    height = np.full(ring.count, ring.height_mm)
-    return np.stack([ring.radius_mm * np.cos(azimuth), ring.radius_mm * np.sin(azimuth), height], axis=1)
+def _on_circle(radius: float, azimuth: Array, height: float) -> Array:
+    return np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), np.full_like(azimuth, height)], axis=1)
 
 
 def build_named_machine(
@@ -258,18 +249,9 @@ def read_reading_model(path: Path) -> ReadingModel:
         schema = create_model("MachineFile", __base__=MachineFileConfig, machine=(found.Config, ...))
         config = check_section(schema, {"machine": {}, **content}, path, text)
     with name_faults(path):
-        return FunctionModel(config.name, _make(found, config if whole else config.machine))
-
-
-def _make(found: type[ReadingMachine], section: Section) -> ReadingMachine:
-    """Return a machine of a class that may be somebody else's."""
-    try:
-        return found(section)
-    except BayescalError:
-        raise
-    except Exception as error:
-        text = " ".join(str(error).split())
-        raise InputError(f"class {found.__name__}: failed with {type(error).__name__}: {text}") from error
+        with name_failures(found, "kind", path):
+            machine = found(config if whole else config.machine)
+        return FunctionModel(config.name, machine)
 
 
 def _find(kind: str, path: Path) -> type[ReadingMachine]:

@@ -35,12 +35,12 @@ from bayescal.data.instruments.read_poses import (
     read_noise,
     read_poses,
 )
-from bayescal.data.instruments.readings import COORDINATES, TrackedPoses, check_units
+from bayescal.data.instruments.readings import TrackedPoses, check_units
 from bayescal.density.calibration.measurements import Measurements
 from bayescal.errors import InputError, name_faults
 from bayescal.files.csv_tables import format_table, read_table
 from bayescal.machines.kinematics import solve_forward_kinematics, solve_inverse_kinematics
-from bayescal.machines.readings import Given, Legs
+from bayescal.machines.readings import POSE, Given, Legs
 from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array, matrix_from_rotation_vector
 from bayescal.numerics.units import ARCSECOND, MICROMETRE
 
@@ -244,11 +244,11 @@ def build_covariance(position_um: float, orientation_arcsec: float) -> Array:
 
 def read_mean_covariance(path: Path) -> Array:
     """Return the mean covariance (6, 6) of the poses of a table, mm and rad, by covariances or by ``sd_`` columns."""
-    upper, lower = name_covariances(COORDINATES)
+    upper, lower = name_covariances(POSE)
     table = read_table(path, ("pose",), (*read_table(path, None).columns, *upper, *lower))
     if not any(name in table.columns for name in (*upper, *DEVIATIONS)):
         raise InputError(f"{path}: found no noise, expected cov_x_x ... cov_rz_rz or sd_x_um ... sd_rz_urad")
-    whole = np.ones((len(table.rows), len(COORDINATES)), dtype=bool)
+    whole = np.ones((len(table.rows), len(POSE)), dtype=bool)
     covariance = read_noise(table, PoseNoise(), whole)
     check_positive(table, covariance, whole)
     return np.asarray((covariance * np.outer(UNITS, UNITS)).mean(axis=0))

@@ -24,10 +24,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from bayescal.data.actuators import check_calibration, name_actuators, read_actuators, read_uses
-from bayescal.data.instruments.readings import COORDINATES, TrackedPoses
+from bayescal.data.instruments.readings import TrackedPoses
 from bayescal.errors import InputError
 from bayescal.files.atomic import read_text
 from bayescal.files.csv_tables import Table, read_table
+from bayescal.machines.readings import POSE
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import ARCSECOND, MICROMETRE, MICRORADIAN
 
@@ -294,7 +295,7 @@ def read_poses(path: Path, actuators: Path | None, noise: PoseNoise, n_legs: int
 
 
 def _read_columns(path: Path, actuators: tuple[str, ...]) -> Table:
-    upper, lower = name_covariances(COORDINATES)
+    upper, lower = name_covariances(POSE)
     return read_table(path, ("pose",), ("use", *VALUES, *DEVIATIONS, *upper, *lower, *actuators, *OTHER_COLUMNS))
 
 
@@ -326,7 +327,7 @@ def _read_values(table: Table) -> Array:
 
 def read_noise(table: Table, noise: PoseNoise, measured: np.ndarray) -> Array:
     """Return the covariances (P, 6, 6) in µm and µrad."""
-    covariance = read_covariances(table, COORDINATES, measured)
+    covariance = read_covariances(table, POSE, measured)
     deviations = [k for k, name in enumerate(DEVIATIONS) if name in table.columns]
     if covariance is not None and deviations:
         raise InputError(f"{table.path}: found standard deviations beside covariances, expected either")

@@ -24,6 +24,7 @@ from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.data.photogrammetry.rigid_fit import weighted_rigid_transform
 from bayescal.errors import InputError
 from bayescal.machines.kinematics import Machine, solve_forward_kinematics
+from bayescal.machines.readings import POSE
 from bayescal.numerics.geometry import (
     DEGREES_OF_FREEDOM,
     Array,
@@ -31,8 +32,6 @@ from bayescal.numerics.geometry import (
     matrix_from_rotation_vector,
     rotation_vector_from_matrix,
 )
-
-COORDINATES = ("x", "y", "z", "rx", "ry", "rz")
 
 
 class Seen(NamedTuple):
@@ -100,7 +99,7 @@ class TrackedPoses(Tracked):
     def describe(self) -> dict[str, Any]:
         """Return which coordinates were measured."""
         count = np.isfinite(self.values).sum(axis=0).tolist()
-        return {"measured_coordinates": dict(zip(COORDINATES, count, strict=True))}
+        return {"measured_coordinates": dict(zip(POSE, count, strict=True))}
 
 
 ITERATIONS = 20

@@ -57,13 +57,13 @@ from bayescal.experiments.simulation.schema import (
 )
 from bayescal.files.csv_tables import format_table, read_matrix
 from bayescal.machines.deformations import MatrixDeformation
-from bayescal.machines.frames import frame_blocks, move_frames
 from bayescal.machines.kinematics import ForwardKinematics, Machine, check_home_pose, solve_forward_kinematics
 from bayescal.machines.mechanism import Mechanism
 from bayescal.machines.parameters import ParameterLayout
 from bayescal.machines.read import build_chosen_machine, choose_model, load_mechanism, points_of, read_reading_model
 from bayescal.machines.readings import Legs, ReadingModel, place
 from bayescal.machines.readings.legs import TILTS
+from bayescal.machines.readings.tracker import frame_blocks, move_frames
 from bayescal.numerics.geometry import (
     DEGREES_OF_FREEDOM,
     Array,

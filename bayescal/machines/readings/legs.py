@@ -294,11 +294,20 @@ class Legs(ReadingModel):
         kinematics for each. None beside inclinometers, and where an encoder was not read.
         """
         del given
-        own = [k for k, one in enumerate(self.channels) if one.kind == "rho"]
-        if self._tilts or len(own) < self.n_legs or not np.isfinite(values[:, own]).all():
+        places = np.flatnonzero([one.kind == "rho" for one in self.channels])
+        if self._tilts or len(places) < self.n_legs or not np.isfinite(values[:, places]).all():
             return None
-        places = np.array(own)
-        return BoundLegs.build(self.machine, self._own(theta), values[:, places], pose, places)
+        machine, own, actuators = self.machine, self._own(theta), values[:, places]
+        position, rotation = pose[:, :3], matrix_from_rotation_vector(pose[:, 3:])
+        closure = machine.model.bind(machine.layout, position, rotation, machine.basis(actuators))
+        at_own = machine.basis_at(own, actuators)
+        here = machine.model.prepare(machine.layout, own)(position, rotation, at_own, False)
+        closure.evaluate(np.asfortranarray(np.broadcast_to(own, (len(POSE), len(own)))))
+        unit = np.ascontiguousarray(np.broadcast_to(np.eye(len(POSE))[:, None], (len(POSE), len(pose), len(POSE))))
+        more = here.pose - closure.along(unit).transpose(1, 0, 2)
+        inverse = divide_closure(here.actuators, np.broadcast_to(np.eye(actuators.shape[1]), here.actuators.shape))
+        turns = compute_left_jacobian(pose[:, 3:])
+        return BoundLegs(places, len(own), machine, (position, rotation), actuators, closure, inverse, more, turns)
 
     def straighten(self, known: Coordinates, hidden: bool) -> Coordinates:
         """Return coordinates that follow directions and joints; see `bayescal.machines.coordinates`.
@@ -362,11 +371,7 @@ def legs_of(model: ReadingModel) -> Legs | None:
 
 @dataclass(frozen=True, eq=False)
 class BoundLegs(Bound):
-    """Encoders of machines on legs at poses that stay, by a bound closure.
-
-    ``inverse`` (P, N, N): (∂f/∂ρ)⁻¹; ``more`` (P, N, 6): what the closure leaves out of ∂f/∂pose; ``turns`` (P, 3, 3):
-    from a change of a rotation vector to a rotation in the base frame.
-    """
+    """Encoders of machines on legs at poses that stay, by a bound closure."""
 
     places: np.ndarray
     n_own: int
@@ -374,25 +379,9 @@ class BoundLegs(Bound):
     place: tuple[Array, Array]  # (P, 3), (P, 3, 3): the poses
     actuators: Array  # (P, N)
     closure: BoundClosure
-    inverse: Array
-    more: Array
-    turns: Array
-
-    @classmethod
-    def build(cls, machine: Machine, theta: Array, actuators: Array, pose: Array, places: np.ndarray) -> BoundLegs:
-        """Return it for measured actuators (P, N) at poses (P, 6), by the slope of a machine (D,)."""
-        position, rotation = pose[:, :3], matrix_from_rotation_vector(pose[:, 3:])
-        basis = machine.basis(actuators)
-        closure = machine.model.bind(machine.layout, position, rotation, basis)
-        here = machine.model.prepare(machine.layout, theta)(
-            position, rotation, machine.basis_at(theta, actuators), False
-        )
-        closure.evaluate(np.asfortranarray(np.broadcast_to(theta, (len(POSE), len(theta)))))
-        unit = np.ascontiguousarray(np.broadcast_to(np.eye(len(POSE))[:, None], (len(POSE), len(pose), len(POSE))))
-        more = here.pose - closure.along(unit).transpose(1, 0, 2)
-        inverse = divide_closure(here.actuators, np.broadcast_to(np.eye(actuators.shape[1]), here.actuators.shape))
-        turns = compute_left_jacobian(pose[:, 3:])
-        return cls(places, len(theta), machine, (position, rotation), actuators, closure, inverse, more, turns)
+    inverse: Array  # (P, N, N): (∂f/∂ρ)⁻¹
+    more: Array  # (P, N, 6): what the closure leaves out of ∂f/∂pose
+    turns: Array  # (P, 3, 3): from a change of a rotation vector to a rotation in the base frame
 
     def read(self, theta: Array) -> Array:
         """Return ρ - (∂f/∂ρ)⁻¹ f at the measured ρ; see `Bound.read`."""

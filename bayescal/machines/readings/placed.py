@@ -24,12 +24,21 @@ from pydantic import Field
 from bayescal.config.sections import Section, Vector
 from bayescal.errors import InputError, name_faults
 from bayescal.machines.parameters import ParameterBlock, ParameterLayout
-from bayescal.machines.readings.base import NOTHING, Bound, Channel, Coordinate, Given, ReadingModel, Readings, hand_on
+from bayescal.machines.readings.base import (
+    NOTHING,
+    POSE,
+    Bound,
+    Channel,
+    Coordinate,
+    Given,
+    ReadingModel,
+    Readings,
+    hand_on,
+)
 from bayescal.machines.readings.function import STEP, FunctionModel, Parameters, ReadingMachine
 from bayescal.numerics.analytic import norm, rotation_matrix, rotation_vector
 from bayescal.numerics.geometry import Array
 
-TOOL = ("x", "y", "z", "rx", "ry", "rz")
 NEARBY = (100.0,) * 3 + (0.5,) * 3  # mm and rad about the tool at home, within which an instrument is checked
 
 
@@ -118,7 +127,7 @@ class PointInstrument(Instrument):
     def see(self, parameters: Parameters, position: Any, rotation: Any) -> Any:
         """Return where the target is in the instrument's frame."""
         own = np.swapaxes(rotation_matrix(parameters["frame_r"]), -1, -2)
-        return _turn(own, _find_target(parameters, position, rotation) - parameters["frame"])
+        return turn(own, _find_target(parameters, position, rotation) - parameters["frame"])
 
 
 class PoseInstrument(PointInstrument):
@@ -164,17 +173,18 @@ def _points(symbol: str, value: list[float] | None) -> list[ParameterBlock]:
 
 
 def _frame(symbol: str, position: list[float], degrees: list[float]) -> list[ParameterBlock]:
-    turn = ParameterBlock(f"{symbol}_r", tuple(float(one) for one in np.radians(degrees)), "rad")
-    return [*_points(symbol, position), turn]
+    vector = tuple(float(one) for one in np.radians(degrees))
+    return [*_points(symbol, position), ParameterBlock(f"{symbol}_r", vector, "rad")]
 
 
-def _turn(rotation: Any, vector: Any) -> Any:
+def turn(rotation: Any, vector: Any) -> Any:
+    """Return vectors (..., 3) turned by rotations (..., 3, 3)."""
     return (rotation @ vector[..., None])[..., 0]
 
 
 def _find_target(parameters: Parameters, position: Any, rotation: Any) -> Any:
     """Return where the target is in the base frame, (..., 3)."""
-    return position + _turn(rotation, parameters["target"]) if "target" in parameters else position
+    return position + turn(rotation, parameters["target"]) if "target" in parameters else position
 
 
 # --- the machine before them -----------------------------------------------------------------------------------------
@@ -267,7 +277,7 @@ class Placed(ReadingModel):
 
     def _place_tool(self, numbers: Array, pose: Array) -> Array:
         """Return position and rotation vector (..., 6) from the tool's numbers (..., m) at poses (..., q)."""
-        found = np.zeros((*numbers.shape[:-1], len(TOOL)))
+        found = np.zeros((*numbers.shape[:-1], len(POSE)))
         found[..., : len(self.tool_lengths)] = numbers[..., self.tool_lengths]
         if self.tool_turned:
             found[..., 3:] = numbers[..., self.tool_turned]
@@ -425,7 +435,7 @@ def place(machine: ReadingModel, instruments: Mapping[str, Instrument]) -> Readi
                 )
             home = bare._place_tool(machine.tool_values(machine.layout.nominal, machine.home_pose), machine.home_pose)
             one.coordinates = [
-                Coordinate(axis, "mm" if k < 3 else "rad", float(home[k]), NEARBY[k]) for k, axis in enumerate(TOOL)
+                Coordinate(axis, "mm" if k < 3 else "rad", float(home[k]), NEARBY[k]) for k, axis in enumerate(POSE)
             ]
             model = FunctionModel(name, one)
             if model.pattern[:, model.layout.size + 3 :].any() and not bare.tells_rotation:

@@ -173,7 +173,7 @@ class StrutMachine(ReadingMachine):
         wrench = np.concatenate([np.broadcast_to(force, moment.shape), moment], axis=-1)
         grasp = np.swapaxes(np.concatenate([u, _cross(arms, u)], axis=-1), -1, -2)
         tension = _solve(grasp, wrench[..., None])[..., 0]
-        growth = (1.0 + _expand(parameters["e_s"], warmer))[..., None]
+        growth = (1.0 + PER_MILLION * parameters["e_s"] * warmer)[..., None]
         return _Stand(length, u, arms, centre, force, grasp, tension, growth)
 
     def _carry_base(self, parameters: Parameters, elevation: Any, warmer: Any) -> Any:
@@ -247,10 +247,6 @@ def _six(parameters: Parameters, what: str) -> Any:
     return np.stack([parameters[f"{what}_{axis}"] for axis in POSE], axis=-1)
 
 
-def _expand(per_million: Any, warmer: Any) -> Any:
-    return PER_MILLION * per_million * warmer
-
-
 def _change_load(at: _Stand) -> Any:
     """Return ∂w/∂(p, ω) - Σ ∂g/∂(p, ω) t for the struts' screws g = (u, a × u) with arms a, shape (..., 6, 6).
 
@@ -276,7 +272,7 @@ def _change_load(at: _Stand) -> Any:
 def _grow(parameters: Parameters, symbol: str, expansion: str, warmer: Any) -> Any:
     """Return the joints of base or platform as temperature has them, (..., 6, 3)."""
     points = np.stack([parameters[f"{symbol}_{axis}"] for axis in "xyz"], axis=-1)
-    return points * (1.0 + _expand(parameters[expansion], warmer))[..., None, None]
+    return points * (1.0 + PER_MILLION * parameters[expansion] * warmer)[..., None, None]
 
 
 def _turn(rotation: Any, vectors: Any) -> Any:

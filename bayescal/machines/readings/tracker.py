@@ -1,7 +1,8 @@
 """An instrument whose frames are not known: where each station's frame lies, and that of the tool on the platform.
 
-It sees T_base,s T T_tool, with T the platform's pose and the frames of `bayescal.machines.frames`, nominally zero: as a
-pose, or as points on the tool.
+It sees T_base,s T T_tool, with T the platform's pose: as a pose, or as points on the tool. Each frame has six
+parameters, a displacement and a rotation vector, nominally zero. Where the frames and the joints are all free, moving a
+frame and the joints with it changes no measurement: six gauge freedoms a frame.
 """
 
 from __future__ import annotations
@@ -11,12 +12,44 @@ from typing import Any
 
 import numpy as np
 
-from bayescal.machines.frames import AXES, frame_blocks, frame_symbols, name_frames
+from bayescal.machines.parameters import ParameterBlock
 from bayescal.machines.readings.base import Channel
 from bayescal.machines.readings.function import Parameters
-from bayescal.machines.readings.placed import Instrument
+from bayescal.machines.readings.placed import Instrument, turn
 from bayescal.numerics.analytic import rotation_matrix, rotation_vector
-from bayescal.numerics.geometry import Array
+from bayescal.numerics.geometry import Array, matrix_from_rotation_vector
+
+AXES = ("x", "y", "z")
+
+
+def frame_symbols(frame: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the symbols of a frame's displacement and of its rotation vector."""
+    return tuple(f"{frame}_{axis}" for axis in AXES), tuple(f"{frame}_r{axis}" for axis in AXES)
+
+
+def name_frames(n_stations: int) -> tuple[str, ...]:
+    """Return the names of all frames: ``base`` of one instrument, ``base1`` ... of several stations, then the tool."""
+    bases = ("base",) if n_stations == 1 else tuple(f"base{station}" for station in range(1, n_stations + 1))
+    return (*bases, "tool")
+
+
+def frame_blocks(n_stations: int) -> tuple[ParameterBlock, ...]:
+    """Return the parameters of all frames, six of each, in the order of `name_frames`."""
+    return tuple(
+        ParameterBlock(symbol, (0.0,), unit, per_leg=False)
+        for frame in name_frames(n_stations)
+        for symbols, unit in zip(frame_symbols(frame), ("mm", "rad"), strict=True)
+        for symbol in symbols
+    )
+
+
+def move_frames(values: Array, position: Array, rotation: Array) -> tuple[Array, Array]:
+    """Return poses as the instrument sees them, (..., P, 3) and (..., P, 3, 3), for frame parameters (..., 12)."""
+    base, tool = values[..., None, :6], values[..., None, 6:]
+    own = matrix_from_rotation_vector(base[..., 3:])
+    seen = np.einsum("...ij,...j->...i", rotation, tool[..., :3]) + position
+    turned = own @ rotation @ matrix_from_rotation_vector(tool[..., 3:])
+    return base[..., :3] + np.einsum("...ij,...j->...i", own, seen), turned
 
 
 class Tracker(Instrument):
@@ -51,14 +84,10 @@ class Tracker(Instrument):
 
     def see(self, parameters: Parameters, position: Any, rotation: Any) -> Any:
         """Return what each station sees, in the order of the channels."""
-        offset, turn = self._frame(parameters, -1)
-        tool, turned, found = position + _turn(rotation, offset), rotation @ turn, []
+        offset, own = self._frame(parameters, -1)
+        tool, turned, found = position + turn(rotation, offset), rotation @ own, []
         for station, point in self._seen:
             place, frame = self._frame(parameters, station)
-            at, way = place + _turn(frame, tool), frame @ turned
-            found += [at, rotation_vector(way)] if point is None else [at + _turn(way, point)]
+            at, way = place + turn(frame, tool), frame @ turned
+            found += [at, rotation_vector(way)] if point is None else [at + turn(way, point)]
         return np.concatenate(np.broadcast_arrays(*found), axis=-1)
-
-
-def _turn(rotation: Any, vector: Any) -> Any:
-    return (rotation @ vector[..., None])[..., 0]

@@ -10,10 +10,10 @@ import pytest
 import telescope_machines as machines
 
 from bayescal.machines.deformations import MatrixDeformation
-from bayescal.machines.frames import move_frames
 from bayescal.machines.models import MODELS
 from bayescal.machines.readings import Legs, Tracker
 from bayescal.machines.readings.placed import place
+from bayescal.machines.readings.tracker import move_frames
 from bayescal.numerics.geometry import compute_pose_error, matrix_from_rotation_vector, rotation_vector_from_matrix
 
 N_POSES, B = 7, 4

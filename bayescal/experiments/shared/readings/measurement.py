@@ -37,10 +37,10 @@ from bayescal.experiments.shared.study_schema import (
     StudyConfig,
     TargetDataConfig,
 )
-from bayescal.machines.frames import frame_symbols, name_frames
 from bayescal.machines.mechanism import Mechanism
 from bayescal.machines.readings import Instrument, Tracker
 from bayescal.machines.readings.base import POSE_CHANNELS
+from bayescal.machines.readings.tracker import frame_symbols, name_frames
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import MICROMETRE, Units
 
