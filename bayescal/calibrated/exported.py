@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -364,23 +364,26 @@ def _read_covariance(folder: Path, name: str | None) -> tuple[tuple[str, ...], A
     return names, covariance
 
 
-def _read_draws(path: Path, names: tuple[str, ...]) -> Array:
+def _read_netcdf[Found](path: Path, what: str, read: Callable[[], Found]) -> Found:
+    """Return what is read of a file; InputError where it is none of what."""
     if not path.is_file():
-        raise InputError(f"{path}: no such file, expected draws as netCDF")
+        raise InputError(f"{path}: no such file, expected {what} as netCDF")
     try:
+        return read()
+    except (OSError, ValueError, KeyError) as error:
+        raise InputError(f"{path}: cannot be read as {what} ({' '.join(str(error).split())})") from error
+
+
+def _read_draws(path: Path, names: tuple[str, ...]) -> Array:
+    def read() -> Array:
         draws = read_netcdf(path)["draws"].sel(parameter=list(names)).transpose("draw", "parameter")
         return np.asarray(draws.to_numpy(), dtype=np.float64)
-    except (OSError, ValueError, KeyError) as error:
-        raise InputError(f"{path}: cannot be read as draws ({' '.join(str(error).split())})") from error
+
+    return _read_netcdf(path, "draws", read)
 
 
 def _read_functions(path: Path, names: tuple[str, ...]) -> KnownFunctions:
-    if not path.is_file():
-        raise InputError(f"{path}: no such file, expected systematic errors as netCDF")
-    try:
-        known, beside = read_known(path)
-    except (OSError, ValueError, KeyError) as error:
-        raise InputError(f"{path}: cannot be read as systematic errors ({' '.join(str(error).split())})") from error
+    known, beside = _read_netcdf(path, "systematic errors", lambda: read_known(path))
     if tuple(beside) != names or known.n_geometry != len(names):
         raise InputError(f"{path}: found other parameters than those of the covariance, expected the same in its order")
     return known

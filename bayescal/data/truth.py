@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from bayescal.errors import InputError, name_faults
-from bayescal.files.csv_tables import Table, format_table, read_table
+from bayescal.files.csv_tables import format_table, read_table
 from bayescal.machines.parameters import ParameterLayout
 from bayescal.numerics.geometry import Array
 
@@ -53,7 +53,16 @@ def read_true_parameters(path: Path, layout: ParameterLayout) -> Array:
         has.
     """
     table = read_table(path, PARAMETER_COLUMNS)
-    places = _find_places(table, layout)
+    known = {name: k for k, name in enumerate(layout.names)}
+    names = table.text("parameter")
+    for row, name in enumerate(names):
+        if name not in known:
+            close = difflib.get_close_matches(name, known, n=1)
+            hint = f", did you mean {close[0]!r}?" if close else ""
+            symbols = ", ".join(layout.symbols)
+            raise InputError(f"{table.where(row)}: parameter: found {name!r}{hint}, expected those of {symbols}")
+    table.check_unique([(name,) for name in names], "parameter")
+    places = [known[name] for name in names]
     for row, (unit, place) in enumerate(zip(table.text("unit"), places, strict=True)):
         if unit != layout.units[place]:
             where = f"{table.where(row)}: unit of {layout.names[place]}"
@@ -70,20 +79,3 @@ def read_true_parameters(path: Path, layout: ParameterLayout) -> Array:
     with name_faults(path):
         layout.check(theta)
     return theta
-
-
-def _find_places(table: Table, layout: ParameterLayout) -> list[int]:
-    """Return where in the vector each row's parameter stands."""
-    known = {name: k for k, name in enumerate(layout.names)}
-    first: dict[str, int] = {}
-    for row, name in enumerate(table.text("parameter")):
-        if name not in known:
-            close = difflib.get_close_matches(name, known, n=1)
-            hint = f", did you mean {close[0]!r}?" if close else ""
-            symbols = ", ".join(layout.symbols)
-            raise InputError(f"{table.where(row)}: parameter: found {name!r}{hint}, expected those of {symbols}")
-        if name in first:
-            line = table.lines[first[name]]
-            raise InputError(f"{table.where(row)}: parameter {name!r} is already on line {line}, expected it once")
-        first[name] = row
-    return [known[name] for name in first]

@@ -123,8 +123,9 @@ def read_covariances(table: Table, components: Sequence[str], measured: np.ndarr
             name = f"cov_{one}_{other}"
             if name in table.columns:
                 result[:, i, j] = table.numbers([name], gaps=True)[:, 0]
-    mirrored = np.swapaxes(result, -1, -2)
-    unlike = np.abs(result - mirrored) > ASYMMETRY * np.sqrt(np.abs(_products(result)))  # never where one is missing
+    mirrored, variance = np.swapaxes(result, -1, -2), np.diagonal(result, axis1=-2, axis2=-1)
+    size = np.sqrt(np.abs(variance[..., :, None] * variance[..., None, :]))
+    unlike = np.abs(result - mirrored) > ASYMMETRY * size  # never where one is missing
     table.refuse(
         unlike,
         lambda row, i, j: (
@@ -133,24 +134,14 @@ def read_covariances(table: Table, components: Sequence[str], measured: np.ndarr
         ),
     )
     result = np.where(np.isfinite(result), result, mirrored)
-    _check_complete(table, components, measured, result)
-    return result
-
-
-def _products(covariance: Array) -> Array:
-    variance = np.diagonal(covariance, axis1=-2, axis2=-1)
-    return variance[..., :, None] * variance[..., None, :]
-
-
-def _check_complete(table: Table, components: Sequence[str], measured: np.ndarray, covariance: Array) -> None:
-    missing = measured[:, :, None] & measured[:, None, :] & ~np.isfinite(covariance)
     table.refuse(
-        missing,
+        measured[:, :, None] & measured[:, None, :] & ~np.isfinite(result),
         lambda _, i, j: (
             f"cov_{components[min(i, j)]}_{components[max(i, j)]}: found nothing, expected a number, since both were "
             "measured"
         ),
     )
+    return result
 
 
 def check_positive(table: Table, covariance: Array, measured: np.ndarray) -> None:

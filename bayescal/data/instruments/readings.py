@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bayescal.data.measured_poses import MeasuredPoses
-from bayescal.data.photogrammetry.rigid_fit import weighted_rigid_transform
+from bayescal.data.photogrammetry.rigid_fit import is_collinear, weighted_rigid_transform
 from bayescal.errors import InputError
 from bayescal.machines.kinematics import Machine, solve_forward_kinematics
 from bayescal.machines.readings import POSE
@@ -155,7 +155,7 @@ class TrackedPoints(Tracked):
         probe = self.probe[point]
         values = self.values[pose, stations][station, point]
         white = self._whitening[pose, stations][station, point]
-        if len(point) < 3 or not _is_spread(probe):
+        if len(point) < 3 or is_collinear(probe, FLAT):
             return None
         position, rotation = weighted_rigid_transform(probe, values, np.ones(len(point)))
         for _ in range(ITERATIONS):
@@ -227,12 +227,6 @@ def turn_of(rotation: Array) -> Array:
     """Return rotation vectors (..., 3) of rotations (..., 3, 3); NaN where these are."""
     known = np.isfinite(rotation).all(axis=(-1, -2))[..., None]
     return np.where(known, rotation_vector_from_matrix(np.where(known[..., None], rotation, np.eye(3))), np.nan)
-
-
-def _is_spread(points: Array) -> bool:
-    """Whether points (n, 3) do not lie on a line."""
-    extent = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    return bool(extent[0] > 0.0 and extent[1] > FLAT * extent[0])
 
 
 UNLIKE, ALIKE = 0.5, 0.2  # misfits as shares of the expected change

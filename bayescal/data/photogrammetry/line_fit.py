@@ -29,20 +29,14 @@ class _Frame:
     far: NDArray[np.int64]  # (P,): target that fixes x
 
 
-def _fit_principal_axes(points: Array, seen: NDArray[np.bool_]) -> tuple[Array, Array, Array, Array]:
-    """Return barycentre (P, 3), offsets (P, n, 3), and values and vectors of the scatter matrix, ascending."""
-    share = seen[..., None] / seen.sum(axis=-1)[:, None, None]
-    centre = np.sum(share * np.where(seen[..., None], points, 0.0), axis=-2)
-    offset = np.where(seen[..., None], points - centre[:, None], 0.0)
-    values, vectors = np.linalg.eigh(np.swapaxes(offset, -1, -2) @ offset)
-    return centre, offset, values, vectors
-
-
 def _build_frame(
     points: Array, seen: NDArray[np.bool_], order: Array | None = None, far: NDArray[np.int64] | None = None
 ) -> _Frame:
     """Return the frames of clouds (P, n, 3); ``order`` (P, n) and ``far`` (P,) are those of the reference, if given."""
-    centre, offset, values, vectors = _fit_principal_axes(points, seen)
+    share = seen[..., None] / seen.sum(axis=-1)[:, None, None]
+    centre = np.sum(share * np.where(seen[..., None], points, 0.0), axis=-2)
+    offset = np.where(seen[..., None], points - centre[:, None], 0.0)
+    values, vectors = np.linalg.eigh(np.swapaxes(offset, -1, -2) @ offset)
     z = vectors[..., 2]
     along = np.einsum("pni,pi->pn", offset, z)
     if order is not None:
@@ -117,20 +111,9 @@ def fit_line(reference: ArrayLike, measured: ArrayLike, noise: float) -> RigidFi
     sign of z follows the order of the targets along the line of the reference. The pose is the measured frame times the
     inverse of the reference frame, both from the same seen targets.
 
-    Parameters
-    ----------
-    reference : array_like, shape (n, 3)
-        Targets in the body frame, mm, taken as exact.
-    measured : array_like, shape (..., n, 3)
-        Targets in the measurement frame, mm; NaN where a target was not seen.
-    noise : float
-        σ, known standard deviation of each measured coordinate, mm.
-
-    Returns
-    -------
-    RigidFit
-        Covariance by first-order propagation of the noise; weights are 1 for seen targets and 0 for others. ``chi2`` is
-        taken over seen targets; its mean exceeds ``dof``, since the pose is not that of least squares.
+    Arguments as of `fit_rigid_body`. The covariance is by first-order propagation of the noise; weights are 1 for seen
+    targets and 0 for others. ``chi2`` is taken over seen targets; its mean exceeds ``dof``, since the pose is not that
+    of least squares.
 
     Raises
     ------
@@ -145,17 +128,9 @@ def fit_line(reference: ArrayLike, measured: ArrayLike, noise: float) -> RigidFi
     rotation = frame.axes @ np.swapaxes(body.axes, -1, -2)
     lever = np.einsum("pij,pj->pi", rotation, body.centre)
     position = frame.centre - lever
-    covariance = _move_to_origin(_propagate_noise(frame, seen, noise), lever)
+    to_origin = np.broadcast_to(np.eye(6), (len(lever), 6, 6)).copy()
+    to_origin[..., :3, 3:] = skew_matrix(lever)  # dp = dc - w × lever = dc + [lever]× w
+    covariance = to_origin @ _propagate_noise(frame, seen, noise) @ np.swapaxes(to_origin, -1, -2)
+    covariance = 0.5 * (covariance + np.swapaxes(covariance, -1, -2))
     fit = RigidFit.of_targets(reference, flat, (position, rotation), seen.astype(float), noise, covariance)
     return fit.with_batch(np.shape(measured)[:-2])
-
-
-def _move_to_origin(covariance: Array, lever: Array) -> Array:
-    """Return the covariance of the pose at the body origin from that at the barycentre, ``lever`` = R c in mm.
-
-    ``dp = dc - w × lever = dc + [lever]× w``.
-    """
-    change = np.broadcast_to(np.eye(6), covariance.shape).copy()
-    change[..., :3, 3:] = skew_matrix(lever)
-    moved = change @ covariance @ np.swapaxes(change, -1, -2)
-    return 0.5 * (moved + np.swapaxes(moved, -1, -2))

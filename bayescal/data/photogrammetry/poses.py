@@ -75,12 +75,13 @@ def extract_poses(survey: Survey, noise: float, method: str = "robust") -> PoseE
     fits = {}
     rejected: list[tuple[str, str, str]] = []
     for name, body in (("base", survey.base), ("platform", survey.platform)):
-        rigid = body.leg == 0
+        rigid = np.flatnonzero(body.leg == 0)
         try:
             fits[name] = METHODS[method](body.reference[rigid], body.measured[:, rigid], noise)
         except PoseInputError as error:
             raise InputError(f"pose {survey.poses[error.index]!r}: {name}: {_explain(error, body, noise)}") from error
-        rejected.extend(_find_rejected(survey, name, body, fits[name]))
+        left_out = np.isfinite(body.measured[:, rigid, 0]) & (fits[name].weights == 0)
+        rejected += [(survey.poses[p], name, body.names[rigid[k]]) for p, k in np.argwhere(left_out)]
     position, rotation, covariance = compute_relative_pose(
         (fits["base"].position, fits["base"].rotation, fits["base"].covariance),
         (fits["platform"].position, fits["platform"].rotation, fits["platform"].covariance),
@@ -95,12 +96,6 @@ def _explain(error: PoseInputError, body: BodyTargets, noise: float) -> str:
         return error.fault
     rigid = body.leg == 0
     return f"{error.fault}; {compare_noise(body.reference[rigid], body.measured[error.index, rigid], noise)}"
-
-
-def _find_rejected(survey: Survey, name: str, body: BodyTargets, fit: RigidFit) -> list[tuple[str, str, str]]:
-    rigid = np.flatnonzero(body.leg == 0)
-    seen = np.isfinite(body.measured[:, rigid, 0])
-    return [(survey.poses[p], name, body.names[rigid[k]]) for p, k in np.argwhere(seen & (fit.weights == 0))]
 
 
 SUSPECT = 10.0

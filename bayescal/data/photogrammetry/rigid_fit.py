@@ -193,6 +193,12 @@ def check_targets(reference: ArrayLike, measured: ArrayLike, noise: float) -> tu
     return reference, flat, seen
 
 
+def is_collinear(points: Array, share: float) -> bool:
+    """Whether the second extent of points (n, 3) is at most a share of the first: they lie on a line."""
+    extent = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return bool(extent[1] <= share * extent[0])
+
+
 def _check_spread(reference: Array, used: NDArray[np.bool_], noise: float, word: str) -> None:
     """Refuse fits whose used targets do not determine a pose."""
     count = used.sum(axis=-1)
@@ -347,16 +353,7 @@ INCOMPATIBLE = 1e-9
 
 
 def fit_least_squares(reference: ArrayLike, measured: ArrayLike, noise: float) -> RigidFit:
-    """Return the pose of a rigid body by least squares over all targets seen; three are enough.
-
-    Parameters
-    ----------
-    reference : array_like, shape (n, 3)
-        Targets in the body frame, mm, taken as exact.
-    measured : array_like, shape (..., n, 3)
-        Targets in the measurement frame, mm; NaN where a target was not seen.
-    noise : float
-        σ, known standard deviation of each measured coordinate, mm.
+    """Return the pose of a rigid body by least squares over all targets seen, as in `fit_rigid_body`; three are enough.
 
     Raises
     ------

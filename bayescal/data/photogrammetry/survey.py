@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from bayescal.data.actuators import check_calibration, read_actuators
+from bayescal.data.photogrammetry.rigid_fit import is_collinear
 from bayescal.errors import InputError
 from bayescal.files.csv_tables import Table, read_table
 from bayescal.numerics.geometry import Array
@@ -56,7 +57,7 @@ def read_survey(targets: Path, actuators: Path, reference: Path, n_legs: int) ->
         without a reference, fewer than three or collinear rigid targets on a body, legs that do not exist.
     """
     poses, verification, positions = read_actuators(actuators, n_legs)
-    known = _read_reference(reference, n_legs)
+    known = read_reference(reference, n_legs)
     measured = _read_targets(read_table(targets, TARGET_COLUMNS), poses, known, actuators, reference)
     bodies = {}
     for body in BODIES:
@@ -67,17 +68,13 @@ def read_survey(targets: Path, actuators: Path, reference: Path, n_legs: int) ->
     return Survey(tuple(poses), verification, positions, bodies["base"], bodies["platform"])
 
 
-def check_reference(path: Path, n_legs: int) -> None:
-    """Raise InputError for a table of where targets sit that is none by itself."""
-    _read_reference(path, n_legs)
-
-
 def check_target_columns(path: Path) -> None:
     """Raise InputError for a table of targets without its columns, or with a coordinate that is no number."""
     read_table(path, TARGET_COLUMNS).numbers(COORDINATES)
 
 
-def _read_reference(path: Path, n_legs: int) -> dict[str, tuple[list[str], np.ndarray, Array]]:
+def read_reference(path: Path, n_legs: int) -> dict[str, tuple[list[str], np.ndarray, Array]]:
+    """Return names, legs (n,) and places (n, 3), mm, of the targets of each body; see `read_survey`."""
     table = read_table(path, REFERENCE_COLUMNS)
     bodies, names = table.text("body"), table.text("target")
     table.check_unique(list(zip(bodies, names, strict=True)), "target")
@@ -95,7 +92,7 @@ def _read_reference(path: Path, n_legs: int) -> dict[str, tuple[list[str], np.nd
         if len(rigid) < MIN_TARGETS:
             found = f"{len(rigid)} rigid targets on the {body}"
             raise InputError(f"{path}: found {found}, expected at least {MIN_TARGETS}")
-        if _is_collinear(rigid):
+        if is_collinear(rigid, COLLINEAR):
             raise InputError(f"{path}: the rigid targets of the {body} lie on a line, expected them spread out")
         result[body] = ([n for n, c in zip(names, chosen, strict=True) if c], legs[chosen].astype(int), points[chosen])
     return result
@@ -136,12 +133,7 @@ def _check_seen(body: BodyTargets, name: str, poses: list[str], path: Path) -> N
         if visible.sum() < MIN_TARGETS:
             found = f"{visible.sum()} rigid targets on the {name}"
             raise InputError(f"{path}: pose {pose!r}: found {found}, expected at least {MIN_TARGETS}")
-        if _is_collinear(body.reference[visible]):
+        if is_collinear(body.reference[visible], COLLINEAR):
             raise InputError(
                 f"{path}: pose {pose!r}: the {name}'s seen targets lie on a line, expected them spread out"
             )
-
-
-def _is_collinear(points: Array) -> bool:
-    extent = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    return bool(extent[1] <= COLLINEAR * extent[0])

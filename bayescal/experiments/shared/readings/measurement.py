@@ -23,7 +23,7 @@ from bayescal.data.instruments.read_poses import PoseNoise, Taken, check_pose_ta
 from bayescal.data.instruments.readings import Tracked, TrackedPoints, turn_of
 from bayescal.data.measured_poses import MeasuredPoses, check_repeated
 from bayescal.data.photogrammetry.poses import PoseExtraction, check_exchanged, check_pad_places, extract_poses
-from bayescal.data.photogrammetry.survey import Survey, check_reference, check_target_columns, read_survey
+from bayescal.data.photogrammetry.survey import Survey, check_target_columns, read_reference, read_survey
 from bayescal.density.schema import NormalConfig, PriorConfig
 from bayescal.errors import InputError, name_faults
 from bayescal.experiments.shared.readings.machine_kind import look_at_machine
@@ -260,7 +260,7 @@ def _list_checks(
         if "actuators" in tables:
             yield lambda: _check_actuators(tables["actuators"], legs, machine)
         if "reference" in tables:
-            yield lambda: check_reference(tables["reference"], legs)
+            yield lambda: read_reference(tables["reference"], legs)
         if data.get("measurement") == "poses" and "poses" in tables:
             stated = (any(key.startswith(begin) for key in data) for begin in ("position_", "orientation_"))
             noise = PoseNoise(*(1.0 if one else None for one in stated))  # whatever its size: the config answers for it
