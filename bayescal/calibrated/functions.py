@@ -85,6 +85,10 @@ class KnownFunctions:
         independent = np.sum([one.mean(axis=(0, 1)) for one in random], axis=0) if random else np.zeros(n_channels)
         mean, covariance = _integrate(thin, y.mean(axis=0), some)
         sizes = {one.sort: one.amplitude(own) for one, own in functions}
+        drifts = np.ones(N_DRIFTS)
+        if DRIFT in sizes:
+            middle = np.quantile(sizes[DRIFT], (np.arange(N_DRIFTS) + 0.5) / N_DRIFTS)
+            drifts = middle / max(float(np.sqrt(np.mean(sizes[DRIFT] ** 2))), np.finfo(float).tiny)
         return cls(
             first.names,
             first.home,
@@ -94,7 +98,7 @@ class KnownFunctions:
             place.time,
             tuple(one.sort for one, _ in functions),
             np.array([np.mean(size**2) for size in sizes.values()]),
-            _spread_sizes(sizes[DRIFT]) if DRIFT in sizes else np.ones(N_DRIFTS),
+            drifts,
             independent[first.places],
             mean,
             covariance,
@@ -237,12 +241,6 @@ def read_known(path: Path, group: str | None = None) -> tuple[KnownFunctions, li
     found = read_netcdf(path, group)
     channels, sorts, beside = ([str(one) for one in found[key].values] for key in ("channel", "sort", "parameter"))
     return KnownFunctions.of_arrays({str(key): one for key, one in found.items()}, channels, sorts), beside
-
-
-def _spread_sizes(size: Array) -> Array:
-    """Return sizes of equal probability of draws (T, ...), in units of their root mean square, shape (J,)."""
-    middle = np.quantile(size, (np.arange(N_DRIFTS) + 0.5) / N_DRIFTS)
-    return np.asarray(middle / max(float(np.sqrt(np.mean(size**2))), np.finfo(float).tiny))
 
 
 def _thin(posterior: CalibrationPosterior) -> CalibrationPosterior:

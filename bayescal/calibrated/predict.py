@@ -257,34 +257,29 @@ def predict_poses(calibrated: CalibratedMachine, commands: Array, given: Given =
     curved = find_curved(calibrated)
     parts = [_predict_some(calibrated, commands[part], _pick(given, part), curved) for part in split(len(commands))]
     channels, m = calibrated.model.tool_channels, len(calibrated.model.tool_channels)
-    outputs, pose, covariance, of_geometry, found = (_join(list(one)) for one in zip(*parts, strict=True))
-    assert outputs is not None
-    assert pose is not None
-    assert found is not None
-    part = slice(0, None) if is_pose(calibrated) else slice(m, None)
+    outputs, found, *spreads = zip(*parts, strict=True)
+    every, there, part = np.concatenate(outputs), np.concatenate(found), slice(0 if is_pose(calibrated) else m, None)
+    if calibrated.covariance is None:
+        return PosePrediction(channels, every[:, :m], every[:, part], None, None, None, there)
+    whole, of_geometry = (np.concatenate(one) for one in spreads)
     return PosePrediction(
-        channels,
-        outputs[:, :m],
-        outputs[:, part],
-        None if covariance is None else covariance[:, :m, :m],
-        None if covariance is None else covariance[:, part, part],
-        None if of_geometry is None else of_geometry[:, :m, :m],
-        found.astype(bool),
+        channels, every[:, :m], every[:, part], whole[:, :m, :m], whole[:, part, part], of_geometry[:, :m, :m], there
     )
 
 
 def _predict_some(
     calibrated: CalibratedMachine, commands: Array, given: Given, curved: Array | None
-) -> tuple[Array, Array, Array | None, Array | None, np.ndarray]:
+) -> tuple[Array, np.ndarray, Array | None, Array | None]:
+    """Return outputs (P, M), which are found, and their covariances (P, M, M), in whole and by the geometry."""
     at = place_machine(calibrated, commands, given)
     errors = find_errors(calibrated, at)
     moved = np.einsum("pij,pj->pi", at.gain, errors.mean)
     add = compare_outputs(calibrated).add
     if calibrated.covariance is None:
-        return add(at.outputs, moved), at.pose, None, None, at.found
+        return add(at.outputs, moved), at.found, None, None
     shift, of_geometry = spread_outputs(calibrated, at, errors, curved)
     others = at.gain @ errors.independent @ np.swapaxes(at.gain, 1, 2)
-    return add(at.outputs, moved + shift), at.pose, of_geometry + others, of_geometry, at.found
+    return add(at.outputs, moved + shift), at.found, of_geometry + others, of_geometry
 
 
 def spread_outputs(
@@ -357,8 +352,9 @@ def command_poses(
     parts = [
         _command_some(calibrated, poses[part], _pick(given, part), coordinates, curved) for part in split(len(poses))
     ]
-    commands = np.concatenate([one for one, _, _ in parts])
-    return Command(commands, _join([one for _, one, _ in parts]), tuple(fault for *_, some in parts for fault in some))
+    commands, spreads, faults = zip(*parts, strict=True)
+    covariance = None if calibrated.covariance is None else np.concatenate(spreads)
+    return Command(np.concatenate(commands), covariance, tuple(fault for some in faults for fault in some))
 
 
 def _command_some(
@@ -603,8 +599,3 @@ def split(n: int, size: int = CHUNK) -> Iterator[slice]:
 
 def _pick(given: Given, part: slice | np.ndarray) -> Given:
     return {name: value[part] for name, value in given.items()}
-
-
-def _join(parts: list[Array | None]) -> Array | None:
-    there = [one for one in parts if one is not None]
-    return np.concatenate(there) if there else None
