@@ -69,11 +69,6 @@ def test_closure_is_wanted_length_minus_distance(rng):
     assert np.abs(found).min() > 1e-3
 
 
-def test_parameters_are_seven_per_strut(machine):
-    assert machine.layout.symbols == SYMBOLS
-    assert machine.layout.size == 42
-
-
 # --- real hexapods ---------------------------------------------------------------------------------------------------
 
 

@@ -13,9 +13,7 @@ from finite_elements import (
     compute_beam_stiffness,
     condense_chain,
     external_wrench,
-    node_stiffness,
     shift_nodes,
-    turn_to,
 )
 
 from bayescal.machines.kinematics import check_home_pose, solve_forward_kinematics, solve_inverse_kinematics
@@ -25,7 +23,6 @@ from bayescal.numerics.geometry import compute_pose_error, matrix_from_rotation_
 
 E, G, DIAMETER, LENGTH = 200e3, 77e3, 1.5, 37.0
 SECTION = section_of_rod(DIAMETER, E, G)
-FORCE, MOMENT = 3.0, 50.0  # N and N mm
 X_AXIS = np.array([1.0, 0.0, 0.0])
 
 
@@ -62,36 +59,6 @@ def assert_relative(found, expected, tolerance):
     np.testing.assert_allclose(found / scale, expected / scale, rtol=0, atol=tolerance)
 
 
-def solve_cantilever(stiffness, load):
-    """Return the displacement (6,) of the second node under a load (6,), the first node held."""
-    return np.linalg.solve(stiffness[6:, 6:], load)
-
-
-# --- one beam --------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("load", "expected"),
-    [
-        ({0: FORCE}, {0: FORCE * LENGTH / SECTION.k2}),
-        ({1: FORCE}, {1: FORCE * LENGTH**3 / (3 * SECTION.k1), 5: FORCE * LENGTH**2 / (2 * SECTION.k1)}),
-        ({2: FORCE}, {2: FORCE * LENGTH**3 / (3 * SECTION.k1), 4: -FORCE * LENGTH**2 / (2 * SECTION.k1)}),
-        ({3: MOMENT}, {3: MOMENT * LENGTH / SECTION.k3}),
-        ({4: MOMENT}, {2: -MOMENT * LENGTH**2 / (2 * SECTION.k1), 4: MOMENT * LENGTH / SECTION.k1}),
-        ({5: MOMENT}, {1: MOMENT * LENGTH**2 / (2 * SECTION.k1), 5: MOMENT * LENGTH / SECTION.k1}),
-    ],
-    ids=["pull", "force along y", "force along z", "torque", "moment about y", "moment about z"],
-)
-def test_cantilever(load, expected):
-    """Tip deflection and slope of a beam held at one end."""
-
-    def vector(entries):
-        return np.array([entries.get(k, 0.0) for k in range(6)])
-
-    found = solve_cantilever(compute_beam_stiffness(SECTION, LENGTH), vector(load))
-    np.testing.assert_allclose(found, vector(expected), rtol=1e-12, atol=1e-13 * np.abs(found).max())
-
-
 def test_section_of_a_rod():
     """k1 = E π d⁴ / 64, k2 = E π d² / 4, k3 = G π d⁴ / 32, by integration over the disc."""
     radius = (np.arange(20_000) + 0.5) / 20_000 * DIAMETER / 2
@@ -102,13 +69,6 @@ def test_section_of_a_rod():
 
 
 # --- chains ----------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("n_beams", [2, 3, 5])
-def test_equal_beams_in_a_row_are_one_long_beam(n_beams, rng):
-    lengths = rng.uniform(5, 30, n_beams)
-    found = condense_chain([compute_beam_stiffness(SECTION, length) for length in lengths])
-    assert_relative(found, compute_beam_stiffness(SECTION, lengths.sum()), 1e-11)
 
 
 def test_closed_form_is_the_condensed_matrix(chain):
@@ -267,20 +227,6 @@ def levers_left_out(model):
     return 0.1 if model == "stiffness_fixed" else 1e-6
 
 
-def test_directions_of_the_home_pose_leave_moments_out_of_balance(rng):
-    """What eq. (28) gives away: the legs' levers change as they lean, by parts in a hundred, and the model does not."""
-    machine = machines.build_machine("none", machines.build_telescope(load=PULL), "stiffness_fixed")
-    elements, rho = FiniteElementMachine(machine), move_about(machine, rng)
-    pose = solve_forward_kinematics(machine, machine.layout.nominal, rho)
-    shares = []
-    for position, rotation, one in zip(pose.position, pose.rotation, rho, strict=True):
-        (lower, _), force, moment = elements.loads(position, rotation, one)
-        pull, torque = external_wrench(PULL, rotation)
-        about_origin = (moment[0] + np.cross(lower, force[0])).sum(axis=0) + torque + np.cross(position, pull)
-        shares.append(np.abs(about_origin).max() / np.abs(np.cross(lower, force[0])).max())
-    assert max(shares) > 1e-3
-
-
 # --- small displacements ---------------------------------------------------------------------------------------------
 
 
@@ -295,36 +241,6 @@ def test_stiffness_at_home_is_that_of_the_finite_elements(model, mechanism):
     np.testing.assert_allclose(scaled, scaled.T, rtol=0, atol=1e-10)
     assert np.linalg.eigvalsh(scaled)[0] > 1e-4
     np.testing.assert_allclose(scaled, elements.stiffness() / np.outer(unit, unit), rtol=0, atol=1e-9)
-
-
-def linear_wrench(elements, shift, phi, travel):
-    """Return W of eqs. (22) to (29) for small displacements: nodes moved by first order, directions of home."""
-    mechanism, home = elements.mechanism, elements.home
-    total = np.zeros(6)
-    for leg in range(6):
-        axis, half = elements.start_axes[leg], 0.5 * mechanism.flexures.lengths[leg]
-        arm = home.rotation @ mechanism.platform_points[leg] + half * axis  # b' of eq. (22)
-        moved = np.concatenate([travel[leg] * mechanism.directions[leg], np.zeros(3), shift + np.cross(phi, arm), phi])
-        load = turn_to(node_stiffness(mechanism, leg), axis)[6:] @ moved
-        total -= np.concatenate([load[:3], load[3:] + np.cross(arm, load[:3])])
-    return total
-
-
-def test_small_displacements_are_those_of_the_linear_chain(model, mechanism, rng):
-    """The model's wrench leaves that of eq. (29) by the second power of the displacements."""
-    machine = machines.build_machine("none", replace(mechanism, load=ExternalLoad()), model)
-    elements = FiniteElementMachine(machine)
-    shift, phi, travel = rng.uniform(-1, 1, 3), rng.uniform(-0.01, 0.01, 3), rng.uniform(-1, 1, 6)
-    unit, misfits = np.array([1.0] * 3 + [100.0] * 3), []
-    expected = linear_wrench(elements, shift, phi, travel)
-    for size in (1e-2, 5e-3, 2.5e-3):
-        position = elements.home.position + size * shift
-        rotation = matrix_from_rotation_vector(size * phi) @ elements.home.rotation
-        rho = mechanism.initial_actuator_positions + size * travel
-        found = wrench_of(machine, machine.layout.nominal, position, rotation, rho)
-        misfits.append(np.linalg.norm((found - size * expected) / unit))
-    np.testing.assert_allclose(np.array(misfits[:-1]) / misfits[1:], 4.0, rtol=0.05)
-    assert misfits[-1] < 1e-3 * 2.5e-3 * np.linalg.norm(expected / unit)
 
 
 def test_moving_base_and_platform_alike_loads_nothing(model):
@@ -384,22 +300,6 @@ def test_platform_sinks_by_the_compliance_of_the_finite_elements(model):
         assert aside < 1e-6 * found
 
 
-def test_twice_the_load_sinks_twice_as_far(model):
-    first, second = (sink(machines.build_telescope(load=weigh(mass)), model)[0] for mass in (1.0, 2.0))
-    assert second == pytest.approx(2 * first, rel=1e-4)
-
-
-def test_weight_acts_where_the_centre_of_mass_is(model):
-    """A weight off the origin is the same as one at the origin with its moment, and follows the platform's turn."""
-    machine = machines.build_machine("none", machines.build_telescope(load=PULL), model)
-    home = check_home_pose(machine)
-    rotation = matrix_from_rotation_vector(np.array([0.3, -0.2, 0.5]))
-    arguments = (machine.layout.nominal, home.position, rotation, machine.mechanism.initial_actuator_positions)
-    bare = machines.build_machine("none", machines.build_telescope(), model)
-    found = wrench_of(machine, *arguments) - wrench_of(bare, *arguments)
-    np.testing.assert_allclose(found, np.concatenate(external_wrench(PULL, rotation)), rtol=1e-9, atol=1e-6)
-
-
 @pytest.mark.parametrize("deformation", machines.deformation_names())
 def test_forward_and_inverse_kinematics_under_load(model, mechanism, deformation, rng):
     machine = machines.build_machine(deformation, mechanism, model)
@@ -452,22 +352,6 @@ def test_soft_flexures_with_the_directions_of_home_leave_the_lean_out():
     closure = perfect.linearise(perfect.layout.nominal, pose.position, pose.rotation, rho).residual
     np.testing.assert_allclose(closure, -(lean**2) / (2 * 500.0), rtol=1e-3, atol=1e-9)
     assert 0.03 < np.abs(closure).max() < 0.1
-
-
-def test_directions_of_home_make_a_linear_model(rng):
-    """Without the platform's turn twice the displacement takes twice the wrench; `stiffness` is not so."""
-    misfit = {}
-    for model in MODELS:
-        machine = machines.build_machine("none", model=model)
-        theta, home = machine.layout.nominal, check_home_pose(machine)
-        shift, travel = rng.uniform(-1, 1, 3), rng.uniform(-1, 1, 6)
-        once, twice = (
-            wrench_of(machine, theta, home.position + k * shift, home.rotation, machines.INITIAL_POSITION + k * travel)
-            for k in (1.0, 2.0)
-        )
-        misfit[model] = np.abs(twice - 2 * once).max() / np.abs(twice).max()
-    assert misfit["stiffness_fixed"] < 1e-10
-    assert misfit["stiffness"] > 1e-4
 
 
 def test_without_load_only_ratios_of_stiffnesses_count(model, rng):

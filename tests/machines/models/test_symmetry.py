@@ -85,11 +85,6 @@ def test_the_telescope_is_symmetric(symmetry, machine):
     np.testing.assert_allclose(symmetry.image(layout, layout.nominal), layout.nominal, atol=1e-12)
 
 
-def test_symmetric_machine_stands_in_images(symmetry, machine):
-    theta = machine.layout.nominal
-    assert_image(symmetry, machine, theta, machines.table_3_actuators(), theta)
-
-
 def test_image_of_any_machine_stands_in_images(symmetry, machine, rng):
     """Every parameter off nominal."""
     layout = machine.layout

@@ -154,15 +154,6 @@ READS = {
 }
 
 
-@pytest.mark.parametrize(("read", "text"), READS.values(), ids=READS)
-def test_a_wrong_function_is_refused_in_one_line(read, text):
-    with pytest.raises(InputError, match=re.escape(text)) as caught:
-        FunctionModel("arm", Arm(read))
-    message = str(caught.value)
-    assert message.startswith("machine 'arm': Arm.read")
-    assert "\n" not in message
-
-
 MEMBERS = {
     "no channels": ({"channels": None}, "found no channels, expected a sequence of Channel"),
     "a name": ({"channels": ["near"]}, "channels: found 'near', expected a Channel"),
@@ -179,11 +170,26 @@ MEMBERS = {
 }
 
 
-@pytest.mark.parametrize(("members", "text"), MEMBERS.values(), ids=MEMBERS)
-def test_wrong_members_are_refused_in_one_line(members, text):
+SLOPES = {
+    "another": ([[1.0, 0.0], [0.0, 2.0]], "Arm.slopes: far: found ∂/∂y = 2, expected 1, that of read"),
+    "nan": ([[1.0, 0.0], [0.0, np.nan]], "Arm.slopes: far: found ∂/∂y = nan, expected 1, that of read"),
+    "too few": ([[1.0, 0.0]], "Arm.slopes: failed with ValueError: zip()"),
+}
+REFUSED = {
+    **{what: (Arm(read), "Arm.read", text) for what, (read, text) in READS.items()},
+    **{what: (Arm(plain, **members), "class Arm", text) for what, (members, text) in MEMBERS.items()},
+    **{
+        f"slopes, {what}": (Arm(lambda x, y: np.stack([x, y], axis=-1), slopes=lambda *_, s=s: s), "Arm.slopes", text)
+        for what, (s, text) in SLOPES.items()
+    },
+}
+
+
+@pytest.mark.parametrize(("machine", "begin", "text"), REFUSED.values(), ids=REFUSED)
+def test_a_wrong_class_is_refused_in_one_line(machine, begin, text):
     with pytest.raises(InputError, match=re.escape(text)) as caught:
-        FunctionModel("arm", Arm(plain, **members))
-    assert str(caught.value).startswith("machine 'arm': class Arm")
+        FunctionModel("arm", machine)
+    assert str(caught.value).startswith(f"machine 'arm': {begin}")
     assert "\n" not in str(caught.value)
 
 
@@ -200,22 +206,6 @@ def test_a_member_that_was_never_set_is_refused():
 def test_analytic_functions_are_taken(read):
     model = FunctionModel("arm", Arm(read))
     assert model.linearise(model.layout.nominal, np.zeros((1, 2))).values.shape == (1, 2)
-
-
-SLOPES = {
-    "another": ([[1.0, 0.0], [0.0, 2.0]], "Arm.slopes: far: found ∂/∂y = 2, expected 1, that of read"),
-    "nan": ([[1.0, 0.0], [0.0, np.nan]], "Arm.slopes: far: found ∂/∂y = nan, expected 1, that of read"),
-    "too few": ([[1.0, 0.0]], "Arm.slopes: failed with ValueError: zip()"),
-}
-
-
-@pytest.mark.parametrize(("slopes", "text"), SLOPES.values(), ids=SLOPES)
-def test_wrong_closed_forms_are_refused_in_one_line(slopes, text):
-    arm = Arm(lambda x, y: np.stack([x, y], axis=-1))
-    arm.slopes = lambda *_: slopes
-    with pytest.raises(InputError, match=re.escape(text)) as caught:
-        FunctionModel("arm", arm)
-    assert "\n" not in str(caught.value)
 
 
 def test_closed_forms_stand_in_for_complex_steps(rng):
