@@ -1,12 +1,16 @@
-"""Directions by quantiles of their prior along circles about the legs: a bijection of known volume, onto all of it."""
+"""Directions by quantiles of their prior along circles about the legs: a bijection of known volume, onto all of it.
+
+Slopes and area of the circles themselves are those of coordinates; see `test_any_direction`.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
+import telescope_machines as machines
 from scipy import stats
 
-from bayescal.machines.rings import DirectionRing, frame_circles
+from bayescal.machines.rings import DirectionRing, find_circles, frame_circles
 
 LEG = np.array([0.2, 0.05, 1.0])
 UP = np.array([0.0, 0.0, 1.0])
@@ -93,3 +97,33 @@ def test_directions_outside_of_the_bounds_have_no_coordinates():
     ring = DirectionRing(frame_circles(UP[None], LEG[None]), np.zeros(2), half / np.sqrt(3), -half, half)
     out = np.array([[0.12, 0.0, np.sqrt(1 - 0.0144)], [0.0, 0.0, 1.0]])
     assert np.isfinite(ring.coordinates(out)).all(axis=1).tolist() == [False, True]
+
+
+# --- circles ---------------------------------------------------------------------------------------------------------
+
+
+def test_leg_close_to_its_direction_has_no_circle():
+    legs = np.array([[0.2, 0.05, 1.0], [-0.1, 0.3, 1.0], [0.4, -0.4, 1.0]])
+    directions = np.array([[0.0, 0.0, 1.0], [0.02, -0.03, np.sqrt(1 - 0.0013)], [0.0, 0.1, np.sqrt(0.99)]])
+    clear, found = find_circles(directions, legs, np.array([0.03, 0.2, 0.03]))
+    np.testing.assert_array_equal(clear, [True, False, True])
+    assert len(found.gain) == 2
+
+
+def test_posterior_along_a_circle_is_that_of_the_prior(rng):
+    """Moving a direction around its leg with its joint in place changes the likelihood by next to nothing."""
+    machine = machines.build_machine("none")
+    poses = machines.simulate_poses(machine, machine.layout.nominal, machines.table_3_actuators(), np.zeros(6), rng)
+    symbols = ("a_x", "a_y", "a_z", "b_x", "b_y", "l", "u_x", "u_y")
+    posterior = machines.build_posterior("none", poses, symbols=symbols)
+    azimuth = posterior.names.index("u_y[2]")
+    gain = posterior.names.index("u_x[2]")
+
+    def change(k, distance):
+        y = np.zeros((2, posterior.n_parameters))
+        y[1, k] = distance
+        low, high = posterior.likelihood.density(*posterior.at(y))
+        return abs(high - low)
+
+    assert change(azimuth, 1.0) < 1.0
+    assert change(gain, 1.0) > 500.0

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 import telescope_machines as machines
 
-from bayescal.machines.deformations import MatrixDeformation
 from bayescal.machines.models import MODELS
 from bayescal.machines.readings import Legs, Tracker
 from bayescal.machines.readings.placed import place
@@ -87,20 +86,6 @@ def test_they_follow_parameters_and_poses(case):
     change = (model.read(near[:, None], moved) - model.read(near[:, None], pose))[..., places].transpose(2, 1, 0)
     assert np.abs(change).max() > 1e-4
     np.testing.assert_allclose(bound.follow(step), change, rtol=0, atol=2e-3 * np.abs(change).max())
-
-
-def test_a_gain_of_the_machines_own_counts():
-    """κ is a parameter: errors of encoders are divided by the gain of the machine, not of the nominal one."""
-    model, rng = build_legs("six_pus"), np.random.default_rng(4)
-    layout = model.layout
-    theta = layout.nominal.copy()
-    theta[layout.index["kappa"]] += 0.1
-    pose = np.tile(model.home_pose, (3, 1)) + 0.1 * np.eye(3, 6)
-    values = model.read(theta, pose)
-    values[:, :6] += 0.01 * rng.standard_normal((3, 6))
-    bound, exact = model.bind(theta, values, pose), model.read(theta, pose)[:, :6]
-    np.testing.assert_allclose(bound.read(theta[None])[..., 0].T, exact, atol=1e-6)
-    assert isinstance(model.machine.deformation, MatrixDeformation)
 
 
 def test_legs_without_an_encoder_or_with_inclinometers_bind_nothing():
