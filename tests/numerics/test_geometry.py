@@ -28,17 +28,21 @@ def rodrigues_minus_identity(axis, angle):
 
 @pytest.mark.parametrize("angle", ANGLES)
 def test_rotation_matrix_matches_rodrigues(angle, rng):
-    for axis in rng.standard_normal((20, 3)):
-        axis /= np.linalg.norm(axis)
+    for axis in draw_axes(rng):
         expected = rodrigues_minus_identity(axis, angle)
         found = matrix_from_rotation_vector(angle * axis)
         np.testing.assert_allclose(found - np.eye(3), expected, rtol=0, atol=4e-15)
 
 
+def draw_axes(rng):
+    """Return unit vectors (20, 3)."""
+    axes = rng.standard_normal((20, 3))
+    return axes / np.linalg.norm(axes, axis=1, keepdims=True)
+
+
 @pytest.mark.parametrize("angle", [1e-12, 1e-9, 1e-6, 1e-3, 0.1, 1.0, 3.0])
 def test_small_rotations_keep_their_relative_accuracy(angle, rng):
-    axes = rng.standard_normal((20, 3))
-    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    axes = draw_axes(rng)
     off_diagonal = matrix_from_rotation_vector(angle * axes)
     axial = np.stack([off_diagonal[:, m, n] - off_diagonal[:, n, m] for m, n in ((2, 1), (0, 2), (1, 0))], axis=1)
     # the axial part of Exp is 2 sin(angle) axis; its rounding is relative to the entries it is the difference of
@@ -46,23 +50,14 @@ def test_small_rotations_keep_their_relative_accuracy(angle, rng):
     np.testing.assert_allclose(axial, 2 * np.sin(angle) * axes, rtol=0, atol=8e-16 * entries)
 
 
-@pytest.mark.parametrize("angle", ANGLES[1:])
-def test_rotation_vector_inverts_the_matrix(angle, rng):
-    axes = rng.standard_normal((20, 3))
-    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
-    rotations = np.stack([np.eye(3) + rodrigues_minus_identity(axis, angle) for axis in axes])
-    found = rotation_vector_from_matrix(rotations)
-    # entries of order one are rounded to 1e-16: so is the vector, relative to the angle for those above 1e-3
-    np.testing.assert_allclose(found, angle * axes, rtol=0, atol=1e-15 * max(1.0, angle))
-
-
 @pytest.mark.parametrize("angle", [*ANGLES, 2.6, 2.7])
-def test_vectors_of_turns_are_rotation_vectors(angle, rng):
-    axes = rng.standard_normal((20, 3))
-    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+@pytest.mark.parametrize(("find", "rounding"), [(rotation_vector_from_matrix, 1e-15), (rotation_vector_of_turn, 2e-15)])
+def test_rotation_vectors_invert_the_matrix(find, rounding, angle, rng):
+    axes = draw_axes(rng)
     turns = np.stack([np.eye(3) + rodrigues_minus_identity(axis, angle) for axis in axes]).reshape(4, 5, 3, 3)
-    found = rotation_vector_of_turn(turns)
-    np.testing.assert_allclose(found, angle * axes.reshape(4, 5, 3), rtol=0, atol=2e-15 * max(1.0, angle))
+    # entries of order one are rounded to 1e-16: so is the vector, relative to the angle for those above 1e-3
+    expected = angle * axes.reshape(4, 5, 3)
+    np.testing.assert_allclose(find(turns), expected, rtol=0, atol=rounding * max(1.0, angle))
 
 
 def test_a_turn_that_is_no_number_has_no_vector():
@@ -72,15 +67,13 @@ def test_a_turn_that_is_no_number_has_no_vector():
 
 @pytest.mark.parametrize("angle", [1e-12, 1e-8, 1e-4, 1e-2])
 def test_rotation_vector_of_small_angles_is_relatively_exact(angle, rng):
-    axis = rng.standard_normal(3)
-    axis /= np.linalg.norm(axis)
-    found = rotation_vector_from_matrix(matrix_from_rotation_vector(angle * axis))
-    np.testing.assert_allclose(found, angle * axis, rtol=1e-13 if angle > 1e-3 else 1e-12)
+    axes = draw_axes(rng)
+    found = rotation_vector_from_matrix(matrix_from_rotation_vector(angle * axes))
+    np.testing.assert_allclose(found, angle * axes, rtol=1e-13 if angle > 1e-3 else 1e-12)
 
 
 def test_rotation_by_pi_keeps_its_axis(rng):
-    for axis in rng.standard_normal((10, 3)):
-        axis /= np.linalg.norm(axis)
+    for axis in draw_axes(rng):
         found = rotation_vector_from_matrix(np.eye(3) + rodrigues_minus_identity(axis, np.pi))
         assert np.linalg.norm(found) == pytest.approx(np.pi, abs=1e-12)
         assert abs(found @ axis) == pytest.approx(np.pi, abs=1e-7)
@@ -168,7 +161,6 @@ def test_relative_pose_covariance_matches_simulation(rng):
 
 @pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-3, 0.029, 0.031, 1.0, 3.0, 6.0])
 def test_left_jacobian_is_the_inverse_of_its_inverse(angle, rng):
-    axis = rng.standard_normal((20, 3))
-    vector = angle * axis / np.linalg.norm(axis, axis=1, keepdims=True)
+    vector = angle * draw_axes(rng)
     product = compute_left_jacobian(vector) @ compute_left_inverse_jacobian(vector)
     np.testing.assert_allclose(product, np.broadcast_to(np.eye(3), product.shape), atol=1e-14)

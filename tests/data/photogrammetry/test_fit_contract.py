@@ -1,14 +1,17 @@
-"""One contract for every fit of a rigid body to its targets."""
+"""One contract for every fit of a rigid body to its targets; what is the line's alone, and least squares'."""
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
+import studies
 from scipy.spatial.transform import Rotation
 
 from bayescal.data.photogrammetry.line_fit import fit_line
 from bayescal.data.photogrammetry.rigid_fit import fit_least_squares, fit_rigid_body
-from bayescal.errors import InputError
+from bayescal.errors import InputError, PoseInputError
 from bayescal.numerics.geometry import compute_pose_error
 
 NOISE = 0.005
@@ -21,16 +24,26 @@ def fit_body(request):
     return FITS[request.param]
 
 
-def simulate(n_targets, n_poses, noise, rng, shape="cylinder"):
-    """Return targets on a long body, which every fit takes, or in a box; poses, and the targets as measured."""
+def draw_body(n_targets, rng):
+    """Return targets on a long body, which every fit takes."""
     angle = rng.uniform(0, 2 * np.pi, n_targets)
-    reference = np.stack([np.cos(angle), np.sin(angle), rng.uniform(0, 50, n_targets)], axis=-1)
-    if shape == "box":
-        reference = rng.uniform(-100.0, 100.0, (n_targets, 3))
+    return np.stack([np.cos(angle), np.sin(angle), rng.uniform(0, 50, n_targets)], axis=-1)
+
+
+def measure(reference, n_poses, noise, rng):
+    """Return positions and rotations of a body, and its targets as measured."""
     rotation = Rotation.random(n_poses, rng=rng).as_matrix()
     position = rng.uniform(-500, 500, (n_poses, 3))
     measured = position[:, None] + reference @ rotation.swapaxes(-1, -2)
-    return reference, position, rotation, measured + noise * rng.standard_normal(measured.shape)
+    return position, rotation, measured + noise * rng.standard_normal(measured.shape)
+
+
+def simulate(n_targets, n_poses, noise, rng, shape="cylinder"):
+    """Return targets on a long body or in a box, its poses, and the targets as measured."""
+    reference = draw_body(n_targets, rng)
+    if shape == "box":
+        reference = rng.uniform(-100.0, 100.0, (n_targets, 3))
+    return reference, *measure(reference, n_poses, noise, rng)
 
 
 BODIES = [
@@ -120,3 +133,63 @@ def test_what_is_no_fit_is_refused(fit_body):
     ):
         with pytest.raises(InputError, match=match):
             fit_body(given, seen, noise)
+
+
+# --- the line --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("unseen", [[], [2, 5]])
+def test_covariance_of_the_line_agrees_with_central_differences(unseen):
+    reference, _, _, measured = simulate(8, 1, NOISE, np.random.default_rng(3))
+    measured[:, unseen] = np.nan
+    fit = fit_line(reference, measured[0], NOISE)
+    step = 1e-4 * np.eye(24).reshape(24, 8, 3)
+    plus, minus = fit_line(reference, measured + step, NOISE), fit_line(reference, measured - step, NOISE)
+    jacobian = compute_pose_error(plus.position, plus.rotation, minus.position, minus.rotation).T / 2e-4
+    np.testing.assert_allclose(fit.covariance, NOISE**2 * jacobian @ jacobian.T, rtol=1e-4, atol=1e-11)
+
+
+def test_a_wrong_target_moves_the_line_but_not_the_robust_fit():
+    reference, position, rotation, measured = simulate(12, 1, NOISE, np.random.default_rng(6))
+    measured[0, 4] += [0.0, 1000.0, 0.0]
+    barycentre = reference.mean(axis=0)
+    for fit_pose, moved in ((fit_line, True), (fit_rigid_body, False)):
+        fit = fit_pose(reference, measured, NOISE)
+        shift = np.linalg.norm(fit.position + fit.rotation @ barycentre - position - rotation @ barycentre)
+        assert bool(shift > 1.0) is moved
+        assert shift < 0.02 or moved
+
+
+def test_what_has_no_line_is_refused():
+    line = np.outer(np.linspace(0, 50, 6), [0.0, 0.0, 1.0])
+    cube = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
+    with pytest.raises(InputError, match="elongated"):
+        fit_line(cube, cube, NOISE)
+    with pytest.raises(InputError, match="farther"):
+        fit_line(*[line + 0.035 * np.tile([[1, 0, 0], [-1, 0, 0]], (3, 1))] * 2, NOISE)
+
+
+# --- least squares ---------------------------------------------------------------------------------------------------
+
+
+def test_least_squares_that_are_refused_name_the_noise_stated_and_seen(rng):
+    reference, _, _, measured = simulate(3, 5, NOISE, rng, "box")
+    measured[3] += 0.5 * rng.standard_normal((3, 3))
+    with pytest.raises(PoseInputError, match=r"noise stated 5 µm, noise seen \d+ µm") as caught:
+        fit_least_squares(reference, measured, NOISE)
+    assert caught.value.index == 3
+    seen = float(re.search(r"noise seen (\d+)", str(caught.value))[1])
+    assert 50.0 < seen < 1500.0
+
+
+def test_a_study_takes_least_squares_and_names_the_pose_it_refuses(tmp_path):
+    config = studies.write_tiny_study(tmp_path)
+    studies.edit(config, "target_noise_um = 3.0", 'target_noise_um = 3.0\npose_method = "least_squares"')
+    robust = studies.write_tiny_study(tmp_path / "robust")
+    plain, other = (studies.load_study(one).seen.measured.poses for one in (config, robust))
+    sd = np.sqrt(np.diagonal(plain.covariance, axis1=1, axis2=2))[:, :3]
+    assert (np.abs(plain.position - other.position) < 2.0 * sd).all()
+    assert (sd < np.sqrt(np.diagonal(other.covariance, axis1=1, axis2=2))[:, :3]).all()
+    studies.edit(config, "target_noise_um = 3.0", "target_noise_um = 0.3")
+    with pytest.raises(InputError, match=r"pose 'C\d+': base: found residuals .* noise stated 0\.3 µm, noise seen "):
+        studies.load_study(config)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 from scipy.spatial.transform import Rotation
+from test_fit_contract import NOISE, draw_body, measure
 
 from bayescal.data.photogrammetry.rigid_fit import (
     TUNING_CONSTANT,
@@ -16,20 +17,6 @@ from bayescal.data.photogrammetry.rigid_fit import (
 )
 from bayescal.errors import InputError
 from bayescal.numerics.geometry import compute_pose_error
-
-NOISE = 0.005
-
-
-def simulate(reference, n_poses, noise, rng):
-    rotation = Rotation.random(n_poses, rng=rng).as_matrix()
-    position = rng.uniform(-500, 500, (n_poses, 3))
-    measured = position[:, None] + reference @ rotation.swapaxes(-1, -2)
-    return position, rotation, measured + noise * rng.standard_normal(measured.shape)
-
-
-def cylinder(n_targets, rng):
-    angle = rng.uniform(0, 2 * np.pi, n_targets)
-    return np.stack([np.cos(angle), np.sin(angle), rng.uniform(0, 50, n_targets)], axis=-1)
 
 
 def whiten(error, covariance):
@@ -76,7 +63,7 @@ def test_variance_factor_tends_to_the_asymptotic_one():
 def test_weighted_transform_agrees_with_scipy():
     rng = np.random.default_rng(2)
     reference = rng.uniform(-100, 100, (9, 3))
-    _, _, measured = simulate(reference, 5, 5.0, rng)
+    _, _, measured = measure(reference, 5, 5.0, rng)
     weights = rng.uniform(0.1, 1, (5, 9))
     position, rotation = weighted_rigid_transform(reference, measured, weights)
     for k in range(5):
@@ -90,7 +77,7 @@ def test_weighted_transform_agrees_with_scipy():
 def test_planar_and_mirrored_targets_give_a_proper_rotation():
     rng = np.random.default_rng(3)
     flat = np.c_[rng.uniform(-100, 100, (8, 2)), np.zeros(8)]
-    _, rotation, measured = simulate(flat, 50, 0.0, rng)
+    _, rotation, measured = measure(flat, 50, 0.0, rng)
     np.testing.assert_allclose(fit_rigid_body(flat, measured, NOISE).rotation, rotation, atol=1e-12)
     solid = rng.uniform(-100, 100, (8, 3))
     mirrored = weighted_rigid_transform(solid, solid * [1, 1, -1], np.ones(8))[1]
@@ -102,9 +89,9 @@ def test_planar_and_mirrored_targets_give_a_proper_rotation():
 @pytest.mark.parametrize("together", [False, True])
 def test_wrong_targets_do_not_move_the_pose(n_targets, size, together):
     rng = np.random.default_rng(7)
-    reference = rng.uniform(-100, 100, (n_targets, 3)) if n_targets == 84 else cylinder(n_targets, rng)
+    reference = rng.uniform(-100, 100, (n_targets, 3)) if n_targets == 84 else draw_body(n_targets, rng)
     n_wrong = -(-n_targets // 3) - 1
-    _, _, measured = simulate(reference, 40, NOISE, rng)
+    _, _, measured = measure(reference, 40, NOISE, rng)
     wrong = np.argsort(rng.random((40, n_targets)), axis=1)[:, :n_wrong]
     shift = rng.standard_normal((40, 1 if together else n_wrong, 3))
     shift *= size / np.linalg.norm(shift, axis=-1, keepdims=True)
@@ -120,8 +107,8 @@ def test_wrong_targets_do_not_move_the_pose(n_targets, size, together):
 
 def test_least_squares_does_move_with_a_wrong_target():
     rng = np.random.default_rng(8)
-    reference = cylinder(12, rng)
-    _, _, measured = simulate(reference, 1, NOISE, rng)
+    reference = draw_body(12, rng)
+    _, _, measured = measure(reference, 1, NOISE, rng)
     clean = fit_rigid_body(reference, measured, NOISE)
     measured[0, 3, 0] += 1000.0
     position, rotation = weighted_rigid_transform(reference, measured, np.ones((1, 12)))

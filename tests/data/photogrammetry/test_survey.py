@@ -100,51 +100,51 @@ def test_fault_names_file_and_line(folder, name, start, old, new, expected):
     assert expected in message
 
 
-def test_pose_without_targets(folder):
-    change_rows(folder / FILES[0], lambda row: None if row[0] == "C05" else row)
-    assert "found no targets of pose 'C05'" in fail(folder, FILES[1])
+def on_a_line(body):
+    """Return a change that puts the rigid targets of a body on a line."""
+    return lambda row: [*row[:3], str(10 * int(row[1][1:])), "1", "2"] if (row[0], row[2]) == (body, "0") else row
 
 
-def test_pose_without_actuator_positions(folder):
-    change_rows(folder / FILES[1], lambda row: None if row[0] == "C05" else row)
-    message = fail(folder, FILES[0])
-    assert "pose 'C05' is not in" in message
-    assert str(folder / FILES[1]) in message
+def hide(body):
+    """Return a change that hides all but two rigid targets of a body at pose C04."""
+    hidden = {f"{body[0].upper()}0{k}" for k in range(3, 8)}
+    return lambda row: None if row[0] == "C04" and row[2] in hidden else row
 
 
-def test_no_calibration_pose(folder):
-    change_rows(folder / FILES[1], lambda row: [row[0], "verification", *row[2:]])
-    assert "found no calibration pose, expected at least one" in fail(folder, FILES[1])
+FAULTS = {
+    "no targets": (0, lambda row: None if row[0] == "C05" else row, 1, "found no targets of pose 'C05'"),
+    "no actuators": (1, lambda row: None if row[0] == "C05" else row, 0, "pose 'C05' is not in"),
+    "no calibration": (1, lambda row: [row[0], "verification", *row[2:]], 1, "found no calibration pose, expected at"),
+    **{
+        f"two on the {body}": (
+            0,
+            hide(body),
+            0,
+            f"pose 'C04': found 2 rigid targets on the {body}, expected at least 3",
+        )
+        for body in ("base", "platform")
+    },
+    "pads alone": (
+        2,
+        lambda row: [*row[:2], "1", *row[3:]] if row[1].startswith("P") else row,
+        2,
+        "found 0 rigid targets on the platform, expected at least 3",
+    ),
+    **{
+        f"a line on the {body}": (2, on_a_line(body), 2, f"the rigid targets of the {body} lie on a line")
+        for body in ("base", "platform")
+    },
+    "one point": (2, lambda row: [*row[:3], "1", "2", "3"] if row[0] == "base" else row, 2, "lie on a line"),
+}
 
 
-@pytest.mark.parametrize("body", ["base", "platform"])
-def test_two_targets_of_a_body_at_a_pose(folder, body):
-    prefix = body[0].upper()
-    change_rows(
-        folder / FILES[0],
-        lambda row: None if row[0] == "C04" and row[2] in {f"{prefix}0{k}" for k in range(3, 8)} else row,
-    )
-    message = fail(folder, FILES[0])
-    assert f"pose 'C04': found 2 rigid targets on the {body}, expected at least 3" in message
-
-
-def test_pads_do_not_stand_in_for_rigid_targets(folder):
-    change_rows(folder / FILES[2], lambda row: [*row[:2], "1", *row[3:]] if row[1].startswith("P") else row)
-    assert "found 0 rigid targets on the platform, expected at least 3" in fail(folder, FILES[2])
-
-
-@pytest.mark.parametrize("body", ["base", "platform"])
-def test_collinear_reference(folder, body):
-    change_rows(
-        folder / FILES[2],
-        lambda row: [*row[:3], str(10 * int(row[1][1:])), "1.0", "2.0"] if row[0] == body and row[2] == "0" else row,
-    )
-    assert f"the rigid targets of the {body} lie on a line" in fail(folder, FILES[2])
-
-
-def test_coincident_reference(folder):
-    change_rows(folder / FILES[2], lambda row: [*row[:3], "1", "2", "3"] if row[0] == "base" else row)
-    assert "lie on a line" in fail(folder, FILES[2])
+@pytest.mark.parametrize(("changed", "change", "named", "expected"), FAULTS.values(), ids=FAULTS)
+def test_a_survey_that_lacks_something_is_refused(folder, changed, change, named, expected):
+    """The message names the file that was changed, and of poses that one of two files lacks the other as well."""
+    change_rows(folder / FILES[changed], change)
+    message = fail(folder, FILES[named])
+    assert expected in message
+    assert str(folder / FILES[changed]) in message
 
 
 def test_collinear_as_seen(folder):
