@@ -6,11 +6,10 @@ it, that file with what it imports from beside itself. Loading them runs that co
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field
@@ -27,6 +26,7 @@ from bayescal.errors import InputError
 from bayescal.files.csv_tables import format_table, read_matrix, read_table
 from bayescal.files.manifest import check_whole
 from bayescal.files.netcdf import read_netcdf
+from bayescal.files.toml import format_toml
 from bayescal.machines.deformations import MatrixDeformation, NominalDeformation
 from bayescal.machines.kinematics import check_home_pose
 from bayescal.machines.mechanism import ExternalLoad, Mechanism
@@ -101,9 +101,8 @@ def list_mechanism_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
         raise InputError(f"variant {calibrated.source.variant!r}: found {hindrance}")
     check_home_pose(machine)
     bends = isinstance(machine.deformation, MatrixDeformation)
-    lines = [f'mechanism = "{MECHANISM}"', f'model = "{machine.model.name}"']
-    lines += [f'deformation = "{"matrix" if bends else "none"}"', *([f'matrix = "{MATRIX}"'] if bends else [])]
-    texts = _format_calibrated(calibrated, lines)
+    own = {"mechanism": MECHANISM, "model": machine.model.name, "deformation": "matrix" if bends else "none"}
+    texts = _format_calibrated(calibrated, own | ({"matrix": MATRIX} if bends else {}))
     texts[MECHANISM] = format_mechanism(machine.mechanism, calibrated.source.describe())
     if isinstance(machine.deformation, MatrixDeformation):
         texts[MATRIX] = format_matrix(machine.deformation.matrix)
@@ -117,40 +116,37 @@ def list_function_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
     if not calibrated.machine_file:
         raise InputError(f"machine {calibrated.name!r}: found no file that it was read from, expected one")
     hashes = [hash_file(content) for content in calibrated.files.values()]
-    lines = [f"machine = {format_value(calibrated.machine_file)}", f"sha256 = {format_value(hashes)}"]
-    lines += [f'parameters = "{PARAMETERS}"']
+    own: dict[str, Any] = {"machine": calibrated.machine_file, "sha256": hashes, "parameters": PARAMETERS}
     if calibrated.workspace is not None:
-        bounds = zip(calibrated.model.coordinates, calibrated.workspace.T, strict=True)
-        lines += [f"workspace = {{ {', '.join(f'{one.name} = {format_value(ends)}' for one, ends in bounds)} }}"]
-    texts = {name: text.encode() for name, text in _format_calibrated(calibrated, lines).items()}
+        names = [one.name for one in calibrated.model.coordinates]
+        own["workspace"] = dict(zip(names, calibrated.workspace.T, strict=True))
+    texts = {name: text.encode() for name, text in _format_calibrated(calibrated, own).items()}
     return texts | dict(calibrated.files)
 
 
-def _format_calibrated(calibrated: CalibratedMachine, machine: list[str]) -> dict[str, str]:
+def _format_calibrated(calibrated: CalibratedMachine, machine: Mapping[str, Any]) -> dict[str, str]:
     """Return the file that names all others, and the table of the poses that calibrated a machine."""
     source, errors = calibrated.source, calibrated.errors
-    lines = [f"# {comment}" for comment in source.describe()]
-    lines += ['kind = "calibrated_machine"', *machine]
-    if calibrated.covariance is not None:
-        lines += [f'covariance = "{COVARIANCE}"']
-    if calibrated.draws is not None:
-        lines += [f'draws = "{DRAWS}"']
-    if calibrated.functions is not None:
-        lines += [f'functions = "{FUNCTIONS}"']
-    texts = {}
-    if calibrated.measured is not None:
-        lines += [f'measured = "{MEASURED}"']
-        texts[MEASURED] = format_measured(calibrated.model, calibrated.measured, calibrated.given)
-    lines += ["", "[source]", *(f"{key} = {format_value(value)}" for key, value in vars(source).items())]
+    beside = {"covariance": COVARIANCE, "draws": DRAWS, "functions": FUNCTIONS, "measured": MEASURED}
     sd = np.sqrt(np.diagonal(errors.noise))
-    lines += ["", "[errors]", f"noise = {format_value(sd)}"]
-    lines += [f"model_error = {format_value(np.sqrt(errors.model_variance))}"]
-    if np.any(errors.noise != np.diag(np.diagonal(errors.noise))):
-        scale = np.where(sd > 0.0, sd, 1.0)
-        lines += [f"correlation = {format_value(errors.noise / np.outer(scale, scale))}"]
-    if isinstance(errors, LegErrors) and errors.matrix_covariance is not None:
-        lines += [f'matrix_covariance = "{MATRIX_COVARIANCE}"']
-    return {CALIBRATED: "\n".join(lines) + "\n", **texts}
+    scale = np.where(sd > 0.0, sd, 1.0)
+    correlated = np.any(errors.noise != np.diag(np.diagonal(errors.noise)))
+    content = {
+        "kind": "calibrated_machine",
+        **machine,
+        **{key: name for key, name in beside.items() if getattr(calibrated, key) is not None},
+        "source": vars(source),
+        "errors": {
+            "noise": sd,
+            "model_error": np.sqrt(errors.model_variance),
+            "correlation": errors.noise / np.outer(scale, scale) if correlated else None,
+            "matrix_covariance": MATRIX_COVARIANCE if getattr(errors, "matrix_covariance", None) is not None else None,
+        },
+    }
+    texts = {CALIBRATED: format_toml(source.describe(), content)}
+    if calibrated.measured is not None:
+        texts[MEASURED] = format_measured(calibrated.model, calibrated.measured, calibrated.given)
+    return texts
 
 
 def format_measured(model: ReadingModel, commands: Array, given: Mapping[str, Array]) -> str:
@@ -477,48 +473,35 @@ def _list_own_classes(path: Path) -> list[tuple[str, str]]:
 
 def format_mechanism(mechanism: Mechanism, comments: Sequence[str] = ()) -> str:
     """Return the text of a mechanism's file that `bayescal.machines.read` takes, comment lines above."""
-    lines = [f"# {comment}" for comment in comments]
-    lines += [f"name = {format_value(mechanism.name)}"]
-    lines += ["", "[base]", f"points_mm = {_format_rows(mechanism.base_points)}"]
-    lines += ["", "[platform]", f"points_mm = {_format_rows(mechanism.platform_points)}", "", "[home]"]
-    if mechanism.home_position is not None:
-        lines += [f"near_mm = {format_value(mechanism.home_position)}"]
-    else:
-        lines += [f'platform = "{"below" if mechanism.platform_below else "above"}"']
-    lines += ["", "[legs]", f'drive = "{mechanism.drive}"', f"length_mm = {format_value(mechanism.leg_lengths)}"]
-    if mechanism.drive == "base":
-        lines += [f"direction = {_format_rows(mechanism.directions)}"]
-    lines += [f"initial_actuator_position_mm = {format_value(mechanism.initial_actuator_positions)}"]
-    lines += [f"actuator_range_mm = {format_value(mechanism.actuator_range)}"]
     flexures, load = mechanism.flexures, mechanism.load
+    side = "below" if mechanism.platform_below else "above"
+    content: dict[str, Any] = {
+        "name": mechanism.name,
+        "base": {"points_mm": mechanism.base_points},
+        "platform": {"points_mm": mechanism.platform_points},
+        "home": {"platform": side} if mechanism.home_position is None else {"near_mm": mechanism.home_position},
+        "legs": {
+            "drive": mechanism.drive,
+            "length_mm": mechanism.leg_lengths,
+            "direction": mechanism.directions if mechanism.drive == "base" else None,
+            "initial_actuator_position_mm": mechanism.initial_actuator_positions,
+            "actuator_range_mm": mechanism.actuator_range,
+        },
+    }
     if flexures is not None:
-        lines += ["", "[flexures]", f"length_mm = {format_value(flexures.lengths)}"]
-        lines += [f"beta = {format_value(flexures.beta)}"]
+        content["flexures"] = {"length_mm": flexures.lengths, "beta": flexures.beta}
         if flexures.section is not None and flexures.leg_section is not None:
-            lines += ["", "[stiffness]"]
-            for key, one in (("flexure", flexures.section), ("leg", flexures.leg_section)):
-                k1, k2, k3 = map(format_value, (one.k1, one.k2, one.k3))
-                lines += [f"{key} = {{ k1_n_mm2 = {k1}, k2_n = {k2}, k3_n_mm2 = {k3} }}"]
+            content["stiffness"] = {
+                key: {"k1_n_mm2": one.k1, "k2_n": one.k2, "k3_n_mm2": one.k3}
+                for key, one in (("flexure", flexures.section), ("leg", flexures.leg_section))
+            }
     if load != ExternalLoad():
-        lines += ["", "[load]", f"force_n = {format_value(load.force)}", f"moment_n_mm = {format_value(load.moment)}"]
         mass = float(np.linalg.norm(load.weight)) / STANDARD_GRAVITY
-        if mass > 0.0:
-            lines += [f"mass_kg = {format_value(mass)}"]
-            lines += [f"gravity_m_s2 = {format_value([w / mass for w in load.weight])}"]
-        lines += [f"centre_of_mass_mm = {format_value(load.centre_of_mass)}"]
-    return "\n".join(lines) + "\n"
-
-
-def _format_rows(rows: Array) -> str:
-    return "[\n" + "".join(f"    {format_value(row)},\n" for row in rows) + "]"
-
-
-def format_value(value: object) -> str:
-    """Return a text, a flag, a number or a list of these as TOML has it; numbers as Python repeats them."""
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False)
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, Iterable):
-        return f"[{', '.join(format_value(one) for one in value)}]"
-    return repr(float(value))  # type: ignore[arg-type]  # a number by now
+        content["load"] = {
+            "force_n": load.force,
+            "moment_n_mm": load.moment,
+            "mass_kg": mass or None,
+            "gravity_m_s2": [w / mass for w in load.weight] if mass else None,
+            "centre_of_mass_mm": load.centre_of_mass,
+        }
+    return format_toml(comments, content)

@@ -11,13 +11,14 @@ from xml.etree import ElementTree as Xml
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from bayescal.calibrated.exported import format_value, list_function_files, list_mechanism_files, list_posterior_files
+from bayescal.calibrated.exported import list_function_files, list_mechanism_files, list_posterior_files
 from bayescal.calibrated.machine import CalibratedMachine, find_hindrance
 from bayescal.config.load import look_up
 from bayescal.errors import InputError, name_faults
 from bayescal.files.atomic import make_directory, write_atomically
 from bayescal.files.csv_tables import format_table
 from bayescal.files.manifest import renew_manifest
+from bayescal.files.toml import format_toml
 from bayescal.machines.deformations import NoDeformation
 from bayescal.machines.kinematics import Machine, check_home_pose
 from bayescal.machines.models.six_pus import SixPus
@@ -70,15 +71,7 @@ def list_json_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
 
 def list_toml_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
     """Return ``parameters.toml``: the same as TOML."""
-    content = _describe(calibrated)
-    lines = [f"# {comment}" for comment in calibrated.source.describe()]
-    tables = {key: content.pop(key) for key in ("source", "parameters")}
-    lines += [f"{key} = {format_value(value)}" for key, value in content.items() if value is not None]
-    lines += ["", "[source]", *(f"{key} = {format_value(value)}" for key, value in tables["source"].items())]
-    for symbol, one in tables["parameters"].items():
-        lines += ["", f"[parameters.{format_value(symbol)}]"]
-        lines += [f"{key} = {format_value(value)}" for key, value in one.items() if value is not None]
-    return {"parameters.toml": ("\n".join(lines) + "\n").encode()}
+    return {"parameters.toml": format_toml(calibrated.source.describe(), _describe(calibrated)).encode()}
 
 
 def _describe(calibrated: CalibratedMachine) -> dict[str, Any]:

@@ -3,8 +3,22 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
+
+import numpy as np
+
+
+def format_toml(comments: Sequence[str], content: Mapping[str, Any]) -> str:
+    """Return a content below lines of comments, without what is None; rows of matrices have lines of their own."""
+    return "".join(f"# {one}\n" for one in comments) + write_toml(_simplify(content))
+
+
+def _simplify(value: Any) -> Any:
+    """Return lists in place of arrays, and tables without what is None."""
+    if isinstance(value, Mapping):
+        return {key: _simplify(one) for key, one in value.items() if one is not None}
+    return value.tolist() if isinstance(value, np.ndarray) else value
 
 
 def write_toml(content: Mapping[str, Any]) -> str:
@@ -35,6 +49,8 @@ def _write(value: Any) -> str:
     if isinstance(value, Mapping):
         inner = ", ".join(f"{_quote(key)} = {_write(one)}" for key, one in value.items())
         return f"{{ {inner} }}" if inner else "{}"
+    if isinstance(value, list) and value and isinstance(value[0], list):
+        return "".join(["[\n", *(f"    {_write(row)},\n" for row in value), "]"])
     if isinstance(value, list | tuple):
         return f"[{', '.join(map(_write, value))}]"
     if isinstance(value, str):

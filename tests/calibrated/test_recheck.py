@@ -29,7 +29,6 @@ from bayescal.calibrated.recheck.statistics import (
 )
 from bayescal.data.actuators import name_actuators
 from bayescal.data.measured_poses import MeasuredPoses
-from bayescal.errors import InputError
 from bayescal.experiments.shared.leg_readings import find_recheck_slip
 from bayescal.machines.deformations import NoDeformation
 from bayescal.machines.kinematics import build_machine, solve_forward_kinematics
