@@ -275,12 +275,6 @@ FORMATS: dict[str, Callable[[CalibratedMachine], dict[str, bytes]]] = {
 }
 
 
-def choose_format(calibrated: CalibratedMachine) -> str:
-    """Return the format that every command takes: a mechanism where drawings hold the machine, else its parameters."""
-    legs = isinstance(calibrated.model, Legs) and not find_hindrance(calibrated.legs)
-    return MECHANISM if legs else PARAMETERS
-
-
 def export_machine(calibrated: CalibratedMachine, folder: Path, name: str | None = None) -> list[Path]:
     """Write a calibrated machine in a format, parameters with covariance and draws beside it; return what was written.
 
@@ -304,9 +298,9 @@ def export_machine(calibrated: CalibratedMachine, folder: Path, name: str | None
     >>> sorted(path.name for path in bc.export_machine(calibrated, Path("machines/delta"), "csv"))
     [...'covariance.csv'...]
     """
-    files = look_up(FORMATS, name or choose_format(calibrated), "--format", Path())(calibrated) | list_posterior_files(
-        calibrated
-    )
+    drawn = isinstance(calibrated.model, Legs) and not find_hindrance(calibrated.legs)
+    chosen = look_up(FORMATS, name or (MECHANISM if drawn else PARAMETERS), "--format", Path())
+    files = chosen(calibrated) | list_posterior_files(calibrated)
     make_directory(folder)
     for one, content in files.items():
         (folder / one).parent.mkdir(parents=True, exist_ok=True)

@@ -129,11 +129,6 @@ class Coordinates:
         return ringed
 
     @cached_property
-    def by_quantile(self) -> np.ndarray:
-        """Which coordinates are a bounded parameter's quantile, shape (n,)."""
-        return self.bounded & ~self.ringed
-
-    @cached_property
     def standard(self) -> np.ndarray:
         """Which coordinates are standard normal under the prior, those of rings but for their ratio, shape (n,)."""
         return self.bounded | self.ringed
@@ -218,7 +213,7 @@ class Coordinates:
     @cached_property
     def _quantiles(self) -> tuple[np.ndarray, np.ndarray, Array, Array] | None:
         """Where parameters with bounds stand in y and in θ, their lower bounds and widths; None for none."""
-        inside = np.flatnonzero(self.by_quantile)
+        inside = np.flatnonzero(self.bounded & ~self.ringed)
         if not len(inside):
             return None
         return inside, self.free[inside], self.lower[inside], (self.upper - self.lower)[inside]

@@ -58,9 +58,6 @@ class Deformation(ABC):
     uses_matrix: ClassVar[bool] = False
     """Whether K enters, so that the uncertainty of a measured K counts."""
 
-    hides_joints: ClassVar[bool] = False
-    """Whether it leaves joints known to no better than their tolerances, so that leg lengths have to follow them."""
-
     @classmethod
     def from_config(cls, config: Any, nominal: NominalDeformation) -> Self:
         """Return the deformation with its nominal values, and options of a config, which it has none of by default."""
@@ -163,7 +160,6 @@ class FreeMatrixDeformation(Deformation):
     """
 
     name: ClassVar[str] = "free_matrix"
-    hides_joints: ClassVar[bool] = True
 
     def blocks(self, n_legs: int) -> tuple[ParameterBlock, ...]:
         """Return the columns of K."""

@@ -81,6 +81,7 @@ def _sign(value: Array, least: float) -> Array:
 
 
 STEP_TOLERANCE = 1e-10
+MOST_STEPS = 30  # of Newton's method
 NEAR = 5.0  # mm, within which a reading of an actuator is where to look for it
 SINGULAR_CONDITION = 1e8
 LEVEL = 1e-3  # of a leg's direction along z, below which it is level
@@ -204,7 +205,6 @@ def solve_forward_kinematics(
     machine: Machine,
     theta: Array,
     actuators: Array,
-    max_iterations: int = 30,
     check: bool = True,
     follow: bool = True,
 ) -> ForwardKinematics:
@@ -222,8 +222,6 @@ def solve_forward_kinematics(
         Parameter vectors, broadcast against the leading axes of ``actuators``.
     actuators : ndarray, shape (..., N)
         Actuator positions ρ, mm.
-    max_iterations : int
-        Bound on the Newton steps.
     check : bool
         Raise where a pose is not found; otherwise the result's ``converged`` says so.
     follow : bool
@@ -253,7 +251,7 @@ def solve_forward_kinematics(
         position, rotation, kept = follow_path(machine, theta, position, rotation, actuators)
     converged = np.zeros(shape, dtype=bool)
     iteration = 0
-    while iteration < max_iterations and not converged.all():
+    while iteration < MOST_STEPS and not converged.all():
         position, rotation, step = step_pose(closure, position, rotation, basis)
         converged = np.max(np.abs(step), axis=-1, initial=0.0) < STEP_TOLERANCE
         iteration += 1
@@ -266,7 +264,7 @@ def solve_forward_kinematics(
         kept = on_branch
     if check and not (converged & kept).all():
         index = int(np.argmin((converged & kept).ravel()))
-        fault = f"not found in {max_iterations} Newton steps, expected one nearer to home that the legs can reach"
+        fault = f"not found in {MOST_STEPS} Newton steps, expected one nearer to home that the legs can reach"
         if converged.ravel()[index]:
             fault = "not reached from home without a jump, only on another assembly branch"
         raise NumericalError(f"forward kinematics: pose {index + 1} of {converged.size} {fault}")
@@ -287,13 +285,13 @@ def solve_inverse_kinematics(
     theta: Array,
     position: Array,
     rotation: Array,
-    max_iterations: int = 30,
     check: bool = True,
     near: Array | None = None,
 ) -> InverseKinematics:
     """Find the actuator positions that hold given poses, the deformation that they cause included.
 
-    Those of perfect legs are in closed form; for others Newton's method starts there.
+    Those of perfect legs are in closed form; for others Newton's method starts there. Of the two positions in which a
+    leg reaches its joint, the one is found on that side of the foot on which the actuator stands at home.
 
     Parameters
     ----------
@@ -303,9 +301,6 @@ def solve_inverse_kinematics(
         Parameter vectors, broadcast against the leading axes of the poses.
     position, rotation : ndarray, shapes (..., 3) and (..., 3, 3)
         Poses of the platform frame in the base frame, mm.
-    max_iterations : int
-        Bound on the Newton steps. Of the two positions in which a leg reaches its joint, the one is found on that side
-        of the foot on which the actuator stands at home.
     check : bool
         Raise where no actuator positions are found; otherwise the result's ``converged`` says so.
     near : ndarray, shape (..., N), optional
@@ -326,7 +321,7 @@ def solve_inverse_kinematics(
             actuators = np.where(np.abs(near - actuators) < NEAR, near, actuators)
         actuators = np.broadcast_to(np.where(np.isfinite(actuators), actuators, initial), shape)
         closure = machine.model.prepare(layout, theta)
-        for _ in range(max_iterations):
+        for _ in range(MOST_STEPS):
             here = closure(position, rotation, machine.basis(actuators), with_parameters=False)
             step, gap = _actuator_step(here), here.residual
             if not np.any(np.abs(step) >= STEP_TOLERANCE):

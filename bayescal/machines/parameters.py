@@ -76,15 +76,14 @@ def complete_components(first: Array, second: Array) -> Array:
 
 def choose_chart(directions: Array) -> DirectionChart:
     """Return the components that tell unit directions (N, 3) well; z is preferred to x, and x to y."""
-    for axis in _order_axes(directions):
-        if np.abs(directions[:, axis]).min() >= STEEP:
+    least = np.abs(directions).min(axis=0)
+    for axis in (
+        2,
+        *sorted((0, 1), key=lambda k: -round(float(least[k]), 9)),
+    ):  # the one nearer to all directions first
+        if least[axis] >= STEEP:
             return _along_axis(directions, axis)
     return DirectionChart(("u_h", "u_v"), tuple(_across(direction) for direction in directions))
-
-
-def _order_axes(directions: Array) -> list[int]:
-    """Return z, then x and y, the one nearer to all directions first."""
-    return [2, *sorted((0, 1), key=lambda axis: -round(float(np.abs(directions[:, axis]).min()), 9))]
 
 
 def _along_axis(directions: Array, pole: int) -> DirectionChart:

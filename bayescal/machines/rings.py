@@ -243,11 +243,8 @@ class DirectionRing:
         u = self._direction(angle, azimuth)
         with np.errstate(invalid="ignore", divide="ignore"):
             volume = np.log(u[:, 2]) + np.log(np.sin(angle)) + log_slope
-        return self._log_prior_on_arcs(u) + volume + 0.5 * np.sum(y * y, axis=-1) + 2 * HALF_LOG_TWO_PI
-
-    def _log_prior_on_arcs(self, u: Array) -> Array:
-        """Return the log-prior of directions that lie on the arcs, whatever rounding makes of their ends."""
-        return self.log_prior(np.clip(u[:, :2], self.lower, self.upper))
+        on_arcs = self.log_prior(np.clip(u[:, :2], self.lower, self.upper))  # whatever rounding makes of their ends
+        return on_arcs + volume + 0.5 * np.sum(y * y, axis=-1) + 2 * HALF_LOG_TWO_PI
 
     # --- derivatives ---------------------------------------------------------------------------------------------
 

@@ -382,9 +382,9 @@ class ShiftTest:
     false_alarm: float  # with which the threshold is passed at any look while the calibration holds
     information: Array  # (J, N, N): K at each look
 
-    def find_power(self, n_simulated: int = SIMULATED // 2) -> Array:
+    def find_power(self) -> Array:
         """Return with which probability a shift of one unit of each parameter is found at any look, shape (N,)."""
-        noise = _simulate(self.information, n_simulated)
+        noise = _simulate(self.information, SIMULATED // 2)
         scale = np.sqrt(np.diagonal(self.information, axis1=1, axis2=2))[:, None]
         found = []
         for k in range(self.information.shape[1]):

@@ -175,16 +175,11 @@ class TrackedPoints(Tracked):
         return [[self._fit(p, [s]) for s in range(len(self.stations))] for p in range(self.n_poses)]
 
     @cached_property
-    def _together(self) -> list[_Fit | None]:
-        """Fits of all stations together at each pose."""
-        if len(self.stations) == 1:
-            return [fits[0] for fits in self._fits]
-        return [self._fit(p, list(range(len(self.stations)))) for p in range(self.n_poses)]
-
-    @cached_property
     def poses(self) -> MeasuredPoses:
         """The poses that the points of all stations together tell, NaN where they tell none."""
-        return MeasuredPoses(self.names, *self._gather(self._together), self.actuators)
+        every = list(range(len(self.stations)))
+        fits = [one[0] if len(every) == 1 else self._fit(p, every) for p, one in enumerate(self._fits)]
+        return MeasuredPoses(self.names, *self._gather(fits), self.actuators)
 
     def _gather(self, fits: Sequence[_Fit | None]) -> tuple[Array, Array, Array]:
         """Return positions (P, 3), rotations (P, 3, 3) and covariances (P, 6, 6) of fits; NaN where there is none."""

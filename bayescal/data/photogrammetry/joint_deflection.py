@@ -58,8 +58,6 @@ class MatrixEstimate:
     # whitened sum of squared residuals; well above ``dof`` if the model is wrong, for which ``sd`` does not allow
     chi2: float
     dof: int  # number of measured deflections less N²
-    max_error_mm: float  # largest and mean absolute residual
-    mean_error_mm: float
     # (P, N * N, 6): covariance of K with the error of the platform's pose at each pose it was fitted to, mm and rad
     # in the measurement frame; None where that of the deflections is not known
     with_pose: Array | None = None
@@ -241,7 +239,5 @@ def fit_matrix_deformation(deflection: JointDeflection, actuator_displacement: A
         sd=np.sqrt(np.diagonal(covariance)).reshape(n_legs, n_legs),
         chi2=float(np.einsum("pi,pij,pj->", residuals, weight, residuals)),
         dof=n_poses * n_legs - n_legs**2,
-        max_error_mm=float(np.abs(residuals).max()),
-        mean_error_mm=float(np.abs(residuals).mean()),
         with_pose=with_pose,
     )

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self
+from typing import Any, ClassVar, Protocol, Self
 
 import numpy as np
 
@@ -19,10 +19,6 @@ from bayescal.machines.deformations import DeformationBasis
 from bayescal.machines.mechanism import Drive, Mechanism
 from bayescal.machines.parameters import ParameterBlock, ParameterLayout
 from bayescal.numerics.geometry import Array
-from bayescal.numerics.scratch import Scratch
-
-if TYPE_CHECKING:
-    from bayescal.machines.models.home import BatchHome
 
 
 @dataclass(frozen=True)
@@ -63,8 +59,6 @@ class BoundClosure(ABC):
     returns is scratch, valid until the method is called again.
     """
 
-    home: BatchHome | None = None  # home poses found by the last ``evaluate``, for models that need them
-
     @abstractmethod
     def evaluate(self, theta: Array) -> Array:
         """Return f for parameter vectors of shape (B, D), as an array (N, P, B); keeps what ``along`` needs."""
@@ -76,10 +70,6 @@ class BoundClosure(ABC):
         Parts of the derivative that hardly depend on the parameters may be left out: the likelihood adds the
         difference from the exact derivative of the nominal machine.
         """
-
-    def share(self, scratch: Scratch) -> None:
-        """Work in memory that other closures work in at other times."""
-        self._scratch = scratch
 
 
 class KinematicModel(ABC):
@@ -127,14 +117,6 @@ class KinematicModel(ABC):
         theta : ndarray, shape (D,) or (..., D)
             Parameter vectors, broadcast against the leading axes of the poses.
         """
-
-    def prepare_known(self, layout: ParameterLayout, theta: Array, home: BatchHome | None) -> Closure:
-        """Return the closure of one machine (D,) whose home pose may be known, as `prepare` does without it.
-
-        A model with a use for it takes it; one that is derived from such a model and prepares otherwise has both.
-        """
-        del home
-        return self.prepare(layout, theta)
 
     def linearise(
         self, layout: ParameterLayout, theta: Array, position: Array, rotation: Array, basis: DeformationBasis

@@ -144,7 +144,7 @@ class BeamClosure(SixPusClosure):
 
     def evaluate(self, theta: Array) -> Array:
         """Return f, shape (N, P, B)."""
-        self.home = home = self._homes.solve(theta)
+        home = self._homes.solve(theta)
         parameters, index = np.ascontiguousarray(theta.T), self._layout.index
         length, flexure_length, beta = (parameters[index[symbol]] for symbol in ("l", "l_b", "beta"))
         carried = self._measure(theta)  # the lever arms, not needed any more

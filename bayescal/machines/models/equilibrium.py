@@ -24,7 +24,7 @@ import numpy as np
 
 from bayescal.machines.deformations import DeformationBasis
 from bayescal.machines.models.base import Linearisation
-from bayescal.machines.models.home import BatchHome, Home, compute_turn, solve_home
+from bayescal.machines.models.home import Home, compute_turn, solve_home
 from bayescal.machines.models.legs import LegVectors, compute_leg_vectors, cross, dot, scatter_rows
 from bayescal.machines.parameters import ParameterLayout
 from bayescal.numerics.geometry import Array, compute_left_inverse_jacobian, skew_matrix
@@ -243,11 +243,10 @@ class Equilibrium:
     state: type[LegState]
     # from rotations (..., 3, 3) to P_E, shape (..., 6), in N and N mm, and its derivative by them, (..., 3, 6)
     load: Callable[[Array], tuple[Array, Array]]
-    known: BatchHome | None = None  # the machines' home poses, where these are known
 
     @cached_property
     def _home(self) -> Home:
-        return solve_home(self.layout, self.theta, self.known)
+        return solve_home(self.layout, self.theta)
 
     @cached_property
     def _values(self) -> dict[str, Array]:

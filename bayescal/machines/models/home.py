@@ -335,10 +335,10 @@ class Home:
         return add_columns(legs.layout, rows, own)
 
 
-def solve_home(layout: ParameterLayout, theta: Array, known: BatchHome | None = None) -> Home:
-    """Return the home poses of parameter vectors (..., D), NaN where there is none; found where not yet known."""
+def solve_home(layout: ParameterLayout, theta: Array) -> Home:
+    """Return the home poses of parameter vectors (..., D), NaN where there is none."""
     leading = theta.shape[:-1]
-    found = home_solver(layout).solve(theta.reshape(-1, layout.size)) if known is None else known
+    found = home_solver(layout).solve(theta.reshape(-1, layout.size))
 
     def batch_first(one: Array) -> Array:
         return np.ascontiguousarray(one.T).reshape(*leading, *one.shape[-2::-1])
@@ -360,8 +360,4 @@ class HomeModel(KinematicModel):
 
     def prepare(self, layout: ParameterLayout, theta: Array) -> Closure:
         """Return the closure, with the machines' home poses found."""
-        return self.prepare_known(layout, theta, None)
-
-    def prepare_known(self, layout: ParameterLayout, theta: Array, home: BatchHome | None) -> Closure:
-        """Return the closure of machines whose home poses may be known."""
-        return partial(self._close, layout, theta, solve_home(layout, theta, home))
+        return partial(self._close, layout, theta, solve_home(layout, theta))

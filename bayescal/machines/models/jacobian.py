@@ -106,7 +106,7 @@ class JacobianClosure(BoundClosure):
 
     def evaluate(self, theta: Array) -> Array:
         """Return f, shape (N, P, B)."""
-        self.home = home = self._homes.solve(theta)
+        home = self._homes.solve(theta)
         take, index = self._scratch.take, self._layout.index
         parameters = np.ascontiguousarray(theta.T)
         n_legs, n_poses, n_batch = len(self._design), len(self._turn_design), len(theta)

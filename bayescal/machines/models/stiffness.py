@@ -76,7 +76,7 @@ class EquilibriumClosure(SixPusClosure):
         values = {symbol: parameters[self._layout.index[symbol]] for symbol in SYMBOLS}
         length, scale = values["l"], self._reference.scale(values["k2_d"], values["k2_l"])
         chain = compute_chain_stiffness(*values.values()).times(scale)
-        self.home = home = self._homes.solve(theta)
+        home = self._homes.solve(theta)
         phi = self._turns.evaluate(home.rotation)
         balance = self._scratch.take("balance", 6, *phi.shape[1:])
         self._axial = self._balance_loads(balance, arm, chain, length, home, phi)
@@ -322,9 +322,9 @@ class Stiffness(HomeModel):
         length, l_b = self.mechanism.leg_lengths[0], flexures.lengths[0]
         return AxialReference(2 * l_b, length - l_b, flexures.section.k2, flexures.leg_section.k2)
 
-    def prepare_known(self, layout: ParameterLayout, theta: Array, home: BatchHome | None) -> Closure:
-        """Return s Q W of machines whose home poses may be known."""
-        return Equilibrium(layout, theta, self.to_elongation, self._reference, self.state, self._external, home)
+    def prepare(self, layout: ParameterLayout, theta: Array) -> Closure:
+        """Return s Q W, with the machines' home poses found."""
+        return Equilibrium(layout, theta, self.to_elongation, self._reference, self.state, self._external)
 
     def _external(self, rotation: Array) -> tuple[Array, Array]:
         """Return P_E, shape (..., 6), in N and N mm, and its derivative (..., 3, 6) by the rotation."""

@@ -164,17 +164,6 @@ def test_bound_closure_is_the_closure(scene, n_legs, rng):
     np.testing.assert_allclose(found.transpose(2, 1, 0), here.residual, rtol=0, atol=1e-11)
 
 
-def test_a_home_pose_that_is_known_is_taken(scene):
-    machine, theta = scene.machine, scene.theta
-    basis = machine.basis(scene.actuators)
-    bound = machine.model.bind(machine.layout, scene.position, scene.rotation, basis)
-    bound.evaluate(theta[None])
-    found = machine.model.prepare_known(machine.layout, theta, bound.home)(scene.position, scene.rotation, basis)
-    here = machine.model.prepare(machine.layout, theta)(scene.position, scene.rotation, basis)
-    for name, value in vars(here).items():
-        np.testing.assert_array_equal(getattr(found, name), value)
-
-
 def test_bound_pose_derivative_is_linear(scene, n_legs, rng):
     """Exact for perfect joints; what the others may leave out, the likelihood's tests bound."""
     machine, batch = scene.machine, 3
