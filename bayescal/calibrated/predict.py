@@ -24,7 +24,7 @@ from bayescal.calibrated.machine import MODEL, CalibratedMachine
 from bayescal.density.calibration.measurements import Comparison, Measurements
 from bayescal.errors import InputError
 from bayescal.machines.readings import Channel
-from bayescal.machines.readings.base import NOTHING, Function, Given, solve
+from bayescal.machines.readings.base import NOTHING, Given, solve
 from bayescal.numerics.geometry import Array, matrix_from_rotation_vector
 
 SPREAD_DRAWS = 300
@@ -402,16 +402,13 @@ def place_tool(calibrated: CalibratedMachine, wanted: Array) -> tuple[Array, np.
     start = np.tile(model.home_pose, (len(wanted), 1))
     first = comparison.subtract(wanted, model.tool_values(theta, start))
 
-    def wanted_after(share: float) -> Function:
-        def function(pose: Array, rows: np.ndarray) -> tuple[Array, Array]:
-            with np.errstate(all="ignore"):
-                values, slope, _ = model.tool(theta, pose)
-                error = comparison.subtract(wanted[rows], values)
-                return error - (1.0 - share) * first[rows], comparison.pull_back(error, values, slope)
+    def miss(pose: Array, rows: np.ndarray) -> tuple[Array, Array]:
+        with np.errstate(all="ignore"):
+            values, slope, _ = model.tool(theta, pose)
+            error = comparison.subtract(wanted[rows], values)
+            return error, comparison.pull_back(error, values, slope)
 
-        return function
-
-    pose, found = solve(wanted_after, start, model.pose_scale, True)
+    pose, found = solve(miss, first, start, model.pose_scale, True)
     with np.errstate(all="ignore"):
         left = comparison.subtract(wanted, model.tool_values(theta, pose))
     return pose, found & (np.abs(left) <= MET * (1.0 + np.abs(wanted))).all(axis=1)

@@ -18,7 +18,7 @@ session.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -243,29 +243,25 @@ def find_poses(calibrated: CalibratedMachine, session: Measurements) -> Array:
         start[near] = pose[found]
     else:
         near[:] = False
-    scale = model.pose_scale
     for rows, follow in ((near, False), (~near, True)):
         if rows.any():
-            some = session.pick(rows)
-            start[rows], there = solve(_seek(calibrated, some, start[rows]), start[rows], scale, follow)
+            begin, miss = start[rows], _seek(calibrated, session.pick(rows), start[rows])
+            first, _ = miss(begin, np.arange(len(begin)))
+            start[rows], there = solve(miss, first, begin, model.pose_scale, follow)
             for k in np.flatnonzero(rows)[~there][:1]:
                 raise InputError(f"pose {session.poses[k]!r}: found no pose of the machine near its readings")
     return start
 
 
-def _seek(calibrated: CalibratedMachine, session: Measurements, start: Array) -> Callable[[float], Function]:
-    """Return what `solve` follows: white readings less those of a pose, on the way from a start."""
-    white, first = _whiten(calibrated, session, start), _compare(calibrated, session, start, False)[0]
+def _seek(calibrated: CalibratedMachine, session: Measurements, start: Array) -> Function:
+    """Return what `solve` takes to zero: readings less those of a pose, white by their noise at a start."""
+    white = _whiten(calibrated, session, start)
 
-    def seek_after(share: float) -> Function:
-        def seek(pose: Array, rows: np.ndarray) -> tuple[Array, Array]:
-            error, by_pose, _ = _compare(calibrated, session.pick(rows), pose, False)
-            error = error - (1.0 - share) * first[rows]
-            return (white[rows] @ error[..., None])[..., 0], white[rows] @ by_pose
+    def miss(pose: Array, rows: np.ndarray) -> tuple[Array, Array]:
+        error, by_pose, _ = _compare(calibrated, session.pick(rows), pose, False)
+        return (white[rows] @ error[..., None])[..., 0], white[rows] @ by_pose
 
-        return seek
-
-    return seek_after
+    return miss
 
 
 def _compare(

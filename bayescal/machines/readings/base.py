@@ -39,36 +39,39 @@ type Function = Callable[[Array, np.ndarray], tuple[Array, Array]]
 """From poses (n, q) of some rows (n,) to what is still wanted of g, y - g (n, m), and its slopes ∂g/∂v (n, m, q)."""
 
 
-def solve(function: Callable[[float], Function], start: Array, scale: Array, follow: bool) -> tuple[Array, np.ndarray]:
-    """Return v (n, q) with g(v) = y in the sense of least squares, and which rows have arrived.
+def solve(miss: Function, first: Array, start: Array, scale: Array, follow: bool) -> tuple[Array, np.ndarray]:
+    """Return v (P, q) with g(v) = y in the sense of least squares, and which rows have arrived.
 
     Parameters
     ----------
-    function : callable
-        From the share t of the way to the function of the goal g(start) + t (y - g(start)).
-    start : ndarray, shape (n, q)
+    miss : callable
+    first : ndarray, shape (P, m)
+        y - g at the start.
+    start : ndarray, shape (P, q)
     scale : ndarray, shape (q,)
         Of the coordinates.
     follow : bool
-        Whether the way from the start is followed; otherwise it is near.
+        Whether the way from the start is followed, to goals y - (1 - t) (y - g(start)); otherwise the start is near.
     """
     v, found = start.copy(), np.zeros(len(start), dtype=bool)
     for n_steps in WAYS if follow else (1,):
         rows = np.flatnonzero(~found)
         if not len(rows):
             break
-        some, arrived = start[rows].copy(), np.zeros(len(rows), dtype=bool)
+        some = start[rows]
         for k in range(1, n_steps):
-            some, _ = _iterate(function(k / n_steps), some, rows, scale, ON_THE_WAY)
-        some, arrived = _iterate(function(1.0), some, rows, scale, MOST)
-        v[rows], found[rows] = some, arrived
+            some, _ = _iterate(miss, (1.0 - k / n_steps) * first[rows], some, rows, scale, ON_THE_WAY)
+        v[rows], found[rows] = _iterate(miss, np.zeros_like(first[rows]), some, rows, scale, MOST)
     return v, found
 
 
-def _iterate(wanted: Function, v: Array, rows: np.ndarray, scale: Array, most: int) -> tuple[Array, np.ndarray]:
-    """Return poses after at most so many steps, and which have arrived."""
-    arrived, going = np.zeros(len(v), dtype=bool), np.ones(len(v), dtype=bool)
-    error, slope = wanted(v, rows)
+def _iterate(
+    miss: Function, left: Array, start: Array, rows: np.ndarray, scale: Array, most: int
+) -> tuple[Array, np.ndarray]:
+    """Return poses after at most so many steps towards goals that leave something (n, m), and which have arrived."""
+    v, arrived, going = start.copy(), np.zeros(len(start), dtype=bool), np.ones(len(start), dtype=bool)
+    error, slope = miss(v, rows)
+    error = error - left
     for _ in range(most):
         going &= np.isfinite(error).all(axis=1) & np.isfinite(slope).all(axis=(1, 2)) & ~arrived
         if not going.any():
@@ -76,16 +79,15 @@ def _iterate(wanted: Function, v: Array, rows: np.ndarray, scale: Array, most: i
         where = np.flatnonzero(going)
         step = scale * np.einsum("nij,nj->ni", np.linalg.pinv(slope[where] * scale), error[where])
         reached = v[where] + step
-        new = wanted(reached, rows[where])
+        new_error, new_slope = miss(reached, rows[where])
         for _ in range(HALVINGS):
-            lost = ~np.isfinite(new[0]).all(axis=1)
+            lost = ~np.isfinite(new_error).all(axis=1)
             if not lost.any():
                 break
             step[lost] *= 0.5
             reached[lost] = v[where][lost] + step[lost]
-            for whole, part in zip(new, wanted(reached[lost], rows[where][lost]), strict=True):
-                whole[lost] = part
-        v[where], error[where], slope[where] = reached, *new
+            new_error[lost], new_slope[lost] = miss(reached[lost], rows[where][lost])
+        v[where], error[where], slope[where] = reached, new_error - left[where], new_slope
         arrived[where] = (np.abs(step) <= ARRIVED * (scale + np.abs(reached))).all(axis=1)
     return v, arrived & np.isfinite(error).all(axis=1)
 
@@ -102,19 +104,14 @@ def locate_pose(
     begin = np.tile(model.home_pose, (len(goal), 1)) if start is None else _flatten(start, shape).copy()
     periods = np.array([model.channels[k].period or np.inf for k in places])
     weight = np.ones(len(places)) if weights is None else weights
-    first = model.read(flat_theta, begin, at)[:, places]
+    first = weight * _wrap(goal - model.read(flat_theta, begin, at)[:, places], periods)
 
-    def wanted_after(share: float) -> Function:
-        def wanted(pose: Array, rows: np.ndarray) -> tuple[Array, Array]:
-            some = {name: value[rows] for name, value in at.items()}
-            here = model.linearise(flat_theta[rows], pose, False, some)
-            error = _wrap(goal[rows] - here.values[:, places], periods)
-            left = (1.0 - share) * _wrap(goal[rows] - first[rows], periods)
-            return weight * (error - left), weight[:, None] * here.by_pose[:, places]
+    def miss(pose: Array, rows: np.ndarray) -> tuple[Array, Array]:
+        here = model.linearise(flat_theta[rows], pose, False, {name: value[rows] for name, value in at.items()})
+        error = _wrap(goal[rows] - here.values[:, places], periods)
+        return weight * error, weight[:, None] * here.by_pose[:, places]
 
-        return wanted
-
-    pose, found = solve(wanted_after, begin, model.pose_scale, start is None)
+    pose, found = solve(miss, first, begin, model.pose_scale, start is None)
     pose[~found] = np.nan
     return pose.reshape(*shape, q), found.reshape(shape)
 
