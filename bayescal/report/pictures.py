@@ -71,7 +71,7 @@ def render_picture(draw: Callable[[], Figure], stacked: bool = True) -> Picture:
         if not (stacked and needs_stacking(figure)):
             return Picture(png, _make_markup(figure, FINER * len(png) * 4 / 3))
         wide = _make_markup(figure, FINER * len(png) * 4 / 3, "wide")
-        stack_panels(figure, measure_panels(figure))
+        stack_panels(figure, *measure_panels(figure))
         _lay_out(figure)
         most = 0 if len(wide) > MOST_STACKED else MOST_STACKED  # the same marks: not drawn only to be thrown away
         return Picture(png, wide, _make_markup(figure, most, "narrow"))

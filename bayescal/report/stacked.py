@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import textwrap
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -34,43 +33,28 @@ def needs_stacking(figure: Figure) -> bool:
     return float(figure.get_figwidth()) > NEEDS_STACKING
 
 
-@dataclass(frozen=True)
-class Panels:
-    """What the panels of a laid-out figure measure, inches: heights (P,), and the width that each has for itself."""
-
-    heights: np.ndarray
-    width: float
-
-
-def measure_panels(figure: Figure) -> Panels:
-    """Return what the panels of a laid-out figure measure."""
+def measure_panels(figure: Figure) -> tuple[np.ndarray, float]:
+    """Return heights (P,) of the panels of a laid-out figure, and the width that each has for itself, inches."""
     panels = _list_panels(figure)
     tops = [round(axes.get_position().y1, 2) for axes in panels]
     abreast = max((tops.count(top) for top in tops), default=1)
-    return Panels(np.array([_height_of(axes) for axes in panels]), float(figure.get_figwidth()) / abreast)
+    return np.array([_height_of(axes) for axes in panels]), float(figure.get_figwidth()) / abreast
 
 
-def stack_panels(figure: Figure, measured: Panels) -> None:
+def stack_panels(figure: Figure, wide_heights: np.ndarray, wide: float) -> None:
     """Give the panels of a figure places below each other, as wide as a phone; small ones stay side by side.
 
     What the panels shared is written at each that lost its neighbour; titles, names and legends are broken into lines.
-    The figure is left to be laid out.
-
-    Parameters
-    ----------
-    figure : Figure
-        Drawn, not laid out.
-    measured : Panels
-        Of the same figure as it is when it is wide.
+    The figure is drawn, not laid out, and is left to be laid out; heights and width are what `measure_panels` returns.
     """
     panels = _list_panels(figure)
     if not panels:
         return
     for empty in set(figure.axes) - set(panels):
         empty.set_visible(False)
-    n_columns = max(1, min(len(panels), int(NARROW / measured.width + 0.1)))
+    n_columns = max(1, min(len(panels), int(NARROW / wide + 0.1)))
     n_rows = -(-len(panels) // n_columns)
-    rows = [measured.heights[k * n_columns : (k + 1) * n_columns].max() for k in range(n_rows)]
+    rows = [wide_heights[k * n_columns : (k + 1) * n_columns].max() for k in range(n_rows)]
     heights = np.clip(rows, LEAST_HEIGHT, MOST_HEIGHT)
     _write_what_was_shared(panels, n_columns)
     _break_lines(figure, panels, heights, n_columns)

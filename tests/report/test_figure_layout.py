@@ -35,7 +35,7 @@ def stack(draw) -> Figure:
     with rc_context(RC):
         wide, figure = draw(), draw()
         wide.draw_without_rendering()
-        stack_panels(figure, measure_panels(wide))
+        stack_panels(figure, *measure_panels(wide))
         figure.draw_without_rendering()
     return figure
 

@@ -105,7 +105,6 @@ class BatchTurns:
         return back
 
 
-ABOVE = HomeStart()
 MAX_STEPS = 30
 STEP_TOLERANCE = 1e-11
 CLOSED = 2e-14  # largest closure at a home pose by the machine's size: 1e-11 mm for half a metre
@@ -115,9 +114,7 @@ ONE = np.eye(DEGREES_OF_FREEDOM)[..., None]
 SKEW = skew_matrix(np.eye(3)).reshape(3, 9).T  # w to the entries of its skew matrix
 
 
-def guess_level_pose(
-    lower: Array, platform_points: Array, leg_lengths: Array, start: HomeStart = ABOVE
-) -> tuple[Array, Array]:
+def guess_level_pose(lower: Array, platform_points: Array, leg_lengths: Array, start: HomeStart) -> tuple[Array, Array]:
     """Return a level pose from which Newton's method finds the home pose: the stated one, or one that the legs span.
 
     Parameters
