@@ -440,14 +440,7 @@ def keep_machines(
 
 
 def read_kept(path: Path, known: Collection[str] | None = None) -> ReadingModel:
-    """Return the machine of a kept file.
-
-    Parameters
-    ----------
-    path : Path
-        The machine's TOML file.
-    known : collection of str, optional
-        SHA-256 of files that the results go back to: code has to be one of these.
+    """Return the machine of a kept TOML file; ``known``: SHA-256 of files, of which any code has to be one.
 
     Raises
     ------

@@ -118,15 +118,7 @@ def _describe_legs(machine: Machine) -> dict[str, Any]:
 
 
 def check_perfect_legs(calibrated: CalibratedMachine, what: str, drives: tuple[str, ...]) -> None:
-    """Raise InputError where a format cannot have the kinematics of a machine, saying why.
-
-    Parameters
-    ----------
-    what : str
-        The format.
-    drives : tuple of str
-        Those that it takes.
-    """
+    """Raise InputError where a format that takes some drives cannot have the kinematics of a machine, saying why."""
     with name_faults(f"format {what}"):
         machine, variant = calibrated.legs, calibrated.source.variant
     if machine.mechanism.drive not in drives:

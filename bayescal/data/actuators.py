@@ -43,16 +43,7 @@ def read_uses(table: Table) -> np.ndarray:
 def check_range(actuators: Array, home: Array, largest: float, names: Sequence[str]) -> None:
     """Raise InputError where actuators have moved further than they can; the message tries what may have gone wrong.
 
-    Parameters
-    ----------
-    actuators : ndarray, shape (P, N)
-        Positions, mm.
-    home : ndarray, shape (N,)
-        The initial positions, mm.
-    largest : float
-        Largest displacement from there, mm.
-    names : sequence of str
-        Of the poses.
+    Positions (P, N), the initial ones (N,) and the largest displacement from there, mm; names of the poses.
     """
     moved = np.abs(actuators - home)
     limit = largest * (1.0 + OVERTRAVEL)

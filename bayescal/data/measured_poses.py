@@ -16,14 +16,8 @@ FEW = 3
 def check_repeated(names: Sequence[str], readings: Array, verification: np.ndarray) -> None:
     """Raise InputError where two poses have the same readings to the last digit: one measurement, copied.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Of the P poses.
-    readings : ndarray, shape (P, ...)
-        As measured, noise included; NaN where nothing was. Fewer than `FEW` numbers may agree by chance.
-    verification : ndarray of bool, shape (P,)
-        A copy of a calibration pose verifies nothing.
+    Readings (P, ...) are as measured, noise included; NaN where nothing was. Fewer than `FEW` numbers may agree by
+    chance. A copy of a calibration pose verifies nothing.
     """
     flat = readings.reshape(len(names), -1)
     first: dict[bytes, int] = {}

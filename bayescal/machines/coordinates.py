@@ -298,21 +298,9 @@ def mirror_direction(
     """Return θ with one leg's actuator turned to the other direction of the same gain, its home joint kept in place.
 
     With one component of u free, the actuator turns in the plane of e1 or e2 and the pole (see `parameters`). The gain
-    along the leg is even about the leg's line in that plane. Only the free ones of the attachment point's coordinates
-    follow. None where the other direction is further from the pole than the components tell.
-
-    Parameters
-    ----------
-    layout : ParameterLayout
-    theta : ndarray, shape (D,)
-    leg : int
-        Counted from zero.
-    component : int
-        Which one of the direction's two turns.
-    line : ndarray, shape (3,)
-        Along the nominal leg, base frame, of any length and sense.
-    free : ndarray of int
-        Positions of the free parameters in θ.
+    along the leg is even about the leg's line (3,) in that plane, base frame, of any length and sense. Only the free
+    ones of the attachment point's coordinates follow. None where the other direction is further from the pole than the
+    components tell.
     """
     mirrored = theta.copy()
     before, local = actuator_directions(layout, theta)[leg], local_directions(layout, theta)[leg]

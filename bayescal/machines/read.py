@@ -180,19 +180,9 @@ def _on_circle(radius: float, azimuth: Array, height: float) -> Array:
 def build_named_machine(
     mechanism: Mechanism, file: Path, model: str, deformation: str, nominal: NominalDeformation, field: str, where: Path
 ) -> Machine:
-    """Return a mechanism seen through a model and a deformation by their names.
+    """Return a mechanism, read from a file, seen through a model and a deformation by their names in a config.
 
-    Parameters
-    ----------
-    mechanism : Mechanism
-    file : Path
-        Its own, for the message that it is not one for the model.
-    model, deformation : str
-        As a config names them, with their options.
-    nominal : NominalDeformation
-        What the deformation takes its nominal values from.
-    field, where : str, Path
-        Where the names stand, for the message; names of files start there.
+    ``field`` and ``where`` say where the names stand; names of files start there.
 
     Raises
     ------

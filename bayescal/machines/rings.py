@@ -66,12 +66,7 @@ class DirectionCircles:
 def find_circles(directions: Array, legs: Array, sd: Array) -> tuple[np.ndarray, DirectionCircles]:
     """Return which of K legs have a circle, shape (K,), and the circles of those.
 
-    Parameters
-    ----------
-    directions, legs : ndarray, shape (K, 3)
-        Nominal unit directions and leg vectors.
-    sd : ndarray, shape (K,)
-        Prior standard deviation of a direction.
+    Of nominal unit directions and leg vectors (K, 3), and prior standard deviations of the directions (K,).
     """
     axis = legs / np.linalg.norm(legs, axis=1, keepdims=True)
     gain = np.einsum("ik,ik->i", directions, axis)

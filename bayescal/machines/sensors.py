@@ -45,13 +45,7 @@ class Sensor(ABC):
 def information_of_points(points: Array, rotation: Array, noise: float) -> Array:
     """Return what targets tell of their body's pose, shape (P, 6, 6): Σ JᵀJ / σ² with J = (1, -[R s]×).
 
-    Parameters
-    ----------
-    points : ndarray, shape (K, 3)
-        s, the targets in the body's frame, mm.
-    rotation : ndarray, shape (P, 3, 3)
-    noise : float
-        σ of each coordinate, mm.
+    Targets s (K, 3) in the body's frame, mm, turned by R (P, 3, 3), with noise σ of each coordinate, mm.
     """
     jacobian = compute_rigid_jacobian(points, rotation)
     return np.einsum("pkij,pkim->pjm", jacobian, jacobian, optimize=True) / noise**2

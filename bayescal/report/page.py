@@ -152,11 +152,8 @@ def bind_units(text: str) -> str:
 def make_prose(symbols: Sequence[str] = ()) -> Callable[[str], Markup]:
     """Return what sets running text: escaped, units bound to their numbers, symbols as the field writes them.
 
-    Parameters
-    ----------
-    symbols : sequence of str
-        Parameters such as ``kappa``, set wherever they stand, with a leg's number as in ``a_z[3]``; others such as
-        ``u_z`` and ``ρ^0`` are set by their subscripts and superscripts alone.
+    Parameters such as ``kappa`` are set wherever they stand, with a leg's number as in ``a_z[3]``; others such as
+    ``u_z`` and ``ρ^0`` are set by their subscripts and superscripts alone.
     """
     alternatives = "|".join(re.escape(str(escape(s))) for s in sorted(symbols, key=len, reverse=True))
     pattern = re.compile(rf"(?<![\w&#;.])({alternatives})(?:\[(\d+)\])?(?![\w\[])") if alternatives else None

@@ -147,14 +147,9 @@ def _save_fine(figure: Figure, shape: str) -> bytes:
 
 
 def tidy_svg(text: str, tips: Mapping[str, list[str]]) -> str:
-    """Return what is inside an SVG of matplotlib's, without what a page does not need.
+    """Return what is inside an SVG of matplotlib's whose text is drawn as glyphs, without what a page does not need.
 
-    Parameters
-    ----------
-    text : str
-        All text in it is drawn as glyphs.
-    tips : mapping of str to list of str
-        By the id of a group, what its marks stand for.
+    ``tips`` has by the id of a group what its marks stand for.
     """
     inside = text[text.index(">", text.index("<svg")) + 1 : text.rindex("</svg>")]
     inside = re.sub(r"<!--.*?-->|<metadata>.*?</metadata>|<style[^>]*>.*?</style>", "", inside, flags=re.DOTALL)

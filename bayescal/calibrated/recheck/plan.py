@@ -145,15 +145,9 @@ def plan_recheck(
     planned: Measurements,
     demand: Demand,
 ) -> RecheckPlan:
-    """Return the fewest poses out of candidates, commands (C, n), that meet a demand.
+    """Return the fewest poses out of candidates, commands (C, n) in the channels' units, that meet a demand.
 
-    Parameters
-    ----------
-    candidates : ndarray, shape (C, n)
-        Commands, in the channels' units.
-    given : mapping of str to ndarray, shape (C,)
-    planned : Measurements
-        A row that says which channels are read, and their noise; see `predict_knowledge`.
+    ``planned`` is a row that says which channels are read, and their noise; see `predict_knowledge`.
 
     Raises
     ------
@@ -263,13 +257,7 @@ def expect_pose(calibrated: CalibratedMachine, covariance: Array) -> Measurement
 def place_poses(names: tuple[str, ...], actuators: Array, values: Array, covariance: Array) -> Measurements:
     """Return poses (P, 6) measured at actuator positions (P, N), mm and rad, as readings of legs.
 
-    Parameters
-    ----------
-    actuators : ndarray, shape (P, N)
-    values : ndarray, shape (P, 6)
-        NaN where not measured.
-    covariance : ndarray, shape (P, 6, 6)
-        Of what is measured.
+    Values are NaN where not measured; the covariance (P, 6, 6) is that of what is measured.
     """
     n = actuators.shape[1]
     measured = np.isfinite(values)

@@ -186,16 +186,10 @@ class Knowledge:
 def predict_knowledge(
     calibrated: CalibratedMachine, suspects: Suspects, commands: Array, given: Given, planned: Measurements
 ) -> Knowledge:
-    """Return what poses at commands (P, C) will say.
+    """Return what poses at commands (P, C), in the channels' units, will say.
 
-    Parameters
-    ----------
-    commands : ndarray, shape (P, C)
-        In the channels' units.
-    given : mapping of str to ndarray, shape (P,)
-    planned : Measurements
-        One row that says which channels will be read, by numbers, and their noise; that of the commanded channels is
-        the machine's own.
+    ``planned`` is one row that says which channels will be read, by numbers, and their noise; that of the commanded
+    channels is the machine's own.
 
     Raises
     ------
@@ -216,12 +210,7 @@ def predict_knowledge(
 
 
 def compute_knowledge(calibrated: CalibratedMachine, suspects: Suspects, session: Measurements) -> Knowledge:
-    """Return what a session's readings say.
-
-    Parameters
-    ----------
-    session : Measurements
-        Readings of all channels; the noise of the commanded ones is the machine's own.
+    """Return what a session's readings of all channels say; the noise of the commanded ones is the machine's own.
 
     Raises
     ------
@@ -449,16 +438,9 @@ def judge_recheck(
     false_alarm: float,
     n_looks: int,
 ) -> Recheck:
-    """Return what sessions say together, a look at each of them.
+    """Return what sessions, readings of all channels in their order, say together, a look at each of them.
 
-    Parameters
-    ----------
-    sessions : sequence of Measurements
-        Readings of all channels, in their order.
-    false_alarm : float
-        Of all looks together.
-    n_looks : int
-        Sessions that are planned; at least as many as there are.
+    False alarms are those of all looks together, ``n_looks`` the sessions that are planned, if these are more.
     """
     suspects, parts = keep_seen(suspects, [compute_knowledge(calibrated, suspects, one) for one in sessions])
     grams = np.stack([one.total() for one in parts])

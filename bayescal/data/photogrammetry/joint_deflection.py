@@ -168,14 +168,8 @@ def fit_linear_deformation(deflection: JointDeflection, actuator_displacement: A
 
     The residuals are mostly what the model leaves out, so their variance is taken as unknown, one per leg, with the
     Jeffreys prior 1/σ² and a flat prior for κ. The posterior of κ_i is then a Student t distribution with P - 1
-    degrees of freedom around the least-squares value, of scale ``s_i / sqrt(Σ Δρ_i²)``, s_i being ``residual_sd``.
-
-    Parameters
-    ----------
-    deflection : JointDeflection
-        Deflections (P, N) in mm; their covariance is not used.
-    actuator_displacement : array_like, shape (P, N)
-        Δρ from the pose in which the ring's reference was taken, mm.
+    degrees of freedom around the least-squares value, of scale ``s_i / sqrt(Σ Δρ_i²)``, s_i being ``residual_sd``. The
+    covariance of the deflections is not used. Δρ (P, N) counts from the pose of the ring's reference, mm.
 
     Raises
     ------
@@ -200,14 +194,7 @@ def fit_matrix_deformation(deflection: JointDeflection, actuator_displacement: A
 
     Where RR-8096 fits each leg by itself with equal weights, here the legs are fitted together with the known
     covariance C_p of each pose. With a flat prior the posterior of K, row by row, is Gaussian with precision
-    ``Σ_p C_p^-1 ⊗ Δρ_p Δρ_p^T``.
-
-    Parameters
-    ----------
-    deflection : JointDeflection
-        Deflections (P, N) in mm and their covariance.
-    actuator_displacement : array_like, shape (P, N)
-        Δρ from the pose in which the ring's reference was taken, mm.
+    ``Σ_p C_p^-1 ⊗ Δρ_p Δρ_p^T``. Δρ (P, N) counts from the pose of the ring's reference, mm.
 
     Raises
     ------

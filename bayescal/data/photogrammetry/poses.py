@@ -61,16 +61,9 @@ class PoseExtraction:
 
 
 def extract_poses(survey: Survey, noise: float, method: str = "robust") -> PoseExtraction:
-    """Return the measured pose of the platform at every pose of a survey.
+    """Return the measured pose of the platform at every pose of a survey, for the noise of a target coordinate, mm.
 
-    Parameters
-    ----------
-    survey : Survey
-        Targets and actuator positions.
-    noise : float
-        Standard deviation of a target coordinate, mm.
-    method : str
-        ``robust`` (Haralick et al. 1989) or ``line``, both of RR-8096 section 3.1, or ``least_squares``.
+    ``method``: ``robust`` (Haralick et al. 1989) or ``line``, both of RR-8096 section 3.1, or ``least_squares``.
     """
     fits = {}
     rejected: list[tuple[str, str, str]] = []
@@ -107,14 +100,7 @@ WORST = 10
 
 
 def check_exchanged(survey: Survey, noise: float) -> None:
-    """Raise InputError where most poses say that two targets of a body, or two pads, go by each other's names.
-
-    Parameters
-    ----------
-    survey : Survey
-    noise : float
-        Standard deviation of a target coordinate, mm.
-    """
+    """Raise InputError where most poses say that two targets of a body, or two pads, go by each other's names."""
     for name, body in (("base", survey.base), ("platform", survey.platform)):
         rigid = np.flatnonzero(body.leg == 0)
         found = [find_exchanged(body.reference[rigid], one[rigid], noise) for one in body.measured]
@@ -134,12 +120,7 @@ def check_exchanged(survey: Survey, noise: float) -> None:
 def find_exchanged(reference: Array, measured: Array, noise: float) -> tuple[tuple[int, int], float] | None:
     """Return which two of n targets are exchanged at a pose, and how much better they fit exchanged; None if none are.
 
-    Parameters
-    ----------
-    reference, measured : ndarray, shape (n, 3)
-        mm; NaN where a target was not seen.
-    noise : float
-        mm.
+    Targets (n, 3) and their noise are in mm, NaN where a target was not seen.
     """
     seen = np.flatnonzero(np.isfinite(measured[:, 0]))
     reference, measured = reference[seen], measured[seen]

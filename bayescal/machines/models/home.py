@@ -117,14 +117,7 @@ SKEW = skew_matrix(np.eye(3)).reshape(3, 9).T  # w to the entries of its skew ma
 def guess_level_pose(lower: Array, platform_points: Array, leg_lengths: Array, start: HomeStart) -> tuple[Array, Array]:
     """Return a level pose from which Newton's method finds the home pose: the stated one, or one that the legs span.
 
-    Parameters
-    ----------
-    lower, platform_points : ndarray, shape (N, 3)
-        Lower joints in the base frame and joints on the platform in its own, mm.
-    leg_lengths : ndarray, shape (N,)
-        mm.
-    start : HomeStart
-        The platform's position, or on which side of the lower joints it stands.
+    Lower joints (N, 3) in the base frame and joints on the platform (N, 3) in its own, leg lengths (N,), mm.
 
     Raises
     ------
