@@ -122,7 +122,7 @@ def read_again(
     assert found.all()
     normal, own = rng.standard_normal((len(commands), len(sd))), calibrated.commanded
     noise = sd * normal
-    root = np.linalg.cholesky(calibrated.errors.covariance(pose, commands, given))
+    root = np.linalg.cholesky(calibrated.errors.covariance(pose, commands))
     noise[:, own] = np.where(np.isnan(sd[own]), np.nan, np.einsum("pij,pj->pi", root, normal[:, own]))
     values = calibrated.model.read(theta, pose, given) + noise
     names = tuple(f"R{k:02d}" for k in range(1, len(commands) + 1))

@@ -158,22 +158,14 @@ class Source:
 
 @dataclass(frozen=True, eq=False)
 class Errors:
-    """By what the C commanded channels err besides the geometry, in their units: h(θ, v) = s + δ at commands s.
-
-    A model error with a mean, or one that changes over the workspace, is another class of these methods.
-    """
+    """By what the C commanded channels err besides the geometry, in their units: h(θ, v) = s + δ at commands s."""
 
     noise: Array  # (C, C): covariance of the channels' readings, independent from one visit of a pose to the next
     model_variance: Array  # (C,): posterior mean of τ², the same at each visit
 
-    def mean(self, pose: Array, commands: Array, given: Given = NOTHING) -> Array:
-        """Return the mean of δ at poses (P, q) and commands (P, C), shape (P, C)."""
-        del pose, given
-        return np.zeros_like(commands)
-
-    def covariance(self, pose: Array, commands: Array, given: Given = NOTHING) -> Array:
+    def covariance(self, pose: Array, commands: Array) -> Array:
         """Return the covariance of δ at poses (P, q) and commands (P, C), shape (P, C, C)."""
-        del pose, given
+        del pose
         return np.broadcast_to(self.noise + np.diag(self.model_variance), (*commands.shape, commands.shape[-1]))
 
     def split(self) -> dict[str, Errors]:
@@ -202,9 +194,8 @@ class LegErrors(Errors):
     # as known
     matrix_covariance: Array | None = None
 
-    def covariance(self, pose: Array, commands: Array, given: Given = NOTHING) -> Array:
+    def covariance(self, pose: Array, commands: Array) -> Array:
         """Return σ_ρ² 1 + A⁻¹ diag(A_ii² (τ_i² + v_i)) A⁻ᵀ, where v_i is the variance of Δb_z that K's rest leaves."""
-        del given
         with np.errstate(all="ignore"):  # poses that were not found
             rotation = matrix_from_rotation_vector(np.nan_to_num(pose[..., 3:]))
             closure = self.machine.model.prepare(self.machine.layout, self.theta)

@@ -205,10 +205,9 @@ def find_errors(calibrated: CalibratedMachine, at: Place) -> ErrorsThere:
     A drift is another one at another time, as large as it was.
     """
     model, errors, known = calibrated.model, calibrated.errors, calibrated.functions
-    where = at.pose, at.commands, at.given
     if known is None or calibrated.covariance is None:
-        parts = {name: one.covariance(*where) for name, one in errors.split().items()}
-        return ErrorsThere(errors.mean(*where), parts, None)
+        parts = {name: one.covariance(at.pose, at.commands) for name, one in errors.split().items()}
+        return ErrorsThere(np.zeros_like(at.commands), parts, None)
     own, n = calibrated.commanded, len(model.channels)
     values = np.full((len(at.commands), n), np.nan)
     values[:, own] = at.commands
@@ -219,10 +218,10 @@ def find_errors(calibrated: CalibratedMachine, at: Place) -> ErrorsThere:
     shown = (np.broadcast_to(np.eye(n), (len(values), n, n)) if gain is None else gain)[:, own]
     alone = np.concatenate([shown * np.sqrt(beside)[:, None], shown @ (known.place(model) * known.drift)], axis=-1)
     others = replace(errors, model_variance=np.zeros_like(errors.model_variance)).split()
-    parts = {name: one.covariance(*where) for name, one in others.items()}
+    parts = {name: one.covariance(at.pose, at.commands) for name, one in others.items()}
     parts[MODEL] = alone @ np.swapaxes(alone, 1, 2)
     columns = -(shown @ acted)
-    return ErrorsThere(errors.mean(*where) + columns @ known.mean, parts, columns)
+    return ErrorsThere(columns @ known.mean, parts, columns)
 
 
 # --- poses of commands ---------------------------------------------------------------------------------------------

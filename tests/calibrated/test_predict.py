@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import calibrated_machines as calibrated
 import numpy as np
 import pytest
 import telescope_machines as machines
 
-from bayescal.calibrated.machine import Errors, build_calibrated
+from bayescal.calibrated.machine import build_calibrated
 from bayescal.calibrated.predict import command_poses, draw_poses, predict_poses
 from bayescal.errors import InputError
 from bayescal.machines.kinematics import solve_forward_kinematics
@@ -50,36 +50,6 @@ def test_other_shapes_are_refused(values, rng):
     made_up = calibrated.build_made_up(machines.build_machine("none"), rng, n_draws=20)
     with pytest.raises(InputError, match="commands: found"):
         predict_poses(made_up, values)
-
-
-@dataclass(frozen=True, eq=False)
-class Offset(Errors):
-    """A model error with a mean: actuators travel less than they say by a share of their displacement."""
-
-    share: float = 0.0
-    start: np.ndarray | None = None
-
-    def mean(self, pose, commands, given=None):
-        return -self.share * (commands - self.start)
-
-
-def test_errors_with_a_mean_move_pose_and_actuators(rng):
-    """A structured model error: struts too short by 1e-4 of their travel are actuators that travel less."""
-    made_up = calibrated.build_made_up(machines.build_machine("none", model="six_ups"), rng)
-    mechanism = made_up.legs.mechanism
-    actuators = calibrated.measurable_actuators(made_up.legs, 5, rng)
-    less = mechanism.initial_actuator_positions + (1 - 1e-4) * (actuators - mechanism.initial_actuator_positions)
-    errors = Offset(1e-6 * np.eye(6), np.zeros(6), 1e-4, mechanism.initial_actuator_positions)
-    biased = replace(made_up, errors=errors)
-    one, other = predict_poses(biased, actuators), predict_poses(made_up, less)
-    np.testing.assert_allclose(one.position, other.position, rtol=0, atol=1e-7)
-    np.testing.assert_allclose(one.rotation, other.rotation, rtol=0, atol=1e-9)
-    back = command_poses(biased, one.tool)
-    np.testing.assert_allclose(back.commands, actuators, rtol=0, atol=1e-7)
-    assert np.abs(actuators - less).max() > 1e-5
-    position = draw_poses(biased, actuators, 400, rng)[..., :3]
-    spread = position.std(axis=0) / 20
-    np.testing.assert_array_less(np.abs(position.mean(axis=0) - one.position), 5 * spread)
 
 
 def test_same_random_numbers_same_draws(rng):

@@ -78,7 +78,7 @@ def test_scores_are_those_of_least_squares_over_poses_parameters_and_shifts(case
     p, q, n, m = len(pose), pose.shape[1], len(suspects.places), len(calibrated.free)
     own, covariance = calibrated.commanded, np.tile(np.diag(np.nan_to_num(sd) ** 2), (p, 1, 1))
     commands = session.values[:, own]
-    covariance[:, own[:, None], own] = calibrated.errors.covariance(pose, commands, given)
+    covariance[:, own[:, None], own] = calibrated.errors.covariance(pose, commands)
     root = np.linalg.inv(np.linalg.cholesky(covariance[:, read][:, :, read]))
     white = root @ np.concatenate([here.by_pose, here.by_parameters], axis=-1)[:, read]
     rows = np.zeros((p, read.sum(), p * q + m + n))

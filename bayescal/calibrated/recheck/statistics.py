@@ -256,15 +256,10 @@ def _seek(calibrated: CalibratedMachine, session: Measurements, start: Array) ->
 def _compare(
     calibrated: CalibratedMachine, session: Measurements, pose: Array, with_parameters: bool = True
 ) -> tuple[Array, Array, Array]:
-    """Return measured minus read at poses, (P, K), and slopes of what is read, (P, K, q) and (P, K, D); zero if unread.
-
-    The mean error of the commanded channels is taken off.
-    """
+    """Return measured minus read at poses, (P, K), and slopes of what is read, (P, K, q), (P, K, D); zero if unread."""
     here = calibrated.model.linearise(calibrated.theta, pose, with_parameters, session.given)
-    comparison, values = Comparison(calibrated.model.channels), session.values.copy()
-    commands = values[:, calibrated.commanded]
-    values[:, calibrated.commanded] = commands + calibrated.errors.mean(pose, np.nan_to_num(commands), session.given)
-    error = comparison.subtract(values, here.values)
+    comparison = Comparison(calibrated.model.channels)
+    error = comparison.subtract(session.values, here.values)
     slopes = [here.by_pose, *([here.by_parameters] if with_parameters else [])]
     slopes = [comparison.pull_back(np.nan_to_num(error), here.values, one) for one in slopes]
     unread = ~session.present
@@ -286,7 +281,7 @@ def _whiten(calibrated: CalibratedMachine, session: Measurements, pose: Array, b
         covariance = sd[..., None] * session.correlation * sd[:, None]
     covariance[:, own, :] = covariance[:, :, own] = 0.0
     commands = np.nan_to_num(session.values[:, own])
-    covariance[np.ix_(np.arange(len(sd)), own, own)] = errors.covariance(pose, commands, session.given)
+    covariance[np.ix_(np.arange(len(sd)), own, own)] = errors.covariance(pose, commands)
     if beside is not None:
         shown = _gain(calibrated, session, pose) * np.sqrt(beside)[:, None]
         covariance = covariance + shown @ np.swapaxes(shown, 1, 2)

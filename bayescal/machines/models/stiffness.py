@@ -270,6 +270,7 @@ class Stiffness(HomeModel):
     name: ClassVar[str] = "stiffness"
     title: ClassVar[str] = "stiffness"
     state: ClassVar[type[LegState]] = StandingLegs
+    closure: ClassVar[type[EquilibriumClosure]] = StiffnessClosure
 
     @classmethod
     def from_mechanism(cls, mechanism: Mechanism) -> Self:
@@ -341,7 +342,7 @@ class Stiffness(HomeModel):
     def bind(self, layout: ParameterLayout, position: Array, rotation: Array, basis: DeformationBasis) -> BoundClosure:
         """Return the closure for batches."""
         equilibrium = (self.to_elongation, self._reference, self._external(rotation)[0])
-        return StiffnessClosure(layout, position, rotation, basis, *equilibrium)
+        return self.closure(layout, position, rotation, basis, *equilibrium)
 
 
 class FixedStiffness(Stiffness):
@@ -350,11 +351,7 @@ class FixedStiffness(Stiffness):
     name: ClassVar[str] = "stiffness_fixed"
     title: ClassVar[str] = "stiffness (fixed)"
     state: ClassVar[type[LegState]] = HomeLegs
-
-    def bind(self, layout: ParameterLayout, position: Array, rotation: Array, basis: DeformationBasis) -> BoundClosure:
-        """Return the closure for batches."""
-        equilibrium = (self.to_elongation, self._reference, self._external(rotation)[0])
-        return FixedStiffnessClosure(layout, position, rotation, basis, *equilibrium)
+    closure: ClassVar[type[EquilibriumClosure]] = FixedStiffnessClosure
 
 
 def _unit(symbol: str) -> str:
