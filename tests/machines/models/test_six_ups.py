@@ -9,7 +9,6 @@ import hexapods
 import numpy as np
 import pytest
 import telescope_machines as machines
-from scipy.optimize import root
 from scipy.spatial.transform import Rotation
 
 from bayescal.density.priors import NormalPrior, UniformPrior
@@ -137,22 +136,6 @@ def test_forward_finds_what_inverse_was_given_over_all_limits(name, machine, rng
     assert np.abs(error[:, :3]).max() < 1e-11
     assert np.abs(error[:, 3:]).max() < 1e-14
     assert found.n_iterations <= 5
-
-
-def test_forward_kinematics_is_that_of_a_general_solver(machine, rng):
-    mechanism = machine.mechanism
-    for actuators in rng.uniform(-STROKE, STROKE, (5, 6)):
-
-        def miss(x, wanted=mechanism.leg_lengths + actuators):
-            joints = mechanism.base_points, mechanism.platform_points
-            return strut_lengths(mechanism.home_position + x[:3], x[3:] / 1e3, *joints) - wanted
-
-        expected = root(miss, np.zeros(6), tol=1e-13).x
-        found = solve_forward_kinematics(machine, machine.layout.nominal, actuators)
-        np.testing.assert_allclose(found.position, mechanism.home_position + expected[:3], atol=1e-8)
-        expected_rotation = Rotation.from_rotvec(expected[3:] / 1e3).as_matrix()
-        np.testing.assert_allclose(found.rotation, expected_rotation, atol=1e-11)
-        assert np.linalg.norm(expected) > 1.0
 
 
 def test_large_workspace_of_yu_2023(rng):

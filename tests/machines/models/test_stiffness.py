@@ -197,36 +197,6 @@ def test_wrench_is_that_of_the_finite_elements(model, mechanism, rng):
         assert np.abs(expected / size).max() > 1e-2
 
 
-def test_solved_poses_are_in_equilibrium(model, mechanism, rng):
-    """Platform: legs and external wrench. Whole machine: base and external wrench, about the base frame's origin."""
-    machine = machines.build_machine("matrix", mechanism, model)
-    elements, rho = FiniteElementMachine(machine), move_about(machine, rng)
-    pose = solve_forward_kinematics(machine, machine.layout.nominal, rho)
-    for position, rotation, one in zip(pose.position, pose.rotation, rho, strict=True):
-        (lower, upper), force, moment = elements.loads(position, rotation, one)
-        pull, torque = external_wrench(mechanism.load, rotation)
-        levers = np.cross(upper - position, force[1])
-        size, moment_size = np.abs(force).max(), np.abs(levers).max()
-        assert np.abs(pull - force[1].sum(axis=0)).max() < 1e-8 * size
-        assert np.abs(torque - (moment[1] + levers).sum(axis=0)).max() < 1e-8 * moment_size
-        np.testing.assert_allclose(force[0], -force[1], rtol=0, atol=1e-8 * size)
-        assert np.abs(pull + force[0].sum(axis=0)).max() < 1e-8 * size
-        assert size > 20
-        about_origin = (moment[0] + np.cross(lower, force[0])).sum(axis=0) + torque + np.cross(position, pull)
-        assert np.abs(about_origin).max() < levers_left_out(model) * moment_size
-        for leg in range(6):  # each leg, straight and of its nominal length
-            vector = upper[leg] - lower[leg]
-            axis = elements.start_axes[leg] if model == "stiffness_fixed" else vector / np.linalg.norm(vector)
-            couple = moment[0, leg] + moment[1, leg]
-            couple = couple + mechanism.leg_lengths[leg] * np.cross(axis, force[1, leg])
-            assert np.abs(couple).max() < 1e-8 * moment_size
-
-
-def levers_left_out(model):
-    """Return the share of a moment that a leg's change of length, or its lean from home, leaves out of balance."""
-    return 0.1 if model == "stiffness_fixed" else 1e-6
-
-
 # --- small displacements ---------------------------------------------------------------------------------------------
 
 
@@ -288,18 +258,6 @@ def test_platform_sinks_by_the_axial_compliance_of_its_legs(model):
     assert aside < 1e-6 * found
 
 
-def test_platform_sinks_by_the_compliance_of_the_finite_elements(model):
-    """On joints that bend as they are, and stout ones."""
-    for diameter in (1.0, 4.0):
-        flexures = machines.build_flexures(6, diameter=diameter)
-        mechanism = machines.build_telescope(load=weigh(MASS), flexures=flexures)
-        elements = FiniteElementMachine(machines.build_machine("none", mechanism, model))
-        expected = MASS * GRAVITY * np.linalg.inv(elements.stiffness())[2, 2]
-        found, aside = sink(mechanism, model)
-        assert found == pytest.approx(expected, rel=1e-4)
-        assert aside < 1e-6 * found
-
-
 @pytest.mark.parametrize("deformation", machines.deformation_names())
 def test_forward_and_inverse_kinematics_under_load(model, mechanism, deformation, rng):
     machine = machines.build_machine(deformation, mechanism, model)
@@ -331,27 +289,6 @@ def test_soft_flexures_make_the_6_pus():
     np.testing.assert_allclose(distances / (distances[3] / 1e-3 * np.array(factors)), 1.0, rtol=0.02)
     assert distances[-1] < 1e-6
     assert 1e-4 < distances[0] < 1e-2
-
-
-def test_soft_flexures_with_the_directions_of_home_leave_the_lean_out():
-    """Then z^0 · (g - g^0) = 0: to the 6-PUS the legs are too long by their lean squared over twice their length."""
-    rho = machines.table_3_actuators()
-    perfect, left = machines.build_machine("none"), []
-    for factor in (1e-3, 1e-5, 1e-7):
-        machine = machines.build_machine("none", soften(machines.build_telescope(), factor), "stiffness_fixed")
-        elements = FiniteElementMachine(machine)
-        pose = solve_forward_kinematics(machine, machine.layout.nominal, rho)
-        mechanism = machine.mechanism
-        start = elements.home.position + mechanism.platform_points - mechanism.home_joints
-        joints = pose.position[:, None] + np.einsum("pjk,ik->pij", pose.rotation, mechanism.platform_points)
-        moved = joints - mechanism.base_points - rho[..., None] * mechanism.directions - start
-        along = np.einsum("pik,ik->pi", moved, elements.start_axes)
-        left.append(np.abs(along).max())
-    np.testing.assert_allclose(np.array(left) / left[0], [1.0, 1e-2, 1e-4], rtol=0.02)
-    lean = np.linalg.norm(moved - along[..., None] * elements.start_axes, axis=-1)
-    closure = perfect.linearise(perfect.layout.nominal, pose.position, pose.rotation, rho).residual
-    np.testing.assert_allclose(closure, -(lean**2) / (2 * 500.0), rtol=1e-3, atol=1e-9)
-    assert 0.03 < np.abs(closure).max() < 0.1
 
 
 def test_without_load_only_ratios_of_stiffnesses_count(model, rng):
