@@ -115,10 +115,7 @@ def box_about_home(half: Array) -> Region:
 def sample_region(calibrated: CalibratedMachine, region: Region, n: int, seed: int) -> Array:
     """Return commands (n, C) of poses all over a region, as far as they are in reach.
 
-    Raises
-    ------
-    InputError
-        Where fewer than `FEWEST` are.
+    InputError where fewer than `FEWEST` are.
     """
     model, compared = calibrated.model, Comparison(calibrated.model.pose_channels)
     q = len(model.coordinates)
@@ -153,10 +150,7 @@ def enclose_workspace(calibrated: CalibratedMachine) -> Region | None:
 def sample_range(calibrated: CalibratedMachine, n: int, seed: int) -> Array:
     """Return commands (about n, C) all over their range, that have a pose; all over the workspace where they have none.
 
-    Raises
-    ------
-    InputError
-        Where none has.
+    InputError where none has.
     """
     model = calibrated.model
     workspace = enclose_workspace(calibrated)
@@ -203,10 +197,7 @@ class Spread:
 def compute_budget(calibrated: CalibratedMachine, commands: Array, given: Given = NOTHING) -> Budget:
     """Return the covariances of the tool at commands (P, C), by source.
 
-    Raises
-    ------
-    InputError
-        Where there is no covariance of the posterior.
+    InputError where there is no covariance of the posterior.
     """
     if calibrated.covariance is None:
         raise InputError(f"experiment {calibrated.source.experiment}: found no draws of its posterior, expected some")
@@ -233,10 +224,7 @@ def propagate(
 ) -> Spread:
     """Return by Monte Carlo what holds a share of tools at commands (P, C) (JCGM 101:2008, section 7).
 
-    Raises
-    ------
-    InputError
-        Where there are no draws.
+    InputError where there are no draws.
     """
     rng, mean = np.random.default_rng(seed), predict_poses(calibrated, commands, given)
     half_width, radius, n = np.empty_like(mean.tool), np.empty(len(commands)), 0
@@ -303,17 +291,14 @@ def check_standards(calibrated: CalibratedMachine) -> str:
 def fit_cube(calibrated: CalibratedMachine, centre: Array, most: float = np.inf) -> float:
     """Return the edge in mm, two digits of it, of the largest cube about a tool all of whose corners are in reach.
 
+    InputError where the centre itself is out of reach.
+
     Parameters
     ----------
     centre : ndarray, shape (m,)
         The tool in its middle; it keeps its orientation.
     most : float
         Edge that it has at most, mm.
-
-    Raises
-    ------
-    InputError
-        Where the centre itself is out of reach.
     """
     n = len(calibrated.lengths)
     corners = np.array(np.meshgrid(*[(-0.5, 0.5)] * n)).reshape(n, -1).T
@@ -358,12 +343,8 @@ def list_axis_poses(edge: float, axis: int, n: int = MOST_LENGTHS) -> Array:
 def draw_cycles(calibrated: CalibratedMachine, poses: Array, n_cycles: int, n_draws: int, seed: int) -> Array:
     """Return deviations of attained from commanded tools (P, m) in length by draws of the posterior, (S, P, n, d), mm.
 
-    A draw's geometry and its model errors stay the same in all cycles, the noise of the commands does not.
-
-    Raises
-    ------
-    InputError
-        Where a pose is out of reach.
+    A draw's geometry and its model errors stay the same in all cycles, the noise of the commands does not. InputError
+    where a pose is out of reach.
     """
     rng, lengths, given = np.random.default_rng(seed), calibrated.lengths, calibrated.typical(len(poses))
     found = command_poses(calibrated, poses, given)

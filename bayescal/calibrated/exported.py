@@ -90,10 +90,7 @@ class ExportedConfig(Section):
 def list_mechanism_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
     """Return the files of a machine on legs that every command takes, by name.
 
-    Raises
-    ------
-    InputError
-        Where no drawings hold the machine's kinematics, or it has no level home pose any more.
+    InputError where no drawings hold the machine's kinematics, or it has no level home pose any more.
     """
     machine = calibrated.legs
     hindrance = find_hindrance(machine)
@@ -238,13 +235,7 @@ def _encode_functions(known: KnownFunctions, calibrated: CalibratedMachine) -> b
 
 
 def read_exported(folder: Path) -> CalibratedMachine:
-    """Return the machine of an exported directory.
-
-    Raises
-    ------
-    InputError
-        For anything at fault in its files.
-    """
+    """Return the machine of an exported directory; InputError for anything at fault in its files."""
     path = folder / CALIBRATED
     check_whole(folder, expected=False, additions=True)
     content, text = read_toml(path)
@@ -388,11 +379,8 @@ def _read_functions(path: Path, names: tuple[str, ...]) -> KnownFunctions:
 def check_covariance(path: Path, names: Sequence[str], covariance: Array) -> None:
     """Check a covariance (n, n) of quantities of any units.
 
-    Raises
-    ------
-    InputError
-        Where an entry is not finite, a variance is negative, two entries across the diagonal differ, or no data can
-        have such correlations.
+    InputError where an entry is not finite, a variance is negative, two entries across the diagonal differ, or no data
+    can have such correlations.
     """
     for i, j in np.argwhere(~np.isfinite(covariance))[:1]:
         raise InputError(f"{_where(path, names, i, j)}: found {covariance[i, j]:g}, expected a finite number")
@@ -442,10 +430,7 @@ def keep_machines(
 def read_kept(path: Path, known: Collection[str] | None = None) -> ReadingModel:
     """Return the machine of a kept TOML file; ``known``: SHA-256 of files, of which any code has to be one.
 
-    Raises
-    ------
-    InputError
-        For code that nobody has trusted, or that is another than the results'.
+    InputError for code that nobody has trusted, or that is another than the results'.
     """
     check_same(path.parent, [path.name], known)
     for what, name in _list_own_classes(path):  # before any of it is run

@@ -138,11 +138,7 @@ def list_genhexkins_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
     Its conventions, as its manual has them: ``base.N`` and ``platform.N`` are the ends of strut N, counted from zero,
     in base and in platform coordinates; a joint's position is the length of its strut, |p + R platform.N - base.N|; A,
     B and C are roll, pitch and yaw in degrees, R = R_z(C) R_y(B) R_x(A). Machine units are taken to be millimetres.
-
-    Raises
-    ------
-    InputError
-        Where the machine has other than six struts with perfect joints.
+    InputError where the machine has other than six struts with perfect joints.
     """
     check_perfect_legs(calibrated, "genhexkins", ("strut",))
     mechanism = calibrated.legs.mechanism
@@ -165,12 +161,8 @@ def list_urdf_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
     A leg is a prismatic joint between two universal joints, each of them two revolute ones, with a turn about its own
     axis: without that six legs would hold the platform still. A tree has no loops: the first leg carries the platform,
     each of the others ends in a link that belongs where the platform's own mark of the leg is. These loops are named in
-    elements ``loop_joint``, which readers of plain URDF pass over.
-
-    Raises
-    ------
-    InputError
-        Where joints and rigid links are not all of the machine's kinematics.
+    elements ``loop_joint``, which readers of plain URDF pass over. InputError where joints and rigid links are not all
+    of the machine's kinematics.
     """
     check_perfect_legs(calibrated, "urdf", ("strut", "base"))
     mechanism = calibrated.legs.mechanism

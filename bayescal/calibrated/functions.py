@@ -233,10 +233,7 @@ ARRAYS: Final = ("home", "range", "levers", "travel", "time", "square", "drifts"
 def read_known(path: Path, group: str | None = None) -> tuple[KnownFunctions, list[str]]:
     """Return what a file, or a group of it, has of them, and names of the parameters beside.
 
-    Raises
-    ------
-    OSError, ValueError, KeyError
-        As `read_netcdf`, and where one of the arrays is missing.
+    OSError, ValueError, KeyError as `read_netcdf`, and where one of the arrays is missing.
     """
     found = read_netcdf(path, group)
     channels, sorts, beside = ([str(one) for one in found[key].values] for key in ("channel", "sort", "parameter"))

@@ -335,10 +335,7 @@ class CalibratedMachine:
     def typical(self, n: int) -> dict[str, Array]:
         """Return what a pose has to know besides, n times the median of the poses that calibrated it.
 
-        Raises
-        ------
-        InputError
-            Where that is not known.
+        InputError where that is not known.
         """
         for name in self.model.given:
             if name not in self.given:

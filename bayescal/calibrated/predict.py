@@ -423,6 +423,8 @@ def draw_poses(
 ) -> Array:
     """Return where draws of the posterior have their tools, each with errors of its own.
 
+    InputError where there are no draws.
+
     Parameters
     ----------
     calibrated : CalibratedMachine
@@ -438,11 +440,6 @@ def draw_poses(
     -------
     ndarray, shape (S, P, m)
         NaN where a draw's machine has no pose.
-
-    Raises
-    ------
-    InputError
-        Where there are no draws.
     """
     if calibrated.draws is None:
         raise InputError(f"experiment {calibrated.source.experiment}: found no draws of its posterior, expected some")

@@ -49,12 +49,8 @@ class Commanded:
 def read_quantities(table: Table, wanted: Sequence[Channel | Coordinate], prefix: str = "") -> Array:
     """Return the columns of some quantities, each in a unit of its kind, in the inner one, shape (P, n).
 
-    The components of a rotation vector rx, ry, rz may be there in any form of rotation.
-
-    Raises
-    ------
-    InputError
-        For a missing column, two of the same quantity, and a cell that is no number.
+    The components of a rotation vector rx, ry, rz may be there in any form of rotation. InputError for a missing
+    column, two of the same quantity, and a cell that is no number.
     """
     values = np.full((len(table.rows), len(wanted)), np.nan)
     turned = [k for k, one in enumerate(wanted) if getattr(one, "rotation", "") and one.name in TURNED]
@@ -116,10 +112,7 @@ def read_given(table: Table, names: Sequence[str]) -> dict[str, Array]:
 def read_commanded(path: Path, calibrated: CalibratedMachine) -> Commanded:
     """Return the poses of a table, the tool's or the machine's coordinates; what else is measured is passed over.
 
-    Raises
-    ------
-    InputError
-        For a missing column, a cell that is no number, or a pose that stands twice.
+    InputError for a missing column, a cell that is no number, or a pose that stands twice.
     """
     model = calibrated.model
     tool = [] if is_pose(calibrated) else list_columns(model.tool_channels, TOOL)

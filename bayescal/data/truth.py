@@ -46,11 +46,8 @@ def format_true_poses(comments: Sequence[str], coordinates: Sequence[str], names
 def read_true_parameters(path: Path, layout: ParameterLayout) -> Array:
     """Return the parameters (D,) of a file, each once, in any order.
 
-    Raises
-    ------
-    InputError
-        For an unknown, missing or repeated parameter, a unit that is not the parameter's, and a value that no machine
-        has.
+    InputError for an unknown, missing or repeated parameter, a unit that is not the parameter's, and a value that no
+    machine has.
     """
     table = read_table(path, PARAMETER_COLUMNS)
     known = {name: k for k, name in enumerate(layout.names)}

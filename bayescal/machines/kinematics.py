@@ -210,9 +210,10 @@ def solve_forward_kinematics(
 ) -> ForwardKinematics:
     """Find the poses in which the closure vanishes.
 
-    Far from home they are found along the straight path of the actuators from there, since the legs of long guides
-    have other poses, too. A pose on another assembly branch than home's counts as not converged: one whose signs are
-    others, and one to which neither straight way leads, of the actuators or of the platform.
+    Far from home they are found along the straight path of the actuators from there, since the legs of long guides have
+    other poses, too. A pose on another assembly branch than home's counts as not converged: one whose signs are others,
+    and one to which neither straight way leads, of the actuators or of the platform. NumericalError where Newton's
+    method does not converge, or on another branch, naming the first such pose.
 
     Parameters
     ----------
@@ -233,11 +234,6 @@ def solve_forward_kinematics(
     ForwardKinematics
         Positions (..., 3) in mm and rotations (..., 3, 3) in the base frame. For more than six legs the step is the
         least-squares one.
-
-    Raises
-    ------
-    NumericalError
-        Where Newton's method does not converge, or on another branch, naming the first such pose.
     """
     position, rotation = guess_home_pose(machine.mechanism)
     shape = np.broadcast_shapes(theta.shape[:-1], actuators.shape[:-1])
@@ -292,6 +288,7 @@ def solve_inverse_kinematics(
 
     Those of perfect legs are in closed form; for others Newton's method starts there. Of the two positions in which a
     leg reaches its joint, the one is found on that side of the foot on which the actuator stands at home.
+    NumericalError where there are none, naming the first such pose and the leg that is furthest from it.
 
     Parameters
     ----------
@@ -305,11 +302,6 @@ def solve_inverse_kinematics(
         Raise where no actuator positions are found; otherwise the result's ``converged`` says so.
     near : ndarray, shape (..., N), optional
         Where Newton's method starts in place of perfect legs, such as where the actuators were read; NaN where unknown.
-
-    Raises
-    ------
-    NumericalError
-        Where there are none, naming the first such pose and the leg that is furthest from it.
     """
     layout, n_legs = machine.layout, machine.mechanism.n_legs
     shape = (*np.broadcast_shapes(theta.shape[:-1], position.shape[:-1]), n_legs)

@@ -41,10 +41,7 @@ SHORTEST = 1e-6  # mm; what rounding leaves of no length is less
 def load_mechanism(path: Path) -> Mechanism:
     """Return the mechanism that a TOML file describes, lengths in mm.
 
-    Raises
-    ------
-    InputError
-        Where the file is not a mechanism, or its lists do not have one entry per leg.
+    InputError where the file is not a mechanism, or its lists do not have one entry per leg.
     """
     content, text = read_toml(path)
     if isinstance(content.get("kind"), str):
@@ -182,12 +179,8 @@ def build_named_machine(
 ) -> Machine:
     """Return a mechanism, read from a file, seen through a model and a deformation by their names in a config.
 
-    ``field`` and ``where`` say where the names stand; names of files start there.
-
-    Raises
-    ------
-    InputError
-        For an unknown name, a mechanism that is not one for the model, and somebody else's class that fails.
+    ``field`` and ``where`` say where the names stand; names of files start there. InputError for an unknown name, a
+    mechanism that is not one for the model, and somebody else's class that fails.
     """
     chosen = choose_model(model, f"{field}.model", where)
     kind: Choice[Deformation] = choose("DEFORMATIONS", deformation, Deformation, f"{field}.deformation", where)  # type: ignore[type-abstract]
@@ -217,12 +210,7 @@ def read_reading_model(path: Path) -> ReadingModel:
 
     Its ``kind`` is ``legs``, ``sliding_platform`` or a machine of one function: a built-in name, an installed
     package's, or ``file.py:Class`` beside the file. The class's own section is ``[machine]``, or all of the file where
-    its ``Config`` is that of a whole one.
-
-    Raises
-    ------
-    InputError
-        Names file, line and key; or what is wrong with the class.
+    its ``Config`` is that of a whole one. InputError names file, line and key; or what is wrong with the class.
     """
     content, text = read_toml(path)
     kind = content.get("kind")

@@ -75,6 +75,8 @@ def write_page(
 ) -> Path:
     """Write ``figures/*.png`` and ``report.html`` into a results directory.
 
+    InputError where the folder of the figures is a link.
+
     Parameters
     ----------
     page : Page
@@ -90,11 +92,6 @@ def write_page(
     -------
     Path
         The page; it holds its figures and its style and refers to no other file.
-
-    Raises
-    ------
-    InputError
-        Where the folder of the figures is a link.
     """
     shown = page.shown_figures()  # the others are not worth being drawn twice, and scroll on a narrow screen
     pictures = render(

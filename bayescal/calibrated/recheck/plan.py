@@ -147,12 +147,8 @@ def plan_recheck(
 ) -> RecheckPlan:
     """Return the fewest poses out of candidates, commands (C, n) in the channels' units, that meet a demand.
 
-    ``planned`` is a row that says which channels are read, and their noise; see `predict_knowledge`.
-
-    Raises
-    ------
-    InputError
-        Where no number of poses up to ``demand.most`` does.
+    ``planned`` is a row that says which channels are read, and their noise; see `predict_knowledge`. InputError where
+    no number of poses up to ``demand.most`` does.
     """
     whole = predict_knowledge(calibrated, suspects, candidates, given, planned)
     kept, (knowledge,) = keep_seen(suspects, [whole])
@@ -279,10 +275,7 @@ def has_noise(path: Path) -> bool:
 def read_session(path: Path, actuators: Path | None, noise: PoseNoise, calibrated: CalibratedMachine) -> TrackedPoses:
     """Return the poses of a session in the base frame; actuator positions from its table or the plan's.
 
-    Raises
-    ------
-    InputError
-        For anything at fault in the tables, a rotation that is measured in part, and positions out of range.
+    InputError for anything at fault in the tables, a rotation that is measured in part, and positions out of range.
     """
     machine = calibrated.legs
     mechanism = machine.mechanism
@@ -307,10 +300,7 @@ def expect_readings(sd: Array) -> Measurements:
 def add_commands(path: Path, plan: Path | None, readings: Measurements, calibrated: CalibratedMachine) -> Measurements:
     """Return a session's readings with the commanded channels of a plan, by the poses' names.
 
-    Raises
-    ------
-    InputError
-        Where commands stand in both or in none, or a pose is not in the plan.
+    InputError where commands stand in both or in none, or a pose is not in the plan.
     """
     own, values, given = calibrated.commanded, readings.values.copy(), dict(readings.given)
     there = np.isfinite(values[:, own]).any()

@@ -65,10 +65,7 @@ class Suspects:
 def choose_suspects(calibrated: CalibratedMachine, wanted: Sequence[str]) -> Suspects:
     """Return the parameters of some symbols, or of these names; without any the lengths of legs, else all free ones.
 
-    Raises
-    ------
-    InputError
-        For an unknown name, and where nothing is free.
+    InputError for an unknown name, and where nothing is free.
     """
     model = calibrated.model
     layout = model.layout
@@ -189,12 +186,8 @@ def predict_knowledge(
     """Return what poses at commands (P, C), in the channels' units, will say.
 
     ``planned`` is one row that says which channels will be read, by numbers, and their noise; that of the commanded
-    channels is the machine's own.
-
-    Raises
-    ------
-    InputError
-        Where the machine has no pose at one of them, or where nothing will show a shift.
+    channels is the machine's own. InputError where the machine has no pose at one of them, or where nothing will show a
+    shift.
     """
     model = calibrated.model
     pose, found = model.locate(calibrated.theta, commands, given, weights=calibrated.weights)
@@ -212,10 +205,7 @@ def predict_knowledge(
 def compute_knowledge(calibrated: CalibratedMachine, suspects: Suspects, session: Measurements) -> Knowledge:
     """Return what a session's readings of all channels say; the noise of the commanded ones is the machine's own.
 
-    Raises
-    ------
-    InputError
-        Where no pose of the machine is near some readings, or where nothing shows a shift.
+    InputError where no pose of the machine is near some readings, or where nothing shows a shift.
     """
     return _linearise(calibrated, suspects, session, find_poses(calibrated, session))
 
@@ -330,10 +320,7 @@ def _linearise(calibrated: CalibratedMachine, suspects: Suspects, session: Measu
 def keep_seen(suspects: Suspects, parts: Sequence[Knowledge]) -> tuple[Suspects, list[Knowledge]]:
     """Return those whose shifts show in any of some poses, and what these say of them.
 
-    Raises
-    ------
-    InputError
-        Where one that was asked for does not show, or none does.
+    InputError where one that was asked for does not show, or none does.
     """
     seen = np.logical_or.reduce([one.seen for one in parts])
     if (suspects.stated and not seen.all()) or not seen.any():

@@ -69,11 +69,8 @@ def read_points(
 ) -> tuple[TrackedPoints, Taken]:
     """Return tracked points, and when they were taken.
 
-    Raises
-    ------
-    InputError
-        For unknown columns, poses, stations or points, points that stand twice, a pose without any, a covariance that
-        is not positive, noise that is stated twice or not at all.
+    InputError for unknown columns, poses, stations or points, points that stand twice, a pose without any, a covariance
+    that is not positive, noise that is stated twice or not at all.
     """
     names, verification, positions = read_actuators(actuators, n_legs)
     check_calibration(actuators, verification)

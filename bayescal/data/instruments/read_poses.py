@@ -48,11 +48,8 @@ class Taken:
 def read_taken(table: Table, path: Path | None, n_legs: int) -> Taken:
     """Return the poses of a table that has a row for each, with actuator positions from it or from a table beside it.
 
-    Raises
-    ------
-    InputError
-        For a pose that stands in one table only or twice, two tables with actuator positions or uses that differ, or
-        none.
+    InputError for a pose that stands in one table only or twice, two tables with actuator positions or uses that
+    differ, or none.
     """
     names = table.text("pose")
     table.check_unique([(name,) for name in names], "pose")
@@ -105,12 +102,8 @@ def name_covariances(components: Sequence[str]) -> tuple[tuple[str, ...], tuple[
 def read_covariances(table: Table, components: Sequence[str], measured: np.ndarray) -> Array | None:
     """Return the covariances (rows, n, n) in a table's units; None where it has none.
 
-    Entries of what was not measured may be empty, and do not count.
-
-    Raises
-    ------
-    InputError
-        For a matrix that is not symmetric, lacks an entry that counts or is not positive definite.
+    Entries of what was not measured may be empty, and do not count. InputError for a matrix that is not symmetric,
+    lacks an entry that counts or is not positive definite.
     """
     upper, _ = name_covariances(components)
     there = [name for name in upper if name in table.columns]
@@ -200,11 +193,8 @@ OTHER_COLUMNS = (*QUATERNION, *(name for names in ANGLES for name in names))
 def read_rotation_vectors(table: Table) -> Array:
     """Return rotation vectors in rad, shape (P, 3), of the form the table has; NaN where not measured.
 
-    Raises
-    ------
-    InputError
-        For two forms in one table, one that is there in part, a quaternion far from length one, or a rotation vector
-        longer than half a turn.
+    InputError for two forms in one table, one that is there in part, a quaternion far from length one, or a rotation
+    vector longer than half a turn.
     """
     found = [names for names in (VECTOR, QUATERNION, *ANGLES) if any(name in table.columns for name in names)]
     if len(found) > 1:
@@ -271,11 +261,8 @@ class PoseNoise:
 def read_poses(path: Path, actuators: Path | None, noise: PoseNoise, n_legs: int) -> tuple[TrackedPoses, Taken]:
     """Return measured poses, and when they were taken.
 
-    Raises
-    ------
-    InputError
-        For unknown columns, a pose without any coordinate, a covariance that is not positive, noise that is stated
-        twice or not at all, and what `read_taken` refuses.
+    InputError for unknown columns, a pose without any coordinate, a covariance that is not positive, noise that is
+    stated twice or not at all, and what `read_taken` refuses.
     """
     table = _read_columns(path, name_actuators(n_legs))
     taken = read_taken(table, actuators, n_legs)

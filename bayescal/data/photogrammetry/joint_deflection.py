@@ -102,6 +102,8 @@ def measure_joint_deflection(
 ) -> JointDeflection:
     """Return the deflection of the ring at each leg, ``z · (R^T (m - p) - r)`` averaged over the targets of its pad.
 
+    InputError where shapes or leg numbers disagree, or a pad has no seen target in a pose.
+
     Parameters
     ----------
     fit : RigidFit, leading shape (P,)
@@ -122,11 +124,6 @@ def measure_joint_deflection(
     JointDeflection
         The covariance is ``σ² diag(1 / n_i) + G C G^T``: n_i averaged targets of leg i, C the covariance of the pose,
         and row i of G ``-[z, l × z]`` with z of the platform in the measurement frame and l the mean lever ``m - p``.
-
-    Raises
-    ------
-    InputError
-        Where shapes or leg numbers disagree, or a pad has no seen target in a pose.
     """
     reference, measured = np.asarray(reference, dtype=float), np.asarray(measured, dtype=float)
     leg = np.asarray(leg)
@@ -167,15 +164,11 @@ def fit_linear_deformation(deflection: JointDeflection, actuator_displacement: A
     """Return the coefficient of each leg in ``Δb_z,i = κ_i Δρ_i + ε`` (RR-8096 eq. 1).
 
     The residuals are mostly what the model leaves out, so their variance is taken as unknown, one per leg, with the
-    Jeffreys prior 1/σ² and a flat prior for κ. The posterior of κ_i is then a Student t distribution with P - 1
-    degrees of freedom around the least-squares value, of scale ``s_i / sqrt(Σ Δρ_i²)``, s_i being ``residual_sd``. The
-    covariance of the deflections is not used. Δρ (P, N) counts from the pose of the ring's reference, mm.
-
-    Raises
-    ------
-    InputError
-        Where shapes disagree, poses are fewer than four (the t distribution would have no variance), or an actuator
-        never moves.
+    Jeffreys prior 1/σ² and a flat prior for κ. The posterior of κ_i is then a Student t distribution with P - 1 degrees
+    of freedom around the least-squares value, of scale ``s_i / sqrt(Σ Δρ_i²)``, s_i being ``residual_sd``. The
+    covariance of the deflections is not used. Δρ (P, N) counts from the pose of the ring's reference, mm. InputError
+    where shapes disagree, poses are fewer than four (the t distribution would have no variance), or an actuator never
+    moves.
     """
     actuator = _check_actuators(deflection, actuator_displacement)
     dof = len(actuator) - 1
@@ -193,13 +186,9 @@ def fit_matrix_deformation(deflection: JointDeflection, actuator_displacement: A
     """Return the coefficient matrix in ``Δb_z = K Δρ`` (RR-8096 eqs. 2 and 3) by generalised least squares.
 
     Where RR-8096 fits each leg by itself with equal weights, here the legs are fitted together with the known
-    covariance C_p of each pose. With a flat prior the posterior of K, row by row, is Gaussian with precision
-    ``Σ_p C_p^-1 ⊗ Δρ_p Δρ_p^T``. Δρ (P, N) counts from the pose of the ring's reference, mm.
-
-    Raises
-    ------
-    InputError
-        Where shapes disagree, or the actuator displacements of all poses span fewer than N directions.
+    covariance C_p of each pose. With a flat prior the posterior of K, row by row, is Gaussian with precision ``Σ_p
+    C_p^-1 ⊗ Δρ_p Δρ_p^T``. Δρ (P, N) counts from the pose of the ring's reference, mm. InputError where shapes
+    disagree, or the actuator displacements of all poses span fewer than N directions.
     """
     actuator = _check_actuators(deflection, actuator_displacement)
     n_poses, n_legs = actuator.shape

@@ -113,12 +113,8 @@ def fit_line(reference: ArrayLike, measured: ArrayLike, noise: float) -> RigidFi
 
     Arguments as of `fit_rigid_body`. The covariance is by first-order propagation of the noise; weights are 1 for seen
     targets and 0 for others. ``chi2`` is taken over seen targets; its mean exceeds ``dof``, since the pose is not that
-    of least squares.
-
-    Raises
-    ------
-    InputError
-        As `check_targets`, or where the seen targets have no single longest direction or none is well off their line.
+    of least squares. InputError as `check_targets`, or where the seen targets have no single longest direction or none
+    is well off their line.
     """
     reference, flat, seen = check_targets(reference, measured, noise)
     body = _build_frame(np.broadcast_to(reference, flat.shape), seen)

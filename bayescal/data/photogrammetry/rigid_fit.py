@@ -174,11 +174,8 @@ def compute_rigid_covariance(reference: Array, rotation: Array, used: NDArray[np
 def check_targets(reference: ArrayLike, measured: ArrayLike, noise: float) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Return reference (n, 3), measured (P, n, 3) with all leading axes in one, and which targets are seen (P, n).
 
-    Raises
-    ------
-    InputError
-        Where shapes disagree, a reference coordinate is not finite, the noise is not positive, or the seen targets of a
-        fit are fewer than three or lie on a line.
+    InputError where shapes disagree, a reference coordinate is not finite, the noise is not positive, or the seen
+    targets of a fit are fewer than three or lie on a line.
     """
     reference, measured = np.asarray(reference, dtype=float), np.asarray(measured, dtype=float)
     if reference.ndim != 2 or reference.shape[1] != 3 or not np.isfinite(reference).all():
@@ -316,6 +313,9 @@ def compute_square(residuals: Array, noise: float) -> Array:
 def fit_rigid_body(reference: ArrayLike, measured: ArrayLike, noise: float) -> RigidFit:
     """Return the robust pose of a rigid body (Haralick et al. 1989; RR-8096 section 3.1).
 
+    InputError as `check_targets`, or where fewer than three targets, or only targets on a line, lie within cσ of a
+    pose.
+
     Parameters
     ----------
     reference : array_like, shape (n, 3)
@@ -330,11 +330,6 @@ def fit_rigid_body(reference: ArrayLike, measured: ArrayLike, noise: float) -> R
     RigidFit
         The covariance is `compute_variance_factor` times that of least squares on the targets with a positive weight.
         Wrong targets have no influence while they are fewer than a third of those seen.
-
-    Raises
-    ------
-    InputError
-        As `check_targets`, or where fewer than three targets, or only targets on a line, lie within cσ of a pose.
     """
     reference, flat, seen = check_targets(reference, measured, noise)
     start = _robust_start(reference, flat, seen, noise)
@@ -355,10 +350,7 @@ INCOMPATIBLE = 1e-9
 def fit_least_squares(reference: ArrayLike, measured: ArrayLike, noise: float) -> RigidFit:
     """Return the pose of a rigid body by least squares over all targets seen, as in `fit_rigid_body`; three are enough.
 
-    Raises
-    ------
-    InputError
-        As `check_targets`, or where residuals are incompatible with the stated noise.
+    InputError as `check_targets`, or where residuals are incompatible with the stated noise.
     """
     reference, flat, seen = check_targets(reference, measured, noise)
     fit = _fit(reference, flat, seen, noise)

@@ -50,11 +50,8 @@ class Survey:
 def read_survey(targets: Path, actuators: Path, reference: Path, n_legs: int) -> Survey:
     """Read and check a survey.
 
-    Raises
-    ------
-    InputError
-        For unknown columns, numbers that are none or not finite, duplicate or missing poses and targets, targets
-        without a reference, fewer than three or collinear rigid targets on a body, legs that do not exist.
+    InputError for unknown columns, numbers that are none or not finite, duplicate or missing poses and targets, targets
+    without a reference, fewer than three or collinear rigid targets on a body, legs that do not exist.
     """
     poses, verification, positions = read_actuators(actuators, n_legs)
     known = read_reference(reference, n_legs)

@@ -94,10 +94,7 @@ class KinematicModel(ABC):
     def from_mechanism(cls, mechanism: Mechanism) -> Self:
         """Return the model of a mechanism; one that needs more than parameters takes it from there.
 
-        Raises
-        ------
-        InputError
-            Where the mechanism lacks what the model needs.
+        InputError where the mechanism lacks what the model needs.
         """
         del mechanism
         return cls()

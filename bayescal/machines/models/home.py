@@ -117,12 +117,8 @@ SKEW = skew_matrix(np.eye(3)).reshape(3, 9).T  # w to the entries of its skew ma
 def guess_level_pose(lower: Array, platform_points: Array, leg_lengths: Array, start: HomeStart) -> tuple[Array, Array]:
     """Return a level pose from which Newton's method finds the home pose: the stated one, or one that the legs span.
 
-    Lower joints (N, 3) in the base frame and joints on the platform (N, 3) in its own, leg lengths (N,), mm.
-
-    Raises
-    ------
-    InputError
-        Where the platform would have to stand beside its legs' reach, naming the leg that is furthest from it.
+    Lower joints (N, 3) in the base frame and joints on the platform (N, 3) in its own, leg lengths (N,), mm. InputError
+    where the platform would have to stand beside its legs' reach, naming the leg that is furthest from it.
     """
     if start.position is not None:
         return np.array(start.position), np.eye(3)

@@ -606,10 +606,7 @@ class ReadingModel(ABC):
     def select(self, names: Iterable[str]) -> np.ndarray:
         """Return where sensors stand among all, in the machine's order; a kind such as ``s`` stands for all its legs.
 
-        Raises
-        ------
-        InputError
-            For a name that is no sensor's, with those there are.
+        InputError for a name that is no sensor's, with those there are.
         """
         wanted: set[str] = set()
         for name in names:

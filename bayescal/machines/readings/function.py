@@ -317,11 +317,8 @@ class _Steps:
 class FunctionModel(ReadingModel):
     """A machine of one function as a model of readings.
 
-    Raises
-    ------
-    InputError
-        When made: for a missing or wrong member, a function that returns another shape, that is not finite at home, or
-        that is not analytic.
+    InputError when made: for a missing or wrong member, a function that returns another shape, that is not finite at
+    home, or that is not analytic.
     """
 
     name: str

@@ -415,11 +415,8 @@ def _join(name: str, own: str) -> str:
 def place(machine: ReadingModel, instruments: Mapping[str, Instrument]) -> ReadingModel:
     """Return a machine with instruments beside it, by their names.
 
-    Raises
-    ------
-    InputError
-        For an instrument that is none: without channels, failing, not analytic; for a machine that does not say where
-        its tool is, or how it is turned where that is seen; for a name that the machine has already.
+    InputError for an instrument that is none: without channels, failing, not analytic; for a machine that does not say
+    where its tool is, or how it is turned where that is seen; for a name that the machine has already.
     """
     if not instruments:
         return machine
