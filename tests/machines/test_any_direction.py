@@ -76,13 +76,6 @@ def test_components_across_are_horizontal_and_upwards():
     )
 
 
-def test_nominal_directions_come_out_of_the_parameters(kind):
-    machine = machines.build_machine("none", guided.build_guided(kind, seed=1))
-    layout, theta = machine.layout, machine.layout.nominal
-    assert layout.direction_symbols == guided.SYMBOLS[kind]
-    np.testing.assert_allclose(actuator_directions(layout, theta), machine.mechanism.directions, atol=1e-14)
-
-
 # --- kinematics ------------------------------------------------------------------------------------------------------
 
 

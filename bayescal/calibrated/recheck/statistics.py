@@ -299,7 +299,9 @@ def _linearise(calibrated: CalibratedMachine, suspects: Suspects, session: Measu
     known, free = calibrated.functions, by_parameters[..., calibrated.free]
     drifting, beside = np.zeros((*error.shape, 0)), None
     if known is None:
-        unknown = free @ _find_root(calibrated.covariance)
+        values, vectors = np.linalg.eigh(calibrated.covariance)
+        there = values > 1e-14 * values.max(initial=0.0)  # directions that are known exactly are none
+        unknown = free @ (vectors[:, there] * np.sqrt(values[there]))
     else:
         gain, there = _gain(calibrated, session, pose), session.present[..., None]
         read = calibrated.model.read(calibrated.theta, pose, session.given)
@@ -329,13 +331,6 @@ def keep_seen(suspects: Suspects, parts: Sequence[Knowledge]) -> tuple[Suspects,
             "only as another pose would, expected parameters whose shifts show, or more channels"
         )
     return suspects.pick(seen), [one.pick(seen) for one in parts]
-
-
-def _find_root(covariance: Array) -> Array:
-    """Return a matrix whose product with its transpose is a covariance; directions that are known exactly are none."""
-    values, vectors = np.linalg.eigh(covariance)
-    there = values > 1e-14 * values.max(initial=0.0)
-    return np.asarray(vectors[:, there] * np.sqrt(values[there]))
 
 
 # --- the test ----------------------------------------------------------------------------------------------------

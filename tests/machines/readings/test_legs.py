@@ -1,4 +1,4 @@
-"""Spatial machines as their sensors see them, against independent forms; their frames, model errors and files."""
+"""Spatial machines as their sensors see them, against independent forms; their model errors and files."""
 
 from __future__ import annotations
 
@@ -99,26 +99,6 @@ def test_too_short_legs_have_no_reading():
 def test_inclinometers_that_nobody_has_are_not_computed(model):
     for names, n_computed in ((["rho[2]", "tilt_b[5]", "x"], 18), (["rho", *POSE], 12), (["tilt_a", "tilt_b[1]"], 24)):
         assert len(model.pick(model.select(names)).computed) == n_computed
-
-
-# --- frames ----------------------------------------------------------------------------------------------------------
-
-
-def move_base(model: Legs, theta, pose, shift, turn):
-    """Return machine and pose after a rigid motion of the base frame: the readings of encoders stay."""
-    rotation, layout = matrix_from_rotation_vector(turn), model.layout
-    moved = theta.copy()
-    points = layout.take_vector(theta, "a") @ rotation.T + shift
-    for k, axis in enumerate("xyz"):
-        moved[..., layout.index[f"a_{axis}"]] = points[..., k]
-    turned = rotation_vector_from_matrix(rotation @ matrix_from_rotation_vector(pose[..., 3:]))
-    return moved, np.concatenate([pose[..., :3] @ rotation.T + shift, turned], axis=-1)
-
-
-def test_encoders_do_not_see_where_the_base_stands(struts):
-    theta, pose = draw(struts)
-    moved = move_base(struts, theta, pose, np.array([3.0, -2.0, 1.0]), np.array([0.1, 0.2, -0.3]))
-    np.testing.assert_allclose(struts.read(*moved)[..., :6], struts.read(theta, pose)[..., :6], atol=1e-9)
 
 
 # --- model errors ----------------------------------------------------------------------------------------------------
