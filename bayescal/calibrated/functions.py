@@ -13,7 +13,7 @@ measuring order is another error the next time, as large as it was.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
@@ -206,7 +206,8 @@ class KnownFunctions:
     @classmethod
     def of_arrays(cls, arrays: Mapping[str, Any], names: Sequence[str], sorts: Sequence[str]) -> KnownFunctions:
         """Return them from their arrays; columns of smooth functions may be others of the same span elsewhere."""
-        own = {key: np.asarray(arrays[key], dtype=np.float64) for key in ARRAYS}
+        numbers = [one.name for one in fields(cls) if one.name not in ("names", "sorts")]
+        own = {key: np.asarray(arrays[key], dtype=np.float64) for key in numbers}
         found = cls(names=tuple(names), sorts=tuple(sorts), **own)
         n, turn = found.n_geometry, [found._turn(name, np.asarray(arrays["smooth"])) for name in sorts if name != DRIFT]
         both = block_diag(np.eye(n), *turn)
@@ -225,9 +226,6 @@ class KnownFunctions:
         if sort != SMOOTH:
             return np.eye(n * (n if sort == "linear" else 1))
         return np.asarray(np.kron(np.eye(n), np.linalg.lstsq(self._smooth(), smooth)[0]), dtype=np.float64)
-
-
-ARRAYS: Final = ("home", "range", "levers", "travel", "time", "square", "drifts", "independent", "mean", "covariance")
 
 
 def read_known(path: Path, group: str | None = None) -> tuple[KnownFunctions, list[str]]:

@@ -176,14 +176,3 @@ DEFORMATIONS: dict[str, type[Deformation]] = {
     deformation.name: deformation
     for deformation in (NoDeformation, LinearDeformation, MatrixDeformation, FreeMatrixDeformation)
 }
-
-__all__ = [
-    "DEFORMATIONS",
-    "Deformation",
-    "DeformationBasis",
-    "FreeMatrixDeformation",
-    "LinearDeformation",
-    "MatrixDeformation",
-    "NoDeformation",
-    "NominalDeformation",
-]

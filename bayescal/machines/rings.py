@@ -68,11 +68,10 @@ def find_circles(directions: Array, legs: Array, sd: Array) -> tuple[np.ndarray,
 
     Of nominal unit directions and leg vectors (K, 3), and prior standard deviations of the directions (K,).
     """
-    axis = legs / np.linalg.norm(legs, axis=1, keepdims=True)
-    gain = np.einsum("ik,ik->i", directions, axis)
-    sine = np.linalg.norm(directions - gain[:, None] * axis, axis=1)
-    clear = sine > CLEARANCE * sd
-    return clear, frame_circles(directions[clear], legs[clear])
+    with np.errstate(invalid="ignore"):  # of a direction along its leg
+        every = frame_circles(directions, legs)
+    clear = every.sine > CLEARANCE * sd
+    return clear, DirectionCircles(*(part[clear] for part in vars(every).values()))
 
 
 def frame_circles(directions: Array, legs: Array) -> DirectionCircles:

@@ -89,5 +89,3 @@ class PoseSensor(Sensor):
 
 SENSORS = {"pose": PoseSensor, "targets": PointSensor}
 """Built-in sensors, by the ``kind`` of their sections."""
-
-__all__ = ["SENSORS", "PointSensor", "PoseSensor", "Sensor"]

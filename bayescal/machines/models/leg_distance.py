@@ -160,15 +160,6 @@ class LegDistanceClosure(BoundClosure):
         self._base, self._linear = (np.stack([layout.index[symbol] for symbol in group]) for group in groups)
         self._scratch = Scratch()
 
-    def _features(self, theta: Array) -> Array:
-        """Return the features of each leg, shape (F, N, B)."""
-        parameters, (n_linear, n_legs) = np.ascontiguousarray(theta.T), self._linear.shape
-        features = np.empty((self._design.shape[-1], n_legs, len(theta)))
-        features[0] = 1.0
-        np.take(parameters, self._linear, axis=0, out=features[1 : 1 + n_linear], mode="clip")  # others would buffer
-        self._fill_lower(parameters, features[1 + n_linear :])
-        return features
-
     def _fill_lower(self, parameters: Array, lower: Array) -> None:
         """Write the features (3 and more, N, B) of the lower joints, from parameters (D, B)."""
         np.take(parameters, self._base, axis=0, out=lower, mode="clip")
@@ -184,8 +175,12 @@ class LegDistanceClosure(BoundClosure):
 
     def _measure(self, theta: Array) -> Array:
         """Find leg vectors, moments and lengths; return the lever arms, shape (3, N, P, B), scratch."""
-        features, take = self._features(theta), self._scratch.take
+        parameters, take, n_linear = np.ascontiguousarray(theta.T), self._scratch.take, len(self._linear)
         _, n_legs, n_poses, n_arm = self._arm_design.shape
+        features = np.empty((self._design.shape[-1], n_legs, len(theta)))
+        features[0] = 1.0
+        np.take(parameters, self._linear, axis=0, out=features[1 : 1 + n_linear], mode="clip")  # others would buffer
+        self._fill_lower(parameters, features[1 + n_linear :])
         shape = (n_legs, n_poses, len(theta))
         self._slope, self._length = take("slope", 6, *shape), take("length", *shape)
         vector, moment, arm, work = self._slope[:3], self._slope[3:], self._take("arm", 3), self._take("work")
