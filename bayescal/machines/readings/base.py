@@ -18,7 +18,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from operator import attrgetter
 from types import MappingProxyType
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -301,6 +301,11 @@ class ReadingModel(ABC):
     # the sensors that it has, by default all that it could have
     channels: tuple[Channel, ...] = field(default=EVERY, kw_only=True)
 
+    actuated: ClassVar[Sequence[str]] = ()
+    """Sensors, or kinds of them, that a controller can command; none for all that are the machine's own."""
+    member: ClassVar[str] = "leg"
+    """What one of many is called: that ``l[2]`` is of leg, line, joint or belt 2."""
+
     def __post_init__(self) -> None:
         """Take all sensors where none are said."""
         if self.channels is EVERY:
@@ -348,20 +353,10 @@ class ReadingModel(ABC):
         return ()
 
     @property
-    def actuated(self) -> Sequence[str]:
-        """Sensors, or kinds of them, that a controller can command; none for all that are the machine's own."""
-        return ()
-
-    @property
     def commanded(self) -> tuple[str, ...]:
         """Names of the channels that a controller can command."""
         asked = set(self.actuated)
         return tuple(one.name for one in self.channels if ({one.name, one.kind} & asked if asked else not one.external))
-
-    @property
-    def member(self) -> str:
-        """What one of many is called: that ``l[2]`` is of leg, line, joint or belt 2."""
-        return "leg"
 
     @property
     def command_range(self) -> Array:

@@ -78,6 +78,9 @@ class Legs(ReadingModel):
     inclined: bool = False
     known: Array | None = None  # (P, N): where encoders were read at poses asked of it; see `ReadingModel.near`
 
+    actuated = ("rho",)  # the encoders
+    pose_channels = POSE_CHANNELS  # the rotation vector compared as a rotation
+
     def __post_init__(self) -> None:
         """Take over the mechanism's name."""
         super().__post_init__()
@@ -112,11 +115,6 @@ class Legs(ReadingModel):
         return tuple(one for one in self.sensors if one.kind in self._tilts or one.kind not in TILTS)
 
     @property
-    def actuated(self) -> tuple[str, ...]:
-        """The encoders."""
-        return ("rho",)
-
-    @property
     def command_range(self) -> Array:
         """How far the actuators go."""
         mechanism = self.machine.mechanism
@@ -149,11 +147,6 @@ class Legs(ReadingModel):
         reach = np.minimum(mechanism.actuator_range * by_actuators.sum(axis=-1), [np.inf] * 3 + [TURN] * 3)
         kinds = zip(POSE_CHANNELS, home, reach, strict=True)
         return tuple(Coordinate(one.name, one.unit, float(at), float(half)) for one, at, half in kinds)
-
-    @property
-    def pose_channels(self) -> tuple[Channel, ...]:
-        """Position, and the rotation vector as a rotation."""
-        return POSE_CHANNELS
 
     @property
     def tool_channels(self) -> tuple[Channel, ...]:
