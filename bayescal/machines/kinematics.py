@@ -202,11 +202,7 @@ def guess_home_pose(mechanism: Mechanism) -> tuple[Array, Array]:
 
 
 def solve_forward_kinematics(
-    machine: Machine,
-    theta: Array,
-    actuators: Array,
-    check: bool = True,
-    follow: bool = True,
+    machine: Machine, theta: Array, actuators: Array, check: bool = True, follow: bool = True
 ) -> ForwardKinematics:
     """Find the poses in which the closure vanishes.
 
@@ -253,7 +249,7 @@ def solve_forward_kinematics(
         iteration += 1
     if follow:
         on_branch = np.array(machine.holds_branch(theta, position, rotation, actuators))
-        strayed = on_branch & ~kept & np.isfinite(position).all(axis=-1)  # of these paths; the straight way decides
+        strayed = on_branch & ~kept & np.isfinite(position).all(axis=-1)  # whose path left it: a straight way decides
         if strayed.any():
             some = np.broadcast_to(theta, (*shape, theta.shape[-1]))[strayed]
             on_branch[strayed] = comes_straight(machine, some, position[strayed], rotation[strayed])

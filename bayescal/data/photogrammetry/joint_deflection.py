@@ -186,8 +186,8 @@ def fit_matrix_deformation(deflection: JointDeflection, actuator_displacement: A
     """Return the coefficient matrix in ``Δb_z = K Δρ`` (RR-8096 eqs. 2 and 3) by generalised least squares.
 
     Where RR-8096 fits each leg by itself with equal weights, here the legs are fitted together with the known
-    covariance C_p of each pose. With a flat prior the posterior of K, row by row, is Gaussian with precision ``Σ_p
-    C_p^-1 ⊗ Δρ_p Δρ_p^T``. Δρ (P, N) counts from the pose of the ring's reference, mm. InputError where shapes
+    covariance C_p of each pose. With a flat prior the posterior of K, row by row, is Gaussian with precision
+    ``Σ_p C_p^-1 ⊗ Δρ_p Δρ_p^T``. Δρ (P, N) counts from the pose of the ring's reference, mm. InputError where shapes
     disagree, or the actuator displacements of all poses span fewer than N directions.
     """
     actuator = _check_actuators(deflection, actuator_displacement)
