@@ -28,18 +28,7 @@ NO_RIDGES = "There are none: every combination of the parameters is determined."
 
 
 def build_page(results: Results) -> Page:
-    """Return what the page of an audit says.
-
-    Parameters
-    ----------
-    results : Results
-        Without the tables of profiles, draws or sweeps these parts are left out.
-
-    Raises
-    ------
-    InputError
-        Where the results are not what an audit writes.
-    """
+    """Return what the page of an audit says; without the tables of profiles, draws or sweeps these are left out."""
     audit = AuditResults.of(results)
     return Page(
         kind=KIND,
