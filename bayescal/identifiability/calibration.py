@@ -25,25 +25,15 @@ BAND = 0.99
 
 @dataclass(frozen=True, eq=False)
 class Calibrations:
-    """Simulated calibrations of B machines that were drawn from the priors, B' of which converged.
+    """Simulated calibrations of B machines that were drawn from the priors, B' of which converged."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        Of the m parameters that were identified.
-    errors, claimed : ndarray, shape (B', m)
-        Estimate minus truth, and standard deviations that each calibration claims, linearised at its estimate, in units
-        of the tolerances.
-    converged : ndarray of bool, shape (B,)
-    n_redrawn : int
-        Draws that were no machine or could not take every planned pose, and were drawn again.
-    """
-
-    names: tuple[str, ...]
+    names: tuple[str, ...]  # of the m parameters that were identified
+    # (B', m) each: estimate minus truth, and standard deviations that each calibration claims, linearised at its
+    # estimate, in units of the tolerances
     errors: Array
     claimed: Array
-    converged: np.ndarray
-    n_redrawn: int
+    converged: np.ndarray  # (B,), bool
+    n_redrawn: int  # draws that were no machine or could not take every planned pose, and were drawn again
 
 
 # --- prediction against what happened ----------------------------------------------------------------------------
@@ -51,41 +41,26 @@ class Calibrations:
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """Predicted posterior standard deviations against the errors of calibrations.
-
-    Attributes
-    ----------
-    names : tuple of str
-    predicted, found : ndarray, shape (n,)
-        Posterior standard deviation and root mean square error, in units of the tolerances.
-    ratio, ratio_error : ndarray, shape (n,)
-        Found by predicted, and its standard error with the errors' own kurtosis.
-    coverage : dict of float to ndarray, shape (n,)
-        Share of the errors within so many predicted standard deviations; 0.683 and 0.95 were they normal.
-    chi_square : float
-        Mean squared length of the errors in the metric of the predicted covariance, by n: one where all is as
-        predicted.
-    chi_square_error : float
-        Its standard error.
-    claimed : ndarray, shape (n,)
-        Root mean square of the standard deviations that the calibrations claim, in units of the tolerances.
-    covered : ndarray, shape (n,)
-        Share of the calibrations whose 90 % interval holds the truth.
-    z : ndarray, shape (n,)
-        Root mean square error in units of what each calibration claims: one where the claims are true.
-    """
+    """Predicted posterior standard deviations against the errors of calibrations."""
 
     names: tuple[str, ...]
+    # (n,) each: posterior standard deviation and root mean square error, in units of the tolerances
     predicted: Array
     found: Array
+    # (n,) each: found by predicted, and its standard error with the errors' own kurtosis
     ratio: Array
     ratio_error: Array
+    # by float, (n,): share of the errors within so many predicted standard deviations; 0.683 and 0.95 were they
+    # normal
     coverage: dict[float, Array]
+    # mean squared length of the errors in the metric of the predicted covariance, by n: one where all is as
+    # predicted
     chi_square: float
-    chi_square_error: float
+    chi_square_error: float  # its standard error
+    # (n,): root mean square of the standard deviations that the calibrations claim, in units of the tolerances
     claimed: Array
-    covered: Array
-    z: Array
+    covered: Array  # (n,): share of the calibrations whose 90 % interval holds the truth
+    z: Array  # (n,): root mean square error in units of what each calibration claims: one where the claims are true
 
     def by_symbol(self) -> dict[str, float]:
         """Return the ratio of root mean squares over all parameters of a symbol."""
@@ -142,17 +117,11 @@ def compare_with_prediction(simulated: Calibrations, covariance: Array) -> Compa
 
 @dataclass(frozen=True)
 class Kept:
-    """How many of n calibrated machines kept a requirement in the whole workspace.
-
-    Attributes
-    ----------
-    kept, n : int
-    low, high : int
-        Between which the number lies with a probability of 99 %, if the claimed probability is right.
-    """
+    """How many of n calibrated machines kept a requirement in the whole workspace."""
 
     kept: int
     n: int
+    # between which the number lies with a probability of 99 %, if the claimed probability is right
     low: int
     high: int
 

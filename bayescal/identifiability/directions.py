@@ -33,24 +33,14 @@ INDEPENDENT = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Direction:
-    """A direction of the parameter space.
+    """A direction of the parameter space."""
 
-    Attributes
-    ----------
-    kind : str
-        ``structural``: no measurement of this kind sees it; ``practical``: the planned ones hardly do; ``informed``.
-    vector : ndarray, shape (n,)
-        A move by one prior standard deviation along it, in units of the tolerances.
-    contraction, nats : float
-    pivot : int or None
-        The parameter that a ridge is named after.
-    """
-
+    # ``structural``: no measurement of this kind sees it; ``practical``: the planned ones hardly do; ``informed``
     kind: Kind
-    vector: Array
+    vector: Array  # (n,): a move by one prior standard deviation along it, in units of the tolerances
     contraction: float
     nats: float
-    pivot: int | None = None
+    pivot: int | None = None  # the parameter that a ridge is named after
 
 
 def find_directions(

@@ -19,23 +19,12 @@ LEAST_STEPS = 4  # R-hat splits an ensemble in time
 
 @dataclass(frozen=True, eq=False)
 class Draws:
-    """S draws of m free parameters, and of k errors that go with them.
+    """S draws of m free parameters, and of k errors that go with them."""
 
-    Attributes
-    ----------
-    values : ndarray, shape (S, m)
-        The parameters in natural units.
-    zeta : ndarray, shape (S, k)
-        Coordinates of the errors.
-    diagnostics : Diagnostics
-    problems : list of str
-        What speaks against convergence, in words.
-    """
-
-    values: Array
-    zeta: Array
+    values: Array  # (S, m): the parameters in natural units
+    zeta: Array  # (S, k): coordinates of the errors
     diagnostics: Diagnostics
-    problems: list[str]
+    problems: list[str]  # what speaks against convergence, in words
 
     @cached_property
     def mean(self) -> Array:

@@ -20,17 +20,11 @@ UNSEEN = 1e-13  # of a scaled matrix: what rounding leaves of a coordinate that 
 
 @dataclass(frozen=True, eq=False)
 class Information:
-    """Information of a plan in units of the tolerances.
+    """Information of a plan in units of the tolerances."""
 
-    Attributes
-    ----------
-    root : ndarray, shape (k, n)
-        R with Λ = RᵀR, k not above n; everything is found from it, since squaring loses half of the digits.
-    follow : ndarray, shape (q, n), or None
-        K = (1 + VᵀV)⁻¹ VᵀR of q others of unit prior: by how much their estimates fall as the parameters rise.
-    """
-
+    # (k, n): R with Λ = RᵀR, k not above n; everything is found from it, since squaring loses half of the digits
     root: Array
+    # (q, n): K = (1 + VᵀV)⁻¹ VᵀR of q others of unit prior, by how much their estimates fall as parameters rise
     follow: Array | None = None
 
     @cached_property

@@ -27,20 +27,11 @@ EXACT = 1e-3  # of a derivative, that may be left of it where direction and plac
 
 @dataclass(frozen=True)
 class Lever:
-    """A channel that reads far from zero.
-
-    Attributes
-    ----------
-    channel : str
-    reading : float
-        The middle of what it reads, mm.
-    moved : float
-        How far a tolerance of the direction moves the place there, mm.
-    """
+    """A channel that reads far from zero."""
 
     channel: str
-    reading: float
-    moved: float
+    reading: float  # the middle of what it reads, mm
+    moved: float  # how far a tolerance of the direction moves the place there, mm
 
 
 def find_levers(posterior: CalibrationPosterior, y: Array, directions: Sequence[Direction]) -> Iterator[Lever]:

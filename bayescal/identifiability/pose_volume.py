@@ -17,21 +17,11 @@ SLACK = 1e-9  # of the actuators' range
 
 @dataclass(frozen=True, eq=False)
 class PoseVolume:
-    """Poses about the home pose.
+    """Poses about the home pose."""
 
-    Attributes
-    ----------
-    half : ndarray, shape (6,)
-        Half widths, mm and rad.
-    shape : str
-        ``ellipsoid``, ``box`` or ``axes``.
-    n_poses : int
-        How many poses stand for it.
-    """
-
-    half: Array
-    shape: str
-    n_poses: int
+    half: Array  # (6,): half widths, mm and rad
+    shape: str  # ``ellipsoid``, ``box`` or ``axes``
+    n_poses: int  # that stand for it
 
     def sample(self, n: int, seed: int) -> Array:
         """Return pose displacements, shape (n', 6), mm and rad, the ends of the axes among them; n' is about n."""

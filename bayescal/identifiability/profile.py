@@ -21,25 +21,15 @@ N_SIDE = 15
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """A parameter held at K values, all others at their best with their priors; its own prior left out.
-
-    Attributes
-    ----------
-    name : str
-    values : ndarray, shape (K,)
-        In the parameter's unit.
-    data_deviance, deviance : ndarray, shape (K,)
-        Twice what the log-likelihood, and the log-density with the others' priors, lack to where the latter is best;
-        along a ridge the data alone may lack less than nothing. NaN where there is no machine.
-    path : ndarray, shape (K, n)
-        All free parameters, in their units.
-    """
+    """A parameter held at K values, all others at their best with their priors; its own prior left out."""
 
     name: str
-    values: Array
+    values: Array  # (K,): in the parameter's unit
+    # (K,) each: twice what the log-likelihood, and the log-density with the others' priors, lack to where the
+    # latter is best; along a ridge the data alone may lack less than nothing. NaN where there is no machine
     data_deviance: Array
     deviance: Array
-    path: Array
+    path: Array  # (K, n): all free parameters, in their units
 
 
 def check_profiles(free: Sequence[str], names: Sequence[str]) -> None:

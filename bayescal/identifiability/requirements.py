@@ -28,23 +28,13 @@ NORMS = {"position": slice(0, 3), "rotation": slice(3, 6)}
 
 @dataclass(frozen=True)
 class Requirement:
-    """A limit on a component of an error, or on the length of its position or rotation part.
+    """A limit on a component of an error, or on the length of its position or rotation part."""
 
-    Attributes
-    ----------
-    name : str
-        One of the components or of `NORMS`.
-    limit : float
-        mm or rad.
-    components : tuple of str
-        Of the errors: those of a platform's pose, or what else has to be accurate, positions first.
-    of : str
-        What is limited: the error at ``every_pose`` of the workspace, or its ``rms`` over them.
-    """
-
-    name: str
-    limit: float
+    name: str  # one of the components or of `NORMS`
+    limit: float  # mm or rad
+    # of the errors: those of a platform's pose, or what else has to be accurate, positions first
     components: tuple[str, ...] = COMPONENTS
+    # what is limited: the error at ``every_pose`` of the workspace, or its ``rms`` over them
     of: Literal["every_pose", "rms"] = "every_pose"
 
     @property
@@ -81,41 +71,27 @@ class Requirement:
 
 @dataclass(frozen=True)
 class Outlook:
-    """How a requirement stands, NaN and without probability where the machine's own sensors do not determine it.
-
-    Attributes
-    ----------
-    requirement : Requirement
-    prior_sd, predicted_sd : float
-        Standard deviation over the workspace before and after the calibration, mm or rad, the largest or the root mean
-        square as is required; of a length the root mean square.
-    prior_probability, probability : float
-        That the limit is kept.
-    geometry_sd : float
-        The part of ``predicted_sd`` that the geometry causes; the rest is the noise of the machine in use.
-    reduced_sd, reduced_probability : float
-        The same where only the recommended parameters are calibrated and the others, though off by their tolerances,
-        are taken for nominal.
-    rms_sd, worst_sd : float
-        Root mean square and largest standard deviation over the workspace after the calibration.
-    worst : int
-        At which of its poses that is.
-    everywhere : float
-        Probability that no pose of the workspace exceeds the limit.
-    """
+    """How a requirement stands, NaN and without probability where the machine's own sensors do not determine it."""
 
     requirement: Requirement
+    # standard deviation over the workspace before and after the calibration, mm or rad, the largest or the root
+    # mean square as is required; of a length the root mean square
     prior_sd: float
     predicted_sd: float
+    # that the limit is kept
     prior_probability: float
     probability: float
+    # the part of ``predicted_sd`` that the geometry causes; the rest is the noise of the machine in use
     geometry_sd: float
+    # the same where only the recommended parameters are calibrated and the others, though off by their
+    # tolerances, are taken for nominal
     reduced_sd: float
     reduced_probability: float
+    # root mean square and largest standard deviation over the workspace after the calibration
     rms_sd: float
     worst_sd: float
-    worst: int
-    everywhere: float
+    worst: int  # at which of its poses that is
+    everywhere: float  # probability that no pose of the workspace exceeds the limit
 
 
 class ErrorsInUse(NamedTuple):
@@ -131,20 +107,11 @@ class ErrorsInUse(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Forecast:
-    """What errs at the workspace's poses, and how that moves with the parameters.
+    """What errs at the workspace's poses, and how that moves with the parameters."""
 
-    Attributes
-    ----------
-    slope : ndarray, shape (W, c, n)
-        Errors by parameters in units of the tolerances.
-    noise : ndarray, shape (W, c, c)
-        Their covariance by what moves a machine in use.
-    functions : ndarray, shape (W, c, q), or None
-        Errors by coefficients of functions of the pose, of unit prior, which a machine in use has all the same.
-    """
-
-    slope: Array
-    noise: Array
+    slope: Array  # (W, c, n): errors by parameters in units of the tolerances
+    noise: Array  # (W, c, c): their covariance by what moves a machine in use
+    # (W, c, q): errors by coefficients of functions of the pose, of unit prior, which a machine in use has too
     functions: Array | None = None
 
     @cached_property
@@ -308,29 +275,15 @@ class ToolRemaining:
 
     Where the true machine d stands at v, its channels read h(d, v) + ε. The calibrated one takes that for its own
     readings at v + G (h(d, v) - h(d̂, v) + ε), with G the weighted inverse of H, and its tool to be there.
-
-    Attributes
-    ----------
-    model : ReadingModel
-    own : ndarray of int, shape (K,)
-        Which of its channels these are.
-    theta : ndarray, shape (D,)
-        The calibrated machine d̂.
-    pose : ndarray, shape (W, q)
-    given : mapping of str to ndarray, shape (W,)
-    sd : ndarray, shape (S, K)
-        Noise of the channels, of each draw that stands for the true machine.
-    seed : int
-        Of the noise: the same at every call, so that differences are not chance.
     """
 
     model: ReadingModel
-    own: np.ndarray
-    theta: Array
-    pose: Array
-    given: Given
-    sd: Array
-    seed: int
+    own: np.ndarray  # (K,), int: which of its channels these are
+    theta: Array  # (D,): the calibrated machine d̂
+    pose: Array  # (W, q)
+    given: Given  # (W,) each
+    sd: Array  # (S, K): noise of the channels, of each draw that stands for the true machine
+    seed: int  # of the noise: the same at every call, so that differences are not chance
 
     def find_largest(self, requirements: Sequence[Requirement], theta: Array) -> Array:
         """Return the largest error anywhere in the workspace, in shares of each of R limits.
@@ -426,15 +379,9 @@ class ToolRemaining:
 
 @dataclass(frozen=True, eq=False)
 class Standing:
-    """How R requirements stand.
+    """How R requirements stand."""
 
-    Attributes
-    ----------
-    largest : ndarray, shape (S, R)
-        Largest error of each draw, in shares of the limits.
-    """
-
-    largest: Array
+    largest: Array  # (S, R): largest error of each draw, in shares of the limits
 
     @property
     def probability(self) -> float:

@@ -20,22 +20,13 @@ WRITTEN = {"N mm2": "N mm²", "um": "µm"}
 
 @dataclass(frozen=True)
 class Ridge:
-    """A direction with what a round step along it does.
-
-    Attributes
-    ----------
-    direction : Direction
-    workspace_position, workspace_rotation : float
-        Largest change of the tool's lengths and of its other numbers over the workspace, mm and rad.
-    loadings : dict of name to float
-        Moves of all parameters concerned for that step, inner units.
-    sentence : str
-    """
+    """A direction with what a round step along it does."""
 
     direction: Direction
+    # largest change of the tool's lengths and of its other numbers over the workspace, mm and rad
     workspace_position: float
     workspace_rotation: float
-    loadings: dict[str, float]
+    loadings: dict[str, float]  # by name: moves of all parameters concerned for that step, inner units
     sentence: str
 
 

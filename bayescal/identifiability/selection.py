@@ -25,44 +25,22 @@ later one is told better on every leg."""
 
 @dataclass(frozen=True)
 class Step:
-    """A symbol as it was looked at: taken or left.
-
-    Attributes
-    ----------
-    symbol : str
-    nats : float
-        What is learnt of it per parameter, what was taken before being unknown.
-    contraction : float
-        The least of all parameters taken, with it.
-    taken : bool
-    """
+    """A symbol as it was looked at: taken or left."""
 
     symbol: str
-    nats: float
-    contraction: float
+    nats: float  # what is learnt of it per parameter, what was taken before being unknown
+    contraction: float  # the least of all parameters taken, with it
     taken: bool
 
 
 @dataclass(frozen=True)
 class Selection:
-    """Which parameters to free.
+    """Which parameters to free."""
 
-    Attributes
-    ----------
-    free : tuple of int
-        Positions among the audited parameters, in their order.
-    fixed : tuple of int
-        All others, those that are known least first.
-    extra : tuple of int
-        Single parameters of symbols left out that could be freed too, on some legs.
-    steps : tuple of Step
-        In the order of the selection.
-    """
-
-    free: tuple[int, ...]
-    fixed: tuple[int, ...]
-    extra: tuple[int, ...]
-    steps: tuple[Step, ...]
+    free: tuple[int, ...]  # positions among the audited parameters, in their order
+    fixed: tuple[int, ...]  # all others, those that are known least first
+    extra: tuple[int, ...]  # single parameters of symbols left out that could be freed too, on some legs
+    steps: tuple[Step, ...]  # in the order of the selection
 
 
 def select_parameters(information: Information, symbols: tuple[str, ...], last: Container[str] = ()) -> Selection:
@@ -155,16 +133,10 @@ class ReducedSet:
     It takes all others o for nominal, claims what the measurements would leave were they so, and errs by more: the
     others are off by their tolerances, and what is fitted takes up what it can of that. In units of the tolerances,
     with K = (1 + Λ_ff)⁻¹ for the set f, it claims K and errs by K + K Λ_fo Λ_of K.
-
-    Attributes
-    ----------
-    free : ndarray, shape (m,)
-        Positions among the audited parameters.
-    claimed, error : ndarray, shape (m,)
-        Standard deviation that its calibration claims, and root mean square of its true error, in tolerances.
     """
 
-    free: np.ndarray
+    free: np.ndarray  # (m,): positions among the audited parameters
+    # (m,) each: standard deviation that its calibration claims, and rms of its true error, in tolerances
     claimed: Array
     error: Array
 

@@ -26,28 +26,15 @@ OFF = 0.1  # tolerances, of the other machine
 
 @dataclass(frozen=True, eq=False)
 class Structure:
-    """The spectrum of a noise-free identification Jacobian and what it says.
+    """The spectrum of a noise-free identification Jacobian and what it says."""
 
-    Attributes
-    ----------
-    singular_values : ndarray, shape (n,)
-        Largest first, columns scaled by the tolerances.
-    rounding : float
-        How far rounding moves them.
-    rank : int
-    gap : float
-        Ratio of the last singular value that counts to the first that does not, or to the rounding if that is larger.
-    null_space : ndarray, shape (n, n - rank)
-        Orthonormal, in units of the tolerances.
-    rank_elsewhere : int or None
-        Of a machine a little off the expected one; a larger one says that the expected geometry is a special case.
-    """
-
-    singular_values: Array
-    rounding: float
+    singular_values: Array  # (n,): largest first, columns scaled by the tolerances
+    rounding: float  # how far rounding moves them
     rank: int
+    # ratio of the last singular value that counts to the first that does not, or to a larger rounding
     gap: float
-    null_space: Array
+    null_space: Array  # (n, n - rank): orthonormal, in units of the tolerances
+    # of a machine a little off the expected one; a larger one says that the expected geometry is a special case
     rank_elsewhere: int | None = None
 
     @property

@@ -32,14 +32,9 @@ MAX_EVALUATIONS = 60  # where data hardly determine a direction, squares fall ev
 
 @dataclass(frozen=True, eq=False)
 class Identified:
-    """Machines of n parameters that were drawn, B' of which can be identified from where the machine is expected.
+    """Machines of n parameters that were drawn, B' of which can be identified from where the machine is expected."""
 
-    Attributes
-    ----------
-    truth, estimate : ndarray, shape (B', n)
-        Off the machine as expected, in units of the tolerances.
-    """
-
+    # (B', n) each: off the machine as expected, in units of the tolerances
     truth: Array
     estimate: Array
 

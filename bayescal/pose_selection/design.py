@@ -31,25 +31,14 @@ from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array, rotation_vecto
 
 @dataclass(frozen=True, eq=False)
 class PlacedPoses:
-    """Poses with the actuator positions that hold them.
+    """Poses with the actuator positions that hold them."""
 
-    Attributes
-    ----------
-    moves : ndarray, shape (P, 6)
-        Displacement in mm and rotation vector in rad from home, base frame.
-    position, rotation : ndarray, shapes (P, 3) and (P, 3, 3)
-        Platform frame in the base frame, mm.
-    actuators : ndarray, shape (P, N)
-        mm.
-    found : ndarray of bool, shape (P,)
-        Whether the machine can stand there at all.
-    """
-
-    moves: Array
+    moves: Array  # (P, 6): displacement in mm and rotation vector in rad from home, base frame
+    # (P, 3) and (P, 3, 3): platform frame in the base frame, mm
     position: Array
     rotation: Array
-    actuators: Array
-    found: np.ndarray
+    actuators: Array  # (P, N), mm
+    found: np.ndarray  # (P,), bool: whether the machine can stand there at all
 
     @property
     def pose(self) -> Array:
@@ -63,25 +52,15 @@ class PlacedPoses:
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """A machine as expected, its n free parameters, and what measures its poses.
-
-    Attributes
-    ----------
-    machine : Machine
-    priors : mapping of parameter name to Prior
-        Of the free parameters, in mm, rad, or the parameter's unit; their means and standard deviations count.
-    fixed : mapping of parameter name to float
-        Values of fixed parameters that are not nominal.
-    sensors : tuple of Sensor
-        All of them measure every pose.
-    actuator_noise, model_error : float
-        σ_ρ and τ, mm.
-    """
+    """A machine as expected, its n free parameters, and what measures its poses."""
 
     machine: Machine
+    # of the free parameters, in mm, rad, or the parameter's unit; their means and standard deviations count
     priors: Mapping[str, Prior]
+    # values of fixed parameters that are not nominal
     fixed: Mapping[str, float] = field(default_factory=dict)
-    sensors: tuple[Sensor, ...] = ()
+    sensors: tuple[Sensor, ...] = ()  # all of them measure every pose
+    # σ_ρ and τ, mm
     actuator_noise: float = 0.0
     model_error: float = 0.0
 
@@ -174,19 +153,11 @@ class Design:
 
 @dataclass(frozen=True, eq=False)
 class SeenPoses:
-    """P poses of a design to first order in its n free parameters.
-
-    Attributes
-    ----------
-    design : Design
-    placed : PlacedPoses
-    slopes : Slopes
-        Of its actuators' readings and of the platform's pose, parameters in units of the tolerances.
-    """
+    """P poses of a design to first order in its n free parameters."""
 
     design: Design
     placed: PlacedPoses
-    slopes: Slopes
+    slopes: Slopes  # of its actuators' readings and of the platform's pose, parameters in units of the tolerances
 
     @cached_property
     def located(self) -> View:

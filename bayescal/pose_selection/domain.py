@@ -38,15 +38,9 @@ AT_ONCE = 5_000  # candidates whose derivatives are held at once
 
 @dataclass(frozen=True, eq=False)
 class PoseDomain(ABC):
-    """The poses that may be measured with a machine.
+    """The poses that may be measured with a machine."""
 
-    Attributes
-    ----------
-    design : Design
-        The machine as expected, its free parameters, and what measures it.
-    """
-
-    design: Design
+    design: Design  # the machine as expected, its free parameters, and what measures it
 
     @property
     @abstractmethod
@@ -96,15 +90,9 @@ class PoseDomain(ABC):
 
 @dataclass(frozen=True, eq=False)
 class WorkspaceBox(PoseDomain):
-    """A box of displacements and rotation vectors about home.
+    """A box of displacements and rotation vectors about home."""
 
-    Attributes
-    ----------
-    half : ndarray, shape (6,)
-        Half widths, mm and rad; zero where an axis stays.
-    """
-
-    half: Array
+    half: Array  # (6,): half widths, mm and rad; zero where an axis stays
 
     def __post_init__(self) -> None:
         """Check the half widths."""
@@ -134,15 +122,9 @@ class WorkspaceBox(PoseDomain):
 
 @dataclass(frozen=True, eq=False)
 class ActuatorBox(PoseDomain):
-    """A box of actuator displacements about the initial positions, for machines of six legs.
+    """A box of actuator displacements about the initial positions, for machines of six legs."""
 
-    Attributes
-    ----------
-    half : ndarray, shape (6,), optional
-        Half widths of a workspace that poses must not leave, mm and rad.
-    """
-
-    half: Array | None = None
+    half: Array | None = None  # (6,): half widths of a workspace that poses must not leave, mm and rad
 
     def __post_init__(self) -> None:
         """Check that actuators alone determine a pose, and the half widths."""
@@ -184,21 +166,11 @@ def _check_half(half: Array) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """Poses that may be measured, with the identification blocks J_b of each (Yu, Wu and Wang 2023 eq. 23).
+    """Poses that may be measured, with the identification blocks J_b of each (Yu, Wu and Wang 2023 eq. 23)."""
 
-    Attributes
-    ----------
-    domain : PoseDomain
-        The machine and where its poses may lie.
-    shares : ndarray, shape (C, d)
-        Coordinates in the domain's unit box.
-    placed : PlacedPoses
-        Displacements from home and actuator positions.
-    """
-
-    domain: PoseDomain
-    shares: Array
-    placed: PlacedPoses
+    domain: PoseDomain  # the machine and where its poses may lie
+    shares: Array  # (C, d): coordinates in the domain's unit box
+    placed: PlacedPoses  # displacements from home and actuator positions
 
     def __len__(self) -> int:
         """Return the number of candidates C."""

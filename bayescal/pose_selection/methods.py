@@ -33,40 +33,18 @@ WEIGHTS = np.array([1.0, -8.0, 8.0, -1.0]) / 12.0
 
 @dataclass(frozen=True, eq=False)
 class Selection:
-    """Poses to measure.
-
-    Attributes
-    ----------
-    method, criterion : str
-        Names.
-    index : ndarray of int, shape (n,), or None
-        Which candidates; None where poses lie between them.
-    shares : ndarray, shape (n, d)
-        Coordinates in the domain's unit box.
-    placed : PlacedPoses
-        Displacements from home and actuator positions.
-    value : float
-        The criterion, found anew from the poses' rows; larger is better.
-    trace : ndarray, shape (T,)
-        The criterion after each iteration, that of the start first.
-    n_evaluations : int
-        How many sets were judged.
-    converged : bool
-        Whether the method ended by itself.
-    reason : str
-        Why it ended.
-    """
+    """Poses to measure."""
 
     method: str
     criterion: str
-    index: np.ndarray | None
-    shares: Array
-    placed: PlacedPoses
-    value: float
-    trace: Array
-    n_evaluations: int
-    converged: bool
-    reason: str
+    index: np.ndarray | None  # (n,), int: which candidates; None where poses lie between them
+    shares: Array  # (n, d): coordinates in the domain's unit box
+    placed: PlacedPoses  # displacements from home and actuator positions
+    value: float  # the criterion, found anew from the poses' rows; larger is better
+    trace: Array  # (T,): the criterion after each iteration, that of the start first
+    n_evaluations: int  # how many sets were judged
+    converged: bool  # whether the method ended by itself
+    reason: str  # why it ended
 
     @property
     def actuators(self) -> Array:
@@ -122,15 +100,9 @@ class SelectionMethod(ABC):
 
 @dataclass(frozen=True)
 class RandomSets(SelectionMethod):
-    """The best of random sets; its trace holds the criterion of each (Yu, Wu and Wang 2023, figure 7).
+    """The best of random sets; its trace holds the criterion of each (Yu, Wu and Wang 2023, figure 7)."""
 
-    Attributes
-    ----------
-    n_sets : int
-        How many; 1 for a single random set.
-    """
-
-    n_sets: int = 1000
+    n_sets: int = 1000  # how many; 1 for a single random set
 
     name: ClassVar[str] = "random"
     title: ClassVar[str] = "Best of random sets"
@@ -155,14 +127,9 @@ class RandomSets(SelectionMethod):
 
 @dataclass(frozen=True)
 class Exchanging(SelectionMethod):
-    """A method that goes from set to set of candidates by exchanging members.
+    """A method that goes from set to set of candidates by exchanging members."""
 
-    Attributes
-    ----------
-    start : tuple of int, optional
-        Candidates to start from in place of random ones that determine the parameters.
-    """
-
+    # candidates to start from in place of random ones that determine the parameters
     start: tuple[int, ...] | None = field(default=None, kw_only=True)
 
     def _begin(self, problem: SelectionProblem, rng: np.random.Generator) -> tuple[Scorer, float, np.ndarray]:
@@ -195,12 +162,7 @@ class Exchanging(SelectionMethod):
 
 @dataclass(frozen=True)
 class Detmax(Exchanging):
-    """DETMAX with excursions of one pose, from one set: add the best, drop the worst, until the two are the same.
-
-    Attributes
-    ----------
-    max_iterations : int
-    """
+    """DETMAX with excursions of one pose, from one set: add the best, drop the worst, until the two are the same."""
 
     max_iterations: int = 1000
 
@@ -233,22 +195,15 @@ class Detmax(Exchanging):
 
 @dataclass(frozen=True)
 class TabuDetmax(Exchanging):
-    """DETMAX with a list of poses that may not come back for a while, which leads out of local optima; keeps the best.
+    """DETMAX with a list of poses that may not come back for a while, which leads out of local optima."""
 
-    Attributes
-    ----------
-    list_length : int
-        m: how many poses may not be added. They are random at the start; the pose dropped joins the end, the first of
-        the list becomes free.
-    iterations : int
-    leave : bool
-        Whether the pose just added must stay, so that the set may become worse and leave a local optimum. As printed it
-        may be dropped at once: then no set is worse than the one before, and the list only sees to it that other
-        poses are tried.
-    """
-
+    # m: how many poses may not be added. They are random at the start; the pose dropped joins the end, the first
+    # of the list becomes free
     list_length: int = 100
     iterations: int = 219
+    # whether the pose just added must stay, so that the set may become worse and leave a local optimum. As
+    # printed it may be dropped at once: then no set is worse than the one before, and the list only sees to it
+    # that other poses are tried
     leave: bool = False
 
     name: ClassVar[str] = "tabu"
@@ -293,14 +248,9 @@ class Exchange(Exchanging):
 
     In the manner of IOOPS, which adds the pose by a local optimisation over the workspace, this over the candidates.
     What is found cannot be improved by exchanging any one pose.
-
-    Attributes
-    ----------
-    max_iterations : int
-        Exchanges.
     """
 
-    max_iterations: int = 1000
+    max_iterations: int = 1000  # exchanges
 
     name: ClassVar[str] = "exchange"
     title: ClassVar[str] = "Exchange (eliminate and add, from the candidates)"
@@ -411,19 +361,11 @@ class Continuous(SelectionMethod):
 
     Bounds of the box alone are kept by L-BFGS-B; where the actuators' range or the workspace might be left inside of
     the box, SLSQP keeps them as inequalities.
-
-    Attributes
-    ----------
-    start : SelectionMethod
-        Finds the poses to start from.
-    max_iterations : int
-    tolerance : float
-        Relative change of the criterion at which it ends.
     """
 
-    start: SelectionMethod = field(default_factory=Exchange)
+    start: SelectionMethod = field(default_factory=Exchange)  # finds the poses to start from
     max_iterations: int = 300
-    tolerance: float = 1e-10
+    tolerance: float = 1e-10  # relative change of the criterion at which it ends
 
     name: ClassVar[str] = "continuous"
     title: ClassVar[str] = "All poses at once, continuous"

@@ -23,20 +23,11 @@ from bayescal.numerics.geometry import Array
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """A pose to measure, and what will be known then.
-
-    Attributes
-    ----------
-    candidate : int
-    covariance : ndarray, shape (m, m)
-        Of the parameters after it, in their units.
-    mean_square : float
-        tr(W C), the weighted error that is left.
-    """
+    """A pose to measure, and what will be known then."""
 
     candidate: int
-    covariance: Array
-    mean_square: float
+    covariance: Array  # (m, m): of the parameters after it, in their units
+    mean_square: float  # tr(W C), the weighted error that is left
 
 
 def look_ahead(weight: Array, covariance: Array, rows: Array, allowed: np.ndarray) -> Iterator[Step]:

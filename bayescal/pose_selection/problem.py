@@ -16,21 +16,12 @@ from bayescal.pose_selection.domain import Candidates
 
 @dataclass(frozen=True, eq=False)
 class SelectionProblem:
-    """A choice of measurement poses.
-
-    Attributes
-    ----------
-    candidates : Candidates
-    criterion : Criterion
-    n : int
-        How many poses to select.
-    measured : ndarray, shape (M, N), optional
-        Actuator positions, mm, of poses that have been measured already: their information stays.
-    """
+    """A choice of measurement poses."""
 
     candidates: Candidates
     criterion: Criterion
-    n: int
+    n: int  # how many poses to select
+    # (M, N): actuator positions, mm, of poses that have been measured already: their information stays
     measured: Array | None = None
 
     def __post_init__(self) -> None:

@@ -58,23 +58,13 @@ def compute_accuracy(plans: Mapping[str, Planned], run: Run) -> dict[str, pd.Dat
 
 @dataclass(frozen=True, eq=False)
 class ChosenPoses:
-    """Poses in the order in which they were chosen, or would have been among themselves.
+    """Poses in the order in which they were chosen, or would have been among themselves."""
 
-    Attributes
-    ----------
-    pose : ndarray, shape (N, q)
-    after : ndarray, shape (N, t)
-        Root mean square error of the tool over the workspace by what is then unknown of the parameters.
-    curve : ndarray, shape (N, t)
-        The same with the best set found of 1 to N poses.
-    random : ndarray, shape (N, t)
-        The same with as many of the candidates at random, root mean square of several sets.
-    """
-
-    pose: Array
+    pose: Array  # (N, q)
+    # (N, t): root mean square error of the tool over the workspace by what is then unknown of the parameters
     after: Array
-    curve: Array
-    random: Array
+    curve: Array  # (N, t): the same with the best set found of 1 to N poses
+    random: Array  # (N, t): the same with as many of the candidates at random, root mean square of several sets
 
 
 @dataclass(frozen=True, eq=False)

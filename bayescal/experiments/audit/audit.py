@@ -41,49 +41,26 @@ USUAL = (
 
 @dataclass(frozen=True, eq=False)
 class Analysis:
-    """What the plan tells of the parameters, without words: what is fast and what tests and sweeps want.
-
-    Attributes
-    ----------
-    structure : Structure
-    information : Information
-    selection : Selection
-    directions : list of Direction
-    verdicts : tuple of str
-        Of each parameter.
-    reduced : ReducedSet or None
-        What a calibration of the selected parameters alone claims and errs by; None where these are none, or all.
-    """
+    """What the plan tells of the parameters, without words: what is fast and what tests and sweeps want."""
 
     structure: Structure
     information: Information
     selection: Selection
     directions: list[Direction]
-    verdicts: tuple[Verdict, ...]
+    verdicts: tuple[Verdict, ...]  # of each parameter
+    # what a calibration of the selected parameters alone claims and errs by; None where these are none, or all
     reduced: ReducedSet | None
 
 
 @dataclass(frozen=True, eq=False)
 class ChangeEffect:
-    """What a changed plan would tell.
-
-    Attributes
-    ----------
-    name : str
-    n_poses : int
-    information : Information or None
-        None where the machine cannot take the changed poses.
-    beyond_range : bool
-        Whether the actuators would have to reach further than they do.
-    required_sd : dict of requirement to float
-        Predicted sd over the workspace, in inner units.
-    """
+    """What a changed plan would tell."""
 
     name: str
     n_poses: int
-    information: Information | None
-    beyond_range: bool
-    required_sd: dict[str, float]
+    information: Information | None  # None where the machine cannot take the changed poses
+    beyond_range: bool  # whether the actuators would have to reach further than they do
+    required_sd: dict[str, float]  # by requirement: predicted sd over the workspace, in inner units
 
     def contraction_along(self, directions: Array) -> Array:
         """Return the contraction of directions (n, k); NaN where the machine cannot take the poses."""
@@ -98,30 +75,14 @@ type SweepPoint = tuple[str, float, ChangeEffect]
 
 @dataclass(frozen=True, eq=False)
 class Audit:
-    """An audit with everything it says.
-
-    Attributes
-    ----------
-    inputs : Planned
-    analysis : Analysis
-    ridges : list of Ridge
-        The structural and practical directions, described.
-    forecast : Forecast
-        Of the workspace, or of the planned poses where there is no workspace.
-    outlooks : list of Outlook
-        One per requirement.
-    together : float
-        Probability that all requirements are kept; NaN without any.
-    what_ifs : list of ChangeEffect
-    sweeps : list of SweepPoint
-    """
+    """An audit with everything it says."""
 
     inputs: Planned
     analysis: Analysis
-    ridges: list[Ridge]
-    forecast: Forecast
-    outlooks: list[Outlook]
-    together: float
+    ridges: list[Ridge]  # the structural and practical directions, described
+    forecast: Forecast  # of the workspace, or of the planned poses where there is no workspace
+    outlooks: list[Outlook]  # one per requirement
+    together: float  # probability that all requirements are kept; NaN without any
     what_ifs: list[ChangeEffect]
     sweeps: list[SweepPoint]
 

@@ -163,39 +163,22 @@ def _tabulate_profiles(inputs: Planned, profiles: list[Profile]) -> dict[str, pd
 
 @dataclass(frozen=True, eq=False)
 class Simulated:
-    """Simulated calibrations beside what was predicted of them: how many, how many converged, how many were redrawn.
-
-    Attributes
-    ----------
-    n, n_converged, n_redrawn : int
-    comparison : Comparison
-    kept : dict of requirement to Kept
-    """
+    """Simulated calibrations beside what was predicted of them: how many, how many converged, how many were redrawn."""
 
     n: int
     n_converged: int
     n_redrawn: int
     comparison: Comparison
-    kept: dict[str, Kept]
+    kept: dict[str, Kept]  # by requirement
 
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """What is identified in simulated calibrations, and what is predicted of it.
+    """What is identified in simulated calibrations, and what is predicted of it."""
 
-    Attributes
-    ----------
-    fitted : ndarray, shape (m,)
-        The others, off by their tolerances too, are taken for nominal.
-    covariance : ndarray, shape (m, m)
-        Of the errors to expect, in tolerances.
-    probability : dict of requirement to float
-        To keep it.
-    """
-
-    fitted: np.ndarray
-    covariance: Array
-    probability: dict[str, float]
+    fitted: np.ndarray  # (m,): the others, off by their tolerances too, are taken for nominal
+    covariance: Array  # (m, m): of the errors to expect, in tolerances
+    probability: dict[str, float]  # by requirement: to keep it
 
 
 STREAM = 5  # of random numbers; the same machines with the same noise for every case

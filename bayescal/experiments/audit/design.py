@@ -35,23 +35,12 @@ from bayescal.numerics.units import Units
 
 @dataclass(frozen=True, eq=False)
 class AuditDesign:
-    """A design as read.
-
-    Attributes
-    ----------
-    config : AuditConfig
-    plans : dict of name to Planned
-        Of all variants; none of a machine that has been measured.
-    measured : MeasuredMachine or None
-        One that has been, whose posterior is still to be drawn.
-    sensors : SensorChoice or None
-        Sensors to choose from, if any.
-    """
+    """A design as read."""
 
     config: AuditConfig
-    plans: Mapping[str, Planned]
-    measured: MeasuredMachine | None = None
-    sensors: SensorChoice | None = None
+    plans: Mapping[str, Planned]  # by name: of all variants; none of a machine that has been measured
+    measured: MeasuredMachine | None = None  # one that has been, whose posterior is still to be drawn
+    sensors: SensorChoice | None = None  # sensors to choose from, if any
 
 
 def load_audit(path: Path) -> AuditConfig:

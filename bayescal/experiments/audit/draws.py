@@ -51,62 +51,33 @@ SEED_OF_PLOTS = 6
 
 @dataclass(frozen=True)
 class SpaceAngle:
-    """The largest principal angle between the weak directions of information and of draws.
-
-    Attributes
-    ----------
-    degrees : float
-    halves : float
-        The same between two halves of the draws: what chance does to half as many.
-    n_directions : int
-        How many are compared.
-    gap : float
-        Ratio of the remaining variances on both sides of the cut, as the information has them.
-    """
+    """The largest principal angle between the weak directions of information and of draws."""
 
     degrees: float
-    halves: float
-    n_directions: int
-    gap: float
+    halves: float  # the same between two halves of the draws: what chance does to half as many
+    n_directions: int  # how many are compared
+    gap: float  # ratio of the remaining variances on both sides of the cut, as the information has them
 
 
 @dataclass(frozen=True)
 class Chance:
-    """How probable it is that no pose of the workspace exceeds a limit.
+    """How probable it is that no pose of the workspace exceeds a limit."""
 
-    Attributes
-    ----------
-    probability : float
-        With poses predicted by all draws together.
-    of_mean_machine : float
-        With poses predicted by the machine whose parameters are the posterior means. Where a ridge bends, that machine
-        lies off it, and predicts worse than any draw.
-    """
-
-    probability: float
+    probability: float  # with poses predicted by all draws together
+    # with poses predicted by the machine whose parameters are the posterior means. Where a ridge bends, that
+    # machine lies off it, and predicts worse than any draw
     of_mean_machine: float
 
 
 @dataclass(frozen=True, eq=False)
 class PosteriorLevel:
-    """What draws say of n free parameters.
-
-    Attributes
-    ----------
-    inputs : Planned
-    origin : str
-        Of the draws, in words.
-    draws : Draws
-    angle : SpaceAngle or None
-        None where no direction is weak, or all are.
-    chances : dict of requirement to Chance
-    """
+    """What draws say of n free parameters."""
 
     inputs: Planned
-    origin: str
+    origin: str  # of the draws, in words
     draws: Draws
-    angle: SpaceAngle | None
-    chances: dict[str, Chance]
+    angle: SpaceAngle | None  # None where no direction is weak, or all are
+    chances: dict[str, Chance]  # by requirement
 
     @cached_property
     def covariance(self) -> Array:
@@ -249,28 +220,18 @@ def judge_draws(inputs: Planned, draws: Draws, rng: np.random.Generator) -> dict
 
 @dataclass(frozen=True, eq=False)
 class RidgePlot:
-    """A ridge in the plane of two parameters, in the design's units.
+    """A ridge in the plane of two parameters, in the design's units."""
 
-    Attributes
-    ----------
-    x, y, x_unit, y_unit : str
-        Names of the ridge's parameter and of its partner.
-    formula : str
-        Of the straight direction.
-    points : dict of source to ndarray, shape (S, 4)
-        x and y, then both without the draw's moves along the other ridges; ``prior``, and ``posterior`` or, without
-        draws, ``forecast``.
-    curves : dict of source to ndarray, shape (K, 2)
-        ``tangent``, and ``profile`` where there is one.
-    """
-
+    # names of the ridge's parameter and of its partner
     x: str
     y: str
     x_unit: str
     y_unit: str
-    formula: str
+    formula: str  # of the straight direction
+    # by source, (S, 4): x and y, then both without the draw's moves along the other ridges; ``prior``, and
+    # ``posterior`` or, without draws, ``forecast``
     points: dict[str, Array]
-    curves: dict[str, Array]
+    curves: dict[str, Array]  # by source, (K, 2): ``tangent``, and ``profile`` where there is one
 
     def summary(self) -> dict[str, Any]:
         """Return what ``summary.json`` says of the ridge beside its direction."""

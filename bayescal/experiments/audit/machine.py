@@ -37,28 +37,14 @@ from bayescal.numerics.geometry import Array
 
 @dataclass(frozen=True, eq=False)
 class PlannedMachine:
-    """A machine and its instruments, of which variants are made by choosing channels and poses.
-
-    Attributes
-    ----------
-    config : AuditConfig
-    folder : Path
-        Where the config's file names start.
-    model : ReadingModel
-        With all instruments.
-    workspace : Workspace
-    sensors : dict of name to PoseSensor
-        Those whose noise follows from what they tell of a pose.
-    symbols : collection of str
-        Of parameters that other variants' machines have.
-    """
+    """A machine and its instruments, of which variants are made by choosing channels and poses."""
 
     config: AuditConfig
-    folder: Path
-    model: ReadingModel
+    folder: Path  # where the config's file names start
+    model: ReadingModel  # with all instruments
     workspace: Workspace
-    sensors: Mapping[str, PoseSensor]
-    symbols: Collection[str]
+    sensors: Mapping[str, PoseSensor]  # by name: those whose noise follows from what they tell of a pose
+    symbols: Collection[str]  # of parameters that other variants' machines have
 
     # --- poses -----------------------------------------------------------------------------------------------------
 

@@ -44,21 +44,12 @@ SEED = 4
 
 @dataclass(frozen=True, eq=False)
 class MeasuredMachine:
-    """A machine that has been measured, of which variants are made at its own poses and at others.
-
-    Attributes
-    ----------
-    config : AuditConfig
-    found : MeasuredReadings
-        A variant of the study.
-    workspace : Workspace
-    centre : mapping of str to float
-        Where free parameters are expected: their posterior means, or the mode; the priors' means before it is drawn.
-    """
+    """A machine that has been measured, of which variants are made at its own poses and at others."""
 
     config: AuditConfig
-    found: MeasuredReadings
+    found: MeasuredReadings  # a variant of the study
     workspace: Workspace
+    # where free parameters are expected: their posterior means, or the mode; the priors' means before it is drawn
     centre: Mapping[str, float]
 
     @property

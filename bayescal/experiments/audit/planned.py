@@ -95,42 +95,20 @@ class Maker(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Planned:
-    """A variant of an audit: channels, free parameters and planned poses.
-
-    Attributes
-    ----------
-    config : AuditConfig
-    section : VariantConfig
-    machine : str
-        Its name.
-    variant : Variant
-        Its readings those of the machine as expected, without noise.
-    requirements : tuple of Requirement
-        Of the tool's numbers, inner units.
-    units : Units
-        Those of tolerances, requirements and results.
-    maker : Maker
-    tau : float
-        Root mean square of errors that are independent from pose to pose, mm at the tool.
-    sizes : mapping of str to float
-        Root mean squares over the planned poses of systematic errors by term as they are allowed for, mm at the tool.
-    floors : mapping of str to float
-        What each of these is at least, as stated, mm.
-    zeta : mapping of str to float
-        Standardised coordinates of other errors by name.
-    """
+    """A variant of an audit: channels, free parameters and planned poses."""
 
     config: AuditConfig
     section: VariantConfig
-    machine: str
-    variant: Variant
-    requirements: Sequence[Requirement]
-    units: Units
+    machine: str  # its name
+    variant: Variant  # its readings those of the machine as expected, without noise
+    requirements: Sequence[Requirement]  # of the tool's numbers, inner units
+    units: Units  # those of tolerances, requirements and results
     maker: Maker
-    tau: float
+    tau: float  # root mean square of errors that are independent from pose to pose, mm at the tool
+    # by term: rms over the planned poses of systematic errors as they are allowed for, mm at the tool
     sizes: Mapping[str, float]
-    floors: Mapping[str, float]
-    zeta: Mapping[str, float] = field(default_factory=dict)
+    floors: Mapping[str, float]  # what each of these is at least, as stated, mm
+    zeta: Mapping[str, float] = field(default_factory=dict)  # standardised coordinates of other errors by name
 
     # --- the parameters --------------------------------------------------------------------------------------------
 

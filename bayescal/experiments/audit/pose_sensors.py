@@ -24,22 +24,12 @@ BLIND = 1e-12  # of the largest eigenvalue of a pose's information, below which 
 
 @dataclass(frozen=True, eq=False)
 class PoseSensor:
-    """A sensor of poses and its channels.
-
-    Attributes
-    ----------
-    name : str
-    sensor : Sensor
-    channels : tuple of str
-        Those of its six that it sees, by their names.
-    seen : ndarray of bool, shape (6,)
-        Which of position and rotation vector these are.
-    """
+    """A sensor of poses and its channels."""
 
     name: str
     sensor: Sensor
-    channels: tuple[str, ...]
-    seen: np.ndarray
+    channels: tuple[str, ...]  # those of its six that it sees, by their names
+    seen: np.ndarray  # (6,), bool: which of position and rotation vector these are
 
     def find_noise(self, pose: Array, names: Sequence[str]) -> Array:
         """Return covariances (P, k, k) of its channels at poses (P, 6) of the tool, mm and rad, by the poses' names."""

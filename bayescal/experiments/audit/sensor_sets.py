@@ -38,19 +38,11 @@ type Reason = Literal["", "calibration", "use"]
 
 @dataclass(frozen=True)
 class Choice:
-    """A sensor, or an instrument of several readings.
-
-    Attributes
-    ----------
-    name : str
-    channels : tuple of str
-    price : float
-        NaN where no prices are stated.
-    """
+    """A sensor, or an instrument of several readings."""
 
     name: str
     channels: tuple[str, ...]
-    price: float = np.nan
+    price: float = np.nan  # NaN where no prices are stated
 
 
 def list_choices(
@@ -97,33 +89,15 @@ def list_choices(
 
 @dataclass(frozen=True, eq=False)
 class SensorChoice:
-    """Sensors to choose from.
-
-    Attributes
-    ----------
-    section : SensorChoiceConfig
-    always : tuple of str
-        Channels, or kinds of them, of every set.
-    variant : Variant
-        With all sensors there are to choose from.
-    expected : ndarray, shape (n,)
-        The machine and its errors as expected, in the coordinates of the variant's posterior.
-    see_errors : callable
-        What its channels err by at poses (W, q) of the machine in use.
-    choices : tuple of Choice
-    requirements : tuple of Requirement
-        Of the tool's coordinates.
-    units : Units
-    seed : int
-    """
+    """Sensors to choose from."""
 
     section: SensorChoiceConfig
-    always: tuple[str, ...]
-    variant: Variant
-    expected: Array
-    see_errors: Callable[[Array], ErrorsInUse]
+    always: tuple[str, ...]  # channels, or kinds of them, of every set
+    variant: Variant  # with all sensors there are to choose from
+    expected: Array  # (n,): the machine and its errors as expected, in the coordinates of the variant's posterior
+    see_errors: Callable[[Array], ErrorsInUse]  # what its channels err by at poses (W, q) of the machine in use
     choices: tuple[Choice, ...]
-    requirements: tuple[Requirement, ...]
+    requirements: tuple[Requirement, ...]  # of the tool's coordinates
     units: Units
     seed: int
 
@@ -135,35 +109,22 @@ class SensorChoice:
 
 @dataclass(frozen=True, eq=False)
 class SetAccuracy:
-    """How good a set of sensors is.
+    """How good a set of sensors is."""
 
-    Attributes
-    ----------
-    reason : str
-        Why it is no good: its readings would not determine the poses of the ``calibration``, or its own sensors not
-        where the machine is in ``use``; empty where it is.
-    missing : int
-        How many coordinates are not determined, in calibration and in use together.
-    goal : float
-        What is to be small: the largest standard deviation as a share of its limit, at the worst pose or rms as is
-        required; where nothing is required the root mean square of the tool's error, lengths together. Infinite for a
-        set that is no good.
-    error, after, noise : ndarray, shape (t,)
-        Root mean square over the workspace of all together, of what is unknown of the parameters, of noise in use.
-    sd : ndarray, shape (m,)
-        What remains of each parameter's tolerance, as a share.
-    n_readings : int
-        At a pose.
-    """
-
+    # why it is no good: its readings would not determine the poses of the ``calibration``, or its own sensors not
+    # where the machine is in ``use``; empty where it is
     reason: Reason
-    missing: int
+    missing: int  # how many coordinates are not determined, in calibration and in use together
+    # what is to be small: the largest standard deviation as a share of its limit, at the worst pose or rms as is
+    # required; where nothing is required the root mean square of the tool's error, lengths together. Infinite for
+    # a set that is no good
     goal: float
+    # (t,) each: rms over the workspace of all together, of what is unknown of the parameters, of noise in use
     error: Array
     after: Array
     noise: Array
-    sd: Array
-    n_readings: int
+    sd: Array  # (m,): what remains of each parameter's tolerance, as a share
+    n_readings: int  # at a pose
 
 
 class _Seen(NamedTuple):
@@ -264,23 +225,13 @@ def _count_lost(values: Array, q: int) -> int:
 
 @dataclass(frozen=True, eq=False)
 class FoundSets:
-    """Sets of sensors that were judged.
+    """Sets of sensors that were judged."""
 
-    Attributes
-    ----------
-    sets : ndarray of bool, shape (S, C)
-        By their numbers of choices, then in the order in which they were tried.
-    accuracy : list of SetAccuracy
-    exhaustive : bool
-        Whether these are all there are.
-    probability : ndarray, shape (S,)
-        That all requirements are kept, of the best set of every number and of those on the front against the price;
-        NaN of others and without requirements.
-    """
-
-    sets: np.ndarray
+    sets: np.ndarray  # (S, C), bool: by their numbers of choices, then in the order in which they were tried
     accuracy: list[SetAccuracy]
-    exhaustive: bool
+    exhaustive: bool  # whether these are all there are
+    # (S,): that all requirements are kept, of the best set of every number and of those on the front against the
+    # price; NaN of others and without requirements
     probability: Array
 
     def best_of(self, number: int) -> int | None:

@@ -65,31 +65,15 @@ class Task:
 
 @dataclass(frozen=True, eq=False)
 class JudgedPoses:
-    """A set of poses and what it is worth.
-
-    Attributes
-    ----------
-    task : Task
-    selection : Selection or None
-        None for a set that somebody else has chosen.
-    actuators : ndarray, shape (n, N)
-        mm.
-    moves : ndarray, shape (n, 6)
-        Displacements from home, mm and rad.
-    indices : dict of name to float
-        O1 to O5.
-    accuracy : Accuracy or None
-    seconds : float
-        That the selection took.
-    """
+    """A set of poses and what it is worth."""
 
     task: Task
-    selection: Selection | None
-    actuators: Array
-    moves: Array
-    indices: dict[str, float]
+    selection: Selection | None  # None for a set that somebody else has chosen
+    actuators: Array  # (n, N), mm
+    moves: Array  # (n, 6): displacements from home, mm and rad
+    indices: dict[str, float]  # by name: O1 to O5
     accuracy: Accuracy | None
-    seconds: float
+    seconds: float  # that the selection took
 
 
 def list_tasks(inputs: SelectionInputs) -> list[Task]:
@@ -157,27 +141,15 @@ def run_one(inputs: SelectionInputs, task: Task) -> JudgedPoses:
 
 @dataclass(frozen=True, eq=False)
 class Accuracy:
-    """Pose errors over the workspace after calibrations with one set of poses.
+    """Pose errors over the workspace after calibrations with one set of poses."""
 
-    Attributes
-    ----------
-    predicted : ndarray, shape (3,)
-        Root mean square over the workspace's poses to first order: of the position's length, mm, of the rotation's,
-        rad, and of all components in units of their limits.
-    simulated : ndarray, shape (B, 3)
-        The same of each machine that was drawn, measured and identified, by the machine itself.
-    positions : ndarray, shape (B,)
-        Mean over the workspace of the position error, mm.
-    parameters : ndarray, shape (B,)
-        Root mean square error of the parameters in units of the tolerances.
-    n_failed : int
-        Machines that the one as expected cannot fit, or that have no pose somewhere; they count in nothing else.
-    """
-
+    # (3,): root mean square over the workspace's poses to first order: of the position's length, mm, of the
+    # rotation's, rad, and of all components in units of their limits
     predicted: Array
-    simulated: Array
-    positions: Array
-    parameters: Array
+    simulated: Array  # (B, 3): the same of each machine that was drawn, measured and identified, by the machine itself
+    positions: Array  # (B,): mean over the workspace of the position error, mm
+    parameters: Array  # (B,): root mean square error of the parameters in units of the tolerances
+    # machines that the one as expected cannot fit, or that have no pose somewhere; they count in nothing else
     n_failed: int
 
 

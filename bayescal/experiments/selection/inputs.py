@@ -55,34 +55,17 @@ CRITERIA_FIELD = "selections.criteria"
 
 @dataclass(frozen=True, eq=False)
 class SelectionInputs:
-    """An experiment on pose selection, read and checked.
-
-    Attributes
-    ----------
-    config : SelectionConfig
-    folder : Path
-        Where the config's file names start.
-    design : Design
-        Machine, tolerances, sensors and noise.
-    domain : PoseDomain
-        Where poses may be.
-    workspace_actuators : ndarray, shape (W, N)
-        Actuator positions of the workspace's poses, mm; those of home where there is none.
-    requirements : list of Requirement
-    measured : ndarray, shape (M, N), or None
-        Actuator positions of poses that have been measured already, mm.
-    designs : dict of name to ndarray, shape (n, N)
-        Actuator positions of sets of poses that somebody else has chosen, mm.
-    """
+    """An experiment on pose selection, read and checked."""
 
     config: SelectionConfig
-    folder: Path
-    design: Design
-    domain: PoseDomain
+    folder: Path  # where the config's file names start
+    design: Design  # machine, tolerances, sensors and noise
+    domain: PoseDomain  # where poses may be
+    # (W, N): actuator positions of the workspace's poses, mm; those of home where there is none
     workspace_actuators: Array
     requirements: list[Requirement]
-    measured: Array | None
-    designs: dict[str, Array]
+    measured: Array | None  # (M, N): actuator positions of poses that have been measured already, mm
+    designs: dict[str, Array]  # by name, (n, N): actuator positions of sets of poses that somebody else has chosen, mm
 
     def candidates(self, repeat: int) -> Candidates:
         """Return the candidates of a repeat; without ``redraw`` all have those of the first.

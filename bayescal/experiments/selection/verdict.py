@@ -74,19 +74,12 @@ class Tables:
 
 @dataclass(frozen=True)
 class Ratio:
-    """One way's error by another's, the geometric mean over pairs.
+    """One way's error by another's, the geometric mean over pairs."""
 
-    Attributes
-    ----------
-    value, error : float
-        With its standard error; NaN of a single pair.
-    n : int
-        Pairs.
-    """
-
+    # with its standard error; NaN of a single pair
     value: float
     error: float
-    n: int
+    n: int  # pairs
 
     @property
     def clear(self) -> bool:

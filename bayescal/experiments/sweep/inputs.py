@@ -47,25 +47,13 @@ _laid_out: dict[str, Path] = {}
 
 @dataclass(frozen=True)
 class Base:
-    """The experiment that members vary.
+    """The experiment that members vary."""
 
-    Attributes
-    ----------
-    name : str
-        Of its file.
-    text : str
-        Of the file.
-    content : dict
-        Of the file and what it extends, with the sweep's seed.
-    files : dict of str to bytes
-        All that members read, by names relative to the folder.
-    """
-
-    name: str
+    name: str  # of its file
     kind: str
-    text: str
-    content: dict[str, Any]
-    files: Files
+    text: str  # of the file
+    content: dict[str, Any]  # of the file and what it extends, with the sweep's seed
+    files: Files  # all that members read, by names relative to the folder
 
     def list_code(self) -> Files:
         """Return the files among all that are code."""
@@ -88,18 +76,11 @@ class Base:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What became of a member.
+    """What became of a member."""
 
-    Attributes
-    ----------
-    packed : ndarray of uint8
-        JSON, as ``summary.json`` has it, compressed: thousands of members are held and kept; empty where it failed.
-    failure : str
-        Why it failed, or what forbids to rely on it.
-    """
-
+    # uint8: JSON of its summary, compressed, since thousands of members are held and kept; empty where it failed
     packed: np.ndarray
-    failure: str
+    failure: str  # why it failed, or what forbids to rely on it
 
     @classmethod
     def from_summary(cls, summary: Mapping[str, Any], failure: str = "") -> Outcome:
@@ -277,30 +258,16 @@ def list_keys(summary: Any, before: str = "") -> Iterator[str]:
 
 @dataclass(frozen=True, eq=False)
 class SweepInputs:
-    """What a sweep computes with.
-
-    Attributes
-    ----------
-    experiment : Experiment
-        Its kind.
-    sources : tuple of str
-        Files of the kind, where it is none of an installed package.
-    modules : dict of str to str
-        SHA-256 of the modules that somebody else's classes stand in.
-    extended : dict of str to tuple of str
-        Each input file with those that it extends.
-    need : Need
-        Memory that a member takes, as the experiment stands.
-    """
+    """What a sweep computes with."""
 
     config: SweepConfig
     folder: Path
     base: Base
-    experiment: AnyExperiment
-    sources: tuple[str, ...]
-    modules: dict[str, str]
-    extended: dict[str, tuple[str, ...]]
-    need: Need
+    experiment: AnyExperiment  # its kind
+    sources: tuple[str, ...]  # files of the kind, where it is none of an installed package
+    modules: dict[str, str]  # SHA-256 of the modules that somebody else's classes stand in
+    extended: dict[str, tuple[str, ...]]  # each input file with those that it extends
+    need: Need  # memory that a member takes, as the experiment stands
 
     def list_members(self) -> Iterator[tuple[tuple[Any, ...], tuple[Setting, ...]]]:
         """Yield what each axis takes and what that sets, member by member; the last axis is the fastest."""

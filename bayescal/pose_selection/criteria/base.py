@@ -98,15 +98,9 @@ class Criterion(ABC):
 
 @dataclass(frozen=True)
 class ObservabilityCriterion(Criterion):
-    """An observability index: neither prior nor noise counts.
+    """An observability index: neither prior nor noise counts."""
 
-    Attributes
-    ----------
-    form : str
-        Which derivatives count; see `identification_rows`.
-    """
-
-    form: JacobianForm = "pose"
+    form: JacobianForm = "pose"  # which derivatives count; see `identification_rows`
 
     @classmethod
     def from_config(cls, config: Any, purpose: Purpose) -> Self:

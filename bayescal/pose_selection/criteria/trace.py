@@ -75,15 +75,9 @@ class TraceScorer(UpdateScorer):
 
 @dataclass(frozen=True, eq=False)
 class AOptimality(BayesianTrace):
-    """Minus the mean posterior variance of parameters, in shares of the prior's.
+    """Minus the mean posterior variance of parameters, in shares of the prior's."""
 
-    Attributes
-    ----------
-    chosen : tuple of int
-        Which free parameters count; all where it is empty.
-    """
-
-    chosen: tuple[int, ...] = ()
+    chosen: tuple[int, ...] = ()  # which free parameters count; all where it is empty
 
     name: ClassVar[str] = "A"
     title: ClassVar[str] = "Mean posterior variance of the parameters, share of the prior's, negative"
@@ -101,18 +95,10 @@ class AOptimality(BayesianTrace):
 
 @dataclass(frozen=True, eq=False)
 class IOptimality(BayesianTrace):
-    """Minus the mean over the workspace of the predicted pose's weighted variance that the parameters cause.
+    """Minus the mean over the workspace of the predicted pose's weighted variance that the parameters cause."""
 
-    Attributes
-    ----------
-    workspace : ndarray, shape (W, 6, L)
-        Pose by parameters at W poses that stand for the workspace, mm and rad by tolerances.
-    limits : ndarray, shape (6,)
-        What an error of each component of the pose is measured by, mm and rad: requirements; infinite where it does
-        not matter.
-    """
-
-    workspace: Array
+    workspace: Array  # (W, 6, L): pose by parameters at W poses that stand for the workspace, mm and rad by tolerances
+    # (6,): what errors of the pose's components are measured by, mm and rad; infinite where one does not matter
     limits: Array
 
     name: ClassVar[str] = "I"
