@@ -73,19 +73,10 @@ class Comparison:
 
 
 def compare_with_prediction(simulated: Calibrations, covariance: Array) -> Comparison:
-    """Return how calibrations' errors compare with a predicted posterior covariance.
+    """Return how calibrations' errors compare with a predicted posterior covariance (m, m), in units of the tolerances.
 
-    Parameters
-    ----------
-    simulated : Calibrations
-    covariance : ndarray, shape (m, m)
-        Of the errors of the identified parameters in units of the tolerances: `Information.covariance`, or a part of
-        `Information.errors_of_reduced`.
-
-    Raises
-    ------
-    InputError
-        Where fewer than two calibrations converged.
+    That is `Information.covariance`, or a part of `Information.errors_of_reduced`. InputError where fewer than two
+    calibrations converged.
     """
     errors = simulated.errors
     if len(errors) < 2:

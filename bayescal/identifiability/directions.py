@@ -156,24 +156,14 @@ def _unit(vector: Array) -> Array:
 
 
 def find_sparse_basis(space: Array, preferred: tuple[int, ...]) -> tuple[Array, np.ndarray]:
-    """Return a sparse basis of a space and the parameter each vector is named after.
+    """Return a sparse basis (n, k) of an orthonormal space (n, k), and the parameter each vector is named after, (k,).
 
     For every parameter the sparsest vector of the space in which it moves by one is sought, by reweighted least
     squares; from all these the shortest independent ones are taken. A gauge freedom then comes out as what it is, a
     frame and the joints that move with it, and not as a mixture of all of them.
 
-    Parameters
-    ----------
-    space : ndarray, shape (n, k)
-        Orthonormal.
-    preferred : tuple of int
-        Parameters to name vectors after where possible, the best first.
-
-    Returns
-    -------
-    basis : ndarray, shape (n, k)
-        Each vector is one at its own parameter, which differ from each other.
-    pivots : ndarray of int, shape (k,)
+    Each vector is one at its own parameter, which differ from each other: preferred ones where possible, the best
+    first.
     """
     n, k = space.shape
     if not k:

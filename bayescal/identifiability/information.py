@@ -102,15 +102,7 @@ class Information:
 
 
 def information_of_rows(rows: Array, sd: Array) -> Information:
-    """Return the information of rows of unit noise.
-
-    Parameters
-    ----------
-    rows : ndarray, shape (..., n)
-        The identification Jacobian in units of the noise.
-    sd : ndarray, shape (n,)
-        Tolerances.
-    """
+    """Return the information of an identification Jacobian (..., n) in units of the noise, with tolerances (n,)."""
     return Information(np.linalg.qr(rows.reshape(-1, rows.shape[-1]) * sd, mode="r"))
 
 

@@ -35,15 +35,7 @@ class Lever:
 
 
 def find_levers(posterior: CalibrationPosterior, y: Array, directions: Sequence[Direction]) -> Iterator[Lever]:
-    """Yield the levers by which directions, of n parameters, tie a place to a direction.
-
-    Parameters
-    ----------
-    posterior : CalibrationPosterior
-    y : ndarray, shape (n + k,)
-        The machine.
-    directions : sequence of Direction
-    """
+    """Yield the levers by which directions, of n parameters, tie a place to a direction, at a machine y (n + k,)."""
     likelihood, names = posterior.likelihood, posterior.sampling.names
     model, data, theta = likelihood.model, likelihood.data, posterior.theta(y[None])[0]
     slope = model.linearise(theta, likelihood.start, True, data.given).by_parameters @ posterior.sampling.moved.T

@@ -48,21 +48,9 @@ class PoseVolume:
 
 
 def find_workspace_actuators(machine: Machine, theta: Array, workspace: PoseVolume, n: int, seed: int) -> Array:
-    """Return the actuator positions of poses of the workspace, shape (n', N), mm.
+    """Return the actuator positions of n poses of the workspace of a machine (D,), shape (n', N), mm.
 
-    Parameters
-    ----------
-    machine : Machine
-    theta : ndarray, shape (D,)
-        The machine's parameters.
-    workspace : PoseVolume
-    n, seed : int
-        How many poses, and the seed of those inside.
-
-    Raises
-    ------
-    InputError
-        Names the first pose that the actuators cannot reach, the actuator and its displacement.
+    InputError names the first pose that the actuators cannot reach, the actuator and its displacement.
     """
     mechanism = machine.mechanism
     start = mechanism.initial_actuator_positions

@@ -44,22 +44,9 @@ def compute_profile(
 ) -> Profile:
     """Return the profile of a free parameter about the machine expected, whose readings the data are.
 
-    Parameters
-    ----------
-    posterior : CalibrationPosterior
-        With normal priors, centred where the machine is expected.
-    name : str
-    zeta : ndarray, shape (k,)
-        Coordinates of the errors, which stay.
-    n_side : int
-        Number of values on either side of the expected one, evenly spread: K is 2 n + 1.
-    reach : float
-        How far they go, in tolerances.
-
-    Raises
-    ------
-    InputError
-        For a name that is not free.
+    The posterior has normal priors, centred where the machine is expected; coordinates ``zeta`` (k,) of the errors
+    stay. On either side of the expected value there are n others, evenly spread as far as ``reach`` in tolerances: K is
+    2 n + 1. InputError for a name that is not free.
     """
     check_profiles(posterior.sampling.names, [name])
     place, sampling = posterior.sampling.names.index(name), posterior.sampling

@@ -122,19 +122,10 @@ class Slopes:
 def differentiate_poses(
     posterior: CalibrationPosterior, half: Array, y: Array, pose: Array, given: Given, aligned: bool = False
 ) -> Slopes:
-    """Return what moves readings and tool at poses (W, q) of one machine, of which any channels make a `View`.
+    """Return what moves readings and tool at poses (W, q) of one machine y (n,), of which any channels make a `View`.
 
-    Parameters
-    ----------
-    posterior : CalibrationPosterior
-    half : ndarray, shape (q,)
-        Half widths of the workspace.
-    y : ndarray, shape (n,)
-        The machine and its noise, in the posterior's coordinates.
-    pose : ndarray, shape (W, q)
-    given : mapping of str to ndarray, shape (W,)
-    aligned : bool
-        Whether errors of the tool are those that remain after base and tool were aligned over these poses.
+    ``half`` (q,) are half widths of the workspace; with ``aligned`` errors of the tool are those that remain after base
+    and tool were aligned over these poses.
     """
     theta, model = posterior.theta(y[None])[0], posterior.likelihood.model
     moves, noise = posterior.around(y)[1].T, typical_covariance(posterior, y)
@@ -163,14 +154,9 @@ def differentiate(
 
 
 def find_alignment(model: ReadingModel, place: Array, pose: Array) -> Alignment:
-    """Return the motions for a machine that says where its tool is; of the tool where it says how that is turned.
+    """Return the motions at poses (W, q) for a machine that says where its tool is, ``place`` (W, t).
 
-    Parameters
-    ----------
-    model : ReadingModel
-    place : ndarray, shape (W, t)
-        The tool's numbers.
-    pose : ndarray, shape (W, q)
+    Of the tool there are some where it says how that is turned.
     """
     n, lengths, turned = len(place), model.tool_lengths, model.tool_turned
     position = np.zeros((n, 3))

@@ -140,13 +140,7 @@ class Forecast:
     ) -> tuple[list[Outlook], float]:
         """Return how requirements stand before and after the calibration, to first order, and how probable all are.
 
-        Parameters
-        ----------
-        requirements : list of Requirement
-        information : Information
-        rng : Generator
-        free : tuple of int
-            The parameters that are recommended to be freed.
+        ``free`` are the parameters that are recommended to be freed.
         """
         if not (np.isfinite(self.slope).all() and np.isfinite(self.noise).all()):
             nan = float("nan")
@@ -209,15 +203,9 @@ class Forecast:
 def forecast_tool(tool: Array, located: Array, errors: ErrorsInUse, alignment: Alignment | None = None) -> Forecast:
     """Return how a tool errs that is located by readings.
 
-    Parameters
-    ----------
-    tool : ndarray, shape (W, c, n)
-        Its errors by parameters in units of the tolerances.
-    located : ndarray, shape (W, c, K)
-        How readings move the place where it is taken to be.
-    errors : ErrorsInUse
-    alignment : Alignment, optional
-        Of base and tool, which mends errors that are functions of the pose as it has mended those by parameters.
+    It errs by parameters in units of the tolerances, ``tool`` (W, c, n), and readings move the place where it is taken
+    to be, ``located`` (W, c, K). Alignment of base and tool mends errors that are functions of the pose as it has
+    mended those by parameters.
     """
     noise = located * errors.variance[:, None, :] @ np.swapaxes(located, -1, -2)
     moved = None if errors.shown is None else -located @ errors.shown
@@ -227,12 +215,8 @@ def forecast_tool(tool: Array, located: Array, errors: ErrorsInUse, alignment: A
 def draw_errors(slope: Array, noise_root: Array, rng: np.random.Generator) -> Iterator[Array]:
     """Yield the errors of `DRAWS` machines at W poses, with noise, in parts of shape (`CHUNK`, W, t).
 
-    Parameters
-    ----------
-    slope : ndarray, shape (W, t, n)
-        What standard normal numbers, n for each machine, make of the errors at the poses.
-    noise_root : ndarray, shape (W, t, k)
-        The same of the noise at one pose, k for each machine and pose.
+    ``slope`` (W, t, n) is what n standard normal numbers of each machine make of the errors at the poses,
+    ``noise_root`` (W, t, k) what k of each machine and pose make of the noise.
     """
     flat = slope.reshape(-1, slope.shape[-1])
     for _ in range(DRAWS // CHUNK):
@@ -245,13 +229,8 @@ def find_limits(requirements: Sequence[Requirement], slope: Array) -> Array:
     """Return limits of the components of an error, mm and rad, shape (c,); infinite where nothing is required.
 
     A limit on a length holds for each of its components, where they have no smaller one. Without any requirement they
-    are the root mean square errors over the workspace before any measurement, so that all count alike.
-
-    Parameters
-    ----------
-    requirements : list of Requirement
-    slope : ndarray, shape (W, c, L)
-        What has to be accurate at the workspace's poses, by the parameters in units of the tolerances.
+    are the root mean square errors over the workspace before any measurement, so that all count alike: ``slope`` (W, c,
+    L) is what has to be accurate at its poses, by the parameters in units of the tolerances.
     """
     limits = np.full(slope.shape[1], np.inf)
     for requirement in requirements:
@@ -286,23 +265,9 @@ class ToolRemaining:
     seed: int  # of the noise: the same at every call, so that differences are not chance
 
     def find_largest(self, requirements: Sequence[Requirement], theta: Array) -> Array:
-        """Return the largest error anywhere in the workspace, in shares of each of R limits.
+        """Return the largest error anywhere in the workspace of true machines (S, D), in shares of R limits, (S, R).
 
-        Parameters
-        ----------
-        requirements : sequence of Requirement
-        theta : ndarray, shape (S, D)
-            True machines.
-
-        Returns
-        -------
-        ndarray, shape (S, R)
-            Infinite for a machine that cannot take the poses.
-
-        Raises
-        ------
-        NumericalError
-            Where the calibrated machine cannot.
+        Infinite for a machine that cannot take the poses; NumericalError where the calibrated one cannot.
         """
         bent = self._leaves_tangent(theta[:LOOKS])
         rows = []

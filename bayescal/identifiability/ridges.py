@@ -91,19 +91,9 @@ def describe_move(
     units: Units,
     member: str = "leg",
 ) -> str:
-    """Return a ridge's move in words, as the beginning of a sentence.
+    """Return a ridge's move (n,), inner units, in words, as the beginning of a sentence in some units.
 
-    Parameters
-    ----------
-    names, kinds : sequence of str
-        Of the n free parameters: what they are called, and their inner units.
-    direction : Direction
-    move : ndarray, shape (n,)
-        In inner units.
-    units : Units
-        Those of the sentence.
-    member : str
-        What one of many is called.
+    The n free parameters are of inner units ``kinds``; ``member`` is what one of many is called.
     """
     pivot = direction.pivot
     assert pivot is not None

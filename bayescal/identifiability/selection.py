@@ -44,16 +44,9 @@ class Selection:
 
 
 def select_parameters(information: Information, symbols: tuple[str, ...], last: Container[str] = ()) -> Selection:
-    """Return the parameters to free.
+    """Return which of n parameters, each of a symbol, to free.
 
-    Parameters
-    ----------
-    information : Information
-        Of n parameters.
-    symbols : tuple of str
-        The symbol of each, n.
-    last : container of str
-        Symbols to be looked at after all others: frames, which rather define than describe a machine.
+    The ``last`` symbols are looked at after all others: frames, which rather define than describe a machine.
     """
     matrix = information.matrix
     everything = {symbol: np.flatnonzero(np.array(symbols) == symbol) for symbol in dict.fromkeys(symbols)}

@@ -46,11 +46,7 @@ class Structure:
 def find_structure(jacobian: Array, twins: list[Array]) -> Structure:
     """Return the rank of a Jacobian (m, n) with columns in units of the tolerances.
 
-    Parameters
-    ----------
-    jacobian : ndarray, shape (m, n)
-    twins : list of ndarray
-        The same Jacobian computed from inputs that differ in the last digits.
+    Its twins are computed from inputs that differ in the last digits.
     """
     m, n = jacobian.shape
     padded = np.concatenate([jacobian, np.zeros((max(0, n - m), n))])
@@ -68,11 +64,7 @@ def find_structure(jacobian: Array, twins: list[Array]) -> Structure:
 def find_structural_rank(posterior: CalibrationPosterior, rng: np.random.Generator) -> Structure:
     """Return the structure of what channels see at the poses of a posterior's data, better far apart.
 
-    Parameters
-    ----------
-    posterior : CalibrationPosterior
-        Without errors, its readings those of the machine as expected.
-    rng : Generator
+    The posterior has no errors, and the readings of the machine as expected.
     """
     n, sampling = posterior.n_geometry, posterior.sampling
     theta = sampling.start[sampling.free]

@@ -47,19 +47,8 @@ class Identified:
 def simulate_calibrations(seen: SeenPoses, n: int, rng: np.random.Generator, weight: float = 1.0) -> Identified:
     """Return calibrations of n machines drawn from the priors; without those that the machine as expected cannot fit.
 
-    Parameters
-    ----------
-    seen : SeenPoses
-        The poses to measure.
-    n : int
-    rng : Generator
-    weight : float
-        On the precision of the priors in the identification.
-
-    Raises
-    ------
-    InputError
-        Where too few draws of the priors are machines that can take the poses.
+    The identification has a weight on the precision of the priors. InputError where too few draws of these are machines
+    that can take the poses.
     """
     truth = rng.standard_normal((n, len(seen.design.sd)))
     stand = [_place(seen, y, rng) for y in truth]

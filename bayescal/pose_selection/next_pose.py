@@ -33,16 +33,8 @@ class Step:
 def look_ahead(weight: Array, covariance: Array, rows: Array, allowed: np.ndarray) -> Iterator[Step]:
     """Yield the candidate that lowers tr(W C) most, then the best one after it, and so on; none twice.
 
-    Parameters
-    ----------
-    weight : ndarray, shape (m, m)
-        W, what an error of the parameters costs.
-    covariance : ndarray, shape (m, m)
-        C, what is known so far.
-    rows : ndarray, shape (c, k, m)
-        Of the candidates, in units of the noise, their poses eliminated.
-    allowed : ndarray of bool, shape (c,)
-        Which may be measured.
+    W (m, m) is what an error of the parameters costs, C (m, m) what is known so far; rows (c, k, m) are of the
+    candidates, in units of the noise, their poses eliminated, and a mask (c,) says which may be measured.
     """
     left = allowed.copy()
     while left.any():
@@ -56,12 +48,7 @@ def look_ahead(weight: Array, covariance: Array, rows: Array, allowed: np.ndarra
 def compute_gains(rows: Array, covariance: Array, weight: Array) -> Array:
     """Return by what part tr(W C) falls with the readings of each pose: tr(W C Rᵀ (1 + R C Rᵀ)⁻¹ R C) / tr(W C).
 
-    Parameters
-    ----------
-    rows : ndarray, shape (c, k, m)
-        R, white, poses eliminated.
-    covariance, weight : ndarray, shape (m, m)
-        C and W.
+    R (c, k, m) are white rows, poses eliminated.
     """
     seen = rows @ covariance
     inner = np.eye(rows.shape[1]) + seen @ np.swapaxes(rows, -1, -2)
@@ -101,12 +88,8 @@ def learn_in_turn(rows: Array, places: np.ndarray, covariance: Array | None = No
 def find_unmeasured(candidates: Array, measured: Array, apart: float | Array) -> np.ndarray:
     """Return which candidates (C, N) differ from all measured poses (P, N) by more than ``apart`` in a coordinate.
 
-    The same pose measured twice would average the instrument's noise, not what the model leaves out there.
-
-    Raises
-    ------
-    InputError
-        Where there is none.
+    The same pose measured twice would average the instrument's noise, not what the model leaves out there. InputError
+    where there is none.
     """
     distance = (np.abs(candidates[:, None] - measured) / apart).max(axis=-1).min(axis=1, initial=np.inf)
     new: np.ndarray = distance > 1.0
@@ -118,14 +101,8 @@ def find_unmeasured(candidates: Array, measured: Array, apart: float | Array) ->
 def compare_variants(probabilities: Array, differences: Array, covariances: Array) -> Array:
     """Return what each candidate is expected to tell of which variant is right, at most, in nats, shape (C,).
 
-    Parameters
-    ----------
-    probabilities : ndarray, shape (K,)
-        Of the variants.
-    differences : ndarray, shape (K, C, d)
-        What each variant predicts against the same one of them.
-    covariances : ndarray, shape (K, C, d, d)
-        Of what is measured.
+    Variants have probabilities (K,), predict differences (K, C, d) against the same one of them, and measurements of
+    covariances (K, C, d, d).
     """
     precisions = np.linalg.inv(covariances)
     total = np.zeros(differences.shape[1])

@@ -48,20 +48,10 @@ def compute_index(name: str, values: Array, n_poses: int) -> Array:
 
 
 def identification_rows(seen: SeenPoses, form: JacobianForm = "pose") -> Array:
-    """Return the rows that each pose contributes to the identification Jacobian.
+    """Return what each of P poses contributes to the identification Jacobian: (P, 6, L), or (P, N, L) of the closure.
 
-    Parameters
-    ----------
-    seen : SeenPoses
-        P poses to first order in L parameters.
-    form : str
-        ``pose``: J_b = J_1⁻¹ J_2 (Yu, Wu and Wang 2023 eq. 23), displacement in mm and rotation vector in rad;
-        ``angles``: the same with the angles of R = R_z R_y R_x in rad; ``closure``: J_2 alone (RR-8096 eq. 37 but for
-        its factor 1/2).
-
-    Returns
-    -------
-    ndarray, shape (P, 6, L), or (P, N, L) of the closure
+    ``pose``: J_b = J_1⁻¹ J_2 (Yu, Wu and Wang 2023 eq. 23), displacement in mm and rotation vector in rad; ``angles``:
+    the same with the angles of R = R_z R_y R_x in rad; ``closure``: J_2 alone (RR-8096 eq. 37 but for its factor 1/2).
     """
     if form == "closure":
         return seen.closure
@@ -72,16 +62,9 @@ def identification_rows(seen: SeenPoses, form: JacobianForm = "pose") -> Array:
 
 
 def angle_rates(rotation: Array) -> Array:
-    """Return how the angles α, β, γ of R = R_z(γ) R_y(β) R_x(α) follow small rotations in the base frame.
+    """Return how angles α, β, γ of R = R_z(γ) R_y(β) R_x(α), (..., 3, 3), follow small rotations in the base frame.
 
-    Parameters
-    ----------
-    rotation : ndarray, shape (..., 3, 3)
-
-    Returns
-    -------
-    ndarray, shape (..., 3, 3)
-        Not finite at β = ±90 deg.
+    Of shape (..., 3, 3), not finite at β = ±90 deg.
     """
     tangent = -rotation[..., 2, 0] / np.hypot(rotation[..., 0, 0], rotation[..., 1, 0])  # tan β
     gamma = np.arctan2(rotation[..., 1, 0], rotation[..., 0, 0])
@@ -96,17 +79,9 @@ def angle_rates(rotation: Array) -> Array:
 
 
 def compute_observability(jacobian: Array) -> dict[str, Array]:
-    """Return the five indices of sets of poses.
+    """Return the five indices (...) of sets of n poses with J_b (..., n, k, L), mm and rad by the parameters' units.
 
-    Parameters
-    ----------
-    jacobian : ndarray, shape (..., n, k, L)
-        J_b of each of n poses, mm and rad by the parameters' units.
-
-    Returns
-    -------
-    dict of name to ndarray, shape (...)
-        Zero where there are fewer rows than parameters.
+    Zero where there are fewer rows than parameters.
     """
     values = singular_values(jacobian.reshape(*jacobian.shape[:-3], -1, jacobian.shape[-1]))
     return {name: compute_index(name, values, jacobian.shape[-3]) for name in INDICES}

@@ -56,13 +56,7 @@ def read_plans(config: AuditConfig, folder: Path) -> dict[str, Planned]:
 
 
 def read_design(config: AuditConfig, folder: Path) -> AuditDesign:
-    """Return a design, read and checked.
-
-    Raises
-    ------
-    InputError
-        Naming the file, the variant, the pose, the coordinate.
-    """
+    """Return a design, read and checked; InputError names the file, the variant, the pose, the coordinate."""
     if config.data is not None:
         return AuditDesign(config, {}, read_measured(config, folder))
     assert config.machine is not None

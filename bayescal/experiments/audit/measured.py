@@ -145,10 +145,8 @@ def _move(term: ErrorTerm, model: ReadingModel, data: Measurements, pose: Array)
 def read_measured(config: AuditConfig, folder: Path) -> MeasuredMachine:
     """Return what a design's study says of its machine.
 
-    Raises
-    ------
-    InputError
-        Where there is no such study, or it has no variant of the design's model, deformation and name, or several.
+    InputError where there is no such study, or it has no variant of the design's model, deformation and name, or
+    several.
     """
     assert config.data is not None
     where, section, named = folder / config.data.study, config.variants[0], config.data.variant

@@ -50,17 +50,8 @@ def list_choices(
 ) -> tuple[Choice, ...]:
     """Return what there is to choose from, kinds spread, with prices.
 
-    Parameters
-    ----------
-    model : ReadingModel
-    section : SensorChoiceConfig
-    spread : callable
-        From names to channels or kinds of them, a sensor of poses by all that belong together.
-
-    Raises
-    ------
-    InputError
-        For unknown sensors and those listed twice; where there are prices, for one without and a price of nothing.
+    ``spread`` takes names to channels or kinds of them, a sensor of poses to all that belong together. InputError for
+    unknown sensors and those listed twice; where there are prices, for one without and a price of nothing.
     """
     candidates, always, prices = section.candidates, section.always, section.prices
     found: list[Choice] = []

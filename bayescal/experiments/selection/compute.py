@@ -158,15 +158,8 @@ def judge_poses(
 ) -> Accuracy:
     """Return what calibrations with poses at actuator positions (n, N) achieve.
 
-    Parameters
-    ----------
-    inputs : SelectionInputs
-    actuators : ndarray, shape (n, N)
-    n_machines : int
-        How many machines are drawn within the tolerances; the same ones for the same generator.
-    rng : Generator
-    known : bool
-        Whether the identification knows the tolerances, or is least squares weighted by the noise.
+    Machines are drawn within the tolerances, the same ones for the same generator; the identification knows these, or
+    is least squares weighted by the noise.
     """
     seen, weight = inputs.see(actuators), 1.0 if known else UNKNOWN
     # errors of an identification are K Rᵀ ε - w K z with K = (w + Λ)⁻¹, of covariance K (Λ + w²) K; (1 + Λ)⁻¹ for w = 1

@@ -129,13 +129,7 @@ class SelectionInputs:
 
 
 def read_selection(config: SelectionConfig, folder: Path) -> SelectionInputs:
-    """Return what an experiment computes with; names of files are relative to ``folder``.
-
-    Raises
-    ------
-    InputError
-        For anything at fault in the config or its files.
-    """
+    """Return what an experiment computes with; InputError for anything at fault in the config or its files."""
     design = read_design(config, folder)
     domain, at = _domain(config, design), design.machine.mechanism.initial_actuator_positions[None]
     if (workspace := read_workspace(config.workspace)) is not None:

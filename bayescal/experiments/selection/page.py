@@ -95,13 +95,7 @@ def show_random_sets(tables: Tables, printed: Mapping[str, float | None] | None 
 def draw_random_sets(sets: pd.DataFrame, criterion: str, printed: Mapping[str, float | None]) -> plt.Figure:
     """Return the histogram of a criterion over random sets of the first repeat, after figure 7.
 
-    Parameters
-    ----------
-    sets : pandas.DataFrame
-        Columns ``repeat`` and ``value``.
-    criterion : str
-    printed : mapping of str to float
-        As published: ``mean`` and ``largest``.
+    ``printed`` has ``mean`` and ``largest`` as published.
     """
     values = sets.loc[sets["repeat"] == sets["repeat"].min(), "value"].to_numpy()
     figure = plt.Figure(figsize=(7.2, 3.4), layout="constrained")
@@ -199,14 +193,8 @@ def _tabulate_errors(summary: pd.DataFrame) -> Table:
 def draw_errors(summary: pd.DataFrame, designs: pd.DataFrame, quantities: Mapping[str, str]) -> plt.Figure:
     """Return errors after calibration against the number of poses, one line per way to choose them.
 
-    Parameters
-    ----------
-    summary : pandas.DataFrame
-        Columns ``name``, ``n_poses``, those of the quantities and with ``_sd`` their standard deviations.
-    designs : pandas.DataFrame
-        The same columns, for sets of poses that somebody else has chosen: single points.
-    quantities : mapping of str to str
-        Columns, one panel each, and what their axes say.
+    ``quantities`` are columns, a panel each, with what their axes say; with ``_sd`` they are standard deviations.
+    Designs, sets of poses that somebody else has chosen, are single points.
     """
     names = list(dict.fromkeys(summary["name"]))
     figure = plt.Figure(figsize=(4.6 * len(quantities), 3.7), layout="constrained")
@@ -249,14 +237,7 @@ def _draw_bars(
 
 
 def draw_paired(table: pd.DataFrame, reference: str) -> plt.Figure:
-    """Return errors by those of a reference with the same machines, predicted and simulated, with standard errors.
-
-    Parameters
-    ----------
-    table : pandas.DataFrame
-        Columns ``name``, ``n_poses``, ``predicted``, ``simulated`` and ``simulated_se``, ratios all.
-    reference : str
-    """
+    """Return errors by those of a reference with the same machines, predicted and simulated, with standard errors."""
     numbers = sorted(set(table["n_poses"]))
     names = list(dict.fromkeys(table["name"]))
     figure = plt.Figure(figsize=(3.0 * len(numbers), 3.4), layout="constrained")
@@ -407,18 +388,7 @@ def build_page(
     judgements: Sequence[Judgement] = JUDGEMENTS,
     headline: Callable[[Tables], str] = state_headline,
 ) -> Page:
-    """Return the page of an experiment's results.
-
-    Parameters
-    ----------
-    tables : Tables
-    blocks : sequence of callable
-        Parts of the page in their order.
-    judgements : sequence of callable
-        Of the verdict, in their order.
-    headline : callable
-        The main result in one sentence.
-    """
+    """Return the page of an experiment's results: parts and judgements in their order, and a headline of them."""
     config, summary = tables.config, tables.results.summary
     shown = (block(tables) for block in blocks)
     return Page(

@@ -88,16 +88,7 @@ class Ratio:
 
 
 def pair_errors(errors: pd.DataFrame, one: str, other: str, n_poses: int, column: str) -> Ratio:
-    """Return the errors of one way by those of another at a number of poses, repeat by repeat.
-
-    Parameters
-    ----------
-    errors : pandas.DataFrame
-        With the column ``name`` of `name_ways`.
-    one, other : str
-    n_poses : int
-    column : str
-    """
+    """Return the errors of one way, by `name_ways`, by those of another at a number of poses, repeat by repeat."""
     rows = errors[errors["n_poses"] == n_poses]
     first, second = (rows[rows["name"] == name].set_index("repeat")[column] for name in (one, other))
     ratios = (first / second).dropna().to_numpy(dtype=np.float64)

@@ -182,12 +182,8 @@ def split_key(key: str) -> tuple[str, str]:
 def change(content: Mapping[str, Any], settings: Iterable[tuple[str, Any]]) -> dict[str, Any]:
     """Return a config's content with values set by dotted keys; tables on the way are made where there are none.
 
-    What no key leads through is not copied.
-
-    Raises
-    ------
-    InputError
-        Where a key leads through what is no table, or to an entry that a list has not.
+    What no key leads through is not copied. InputError where a key leads through what is no table, or to an entry that
+    a list has not.
     """
     changed: dict[str, Any] = dict(content)
     for key, value in settings:
@@ -293,10 +289,8 @@ class SweepInputs:
 def read_sweep(config: SweepConfig, folder: Path) -> SweepInputs:
     """Return a sweep's base and axes; each entry of an axis by itself must make a config that its kind accepts.
 
-    Raises
-    ------
-    InputError
-        For a key that is none, a value that its schema refuses, or input of the experiment as it stands at fault.
+    InputError for a key that is none, a value that its schema refuses, or input of the experiment as it stands at
+    fault.
     """
     base = _read_base(config, folder)
     experiment, sources = find_kind(base.kind, folder, folder), list_sources("KINDS", base.kind, folder)

@@ -185,11 +185,7 @@ def whiten(blocks: Array, base: Array) -> tuple[Array, Array]:
     """Return the root R of everything that could be measured, (L, L), and the blocks in its coordinates, (C, k, L).
 
     Squares of Jacobians in mm and rad lose half of the digits; in these coordinates sets of poses are well conditioned.
-
-    Raises
-    ------
-    InputError
-        Where all candidates together do not determine the parameters.
+    InputError where all candidates together do not determine the parameters.
     """
     n = blocks.shape[-1]
     root = np.linalg.qr(np.concatenate([base, blocks.reshape(-1, n)]), mode="r")
