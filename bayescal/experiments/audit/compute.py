@@ -12,7 +12,8 @@ import pandas as pd
 from bayescal.experiments.audit.accuracy import compute_accuracy
 from bayescal.experiments.audit.audit import Audit, complete, judge
 from bayescal.experiments.audit.design import AuditDesign, draw_plan
-from bayescal.experiments.audit.draws import LeftOut, audit_posterior, plot_ridges, tabulate_plots
+from bayescal.experiments.audit.draws import audit_posterior, plot_ridges, tabulate_plots
+from bayescal.experiments.audit.measured import Draws
 from bayescal.experiments.audit.model_error import tabulate_errors
 from bayescal.experiments.audit.planned import Planned
 from bayescal.experiments.audit.results import describe_variant, summarise, tabulate, tabulate_variants
@@ -21,13 +22,13 @@ from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.shared.joints import tabulate_joints
 from bayescal.identifiability.calibration import Comparison, Kept, compare_kept, compare_with_prediction
-from bayescal.identifiability.draws import Draws
 from bayescal.identifiability.profile import Profile, compute_profile
 from bayescal.identifiability.requirements import DRAWS
 from bayescal.machines.readings import Legs, Placed
 from bayescal.numerics.geometry import Array
 
 PROFILES = 4  # where the design names none
+AXES = ("x", "y", "x_unit", "y_unit", "formula")  # what is said of a ridge's plot
 
 
 def compute_audit(inputs: AuditDesign, run: Run) -> Results:
@@ -103,14 +104,15 @@ def _draw_ridges(audit: Audit, draws: Draws | None, summary: dict[str, Any], run
     names = {name: name for name in choose_profiles(inputs, audit)}
     profiles = list(run.map("profiles", _compute_profile, inputs.bare(), names, (Profile,)).values())
     plots = plot_ridges(inputs, audit, level, profiles)
-    if isinstance(level, LeftOut):
-        summary["posterior_left_out"] = level.reason
+    if isinstance(level, str):
+        summary["posterior_left_out"] = level
     else:
         summary["posterior"] = level.summary()
     for direction, said in zip(audit.analysis.directions, summary["directions"], strict=True):
-        said["posterior_contraction"] = level.contraction_along(direction.vector)
+        along = None if isinstance(level, str) else level.contraction_along(direction.vector)
+        said["posterior_contraction"] = along
     for k, plot in plots.items():
-        summary["directions"][k] |= plot.summary()
+        summary["directions"][k]["plot"] = {name: getattr(plot, name) for name in AXES}
     return tabulate_plots(plots) | _tabulate_profiles(inputs, profiles)
 
 

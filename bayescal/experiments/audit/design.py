@@ -11,7 +11,7 @@ import numpy as np
 from bayescal.errors import InputError, name_faults
 from bayescal.experiments.audit.audit import check_changes
 from bayescal.experiments.audit.machine import PlannedMachine
-from bayescal.experiments.audit.measured import MeasuredMachine, centre, describe_found, read_measured
+from bayescal.experiments.audit.measured import Draws, MeasuredMachine, centre, describe_found, read_measured
 from bayescal.experiments.audit.planned import Planned, find_true_sizes
 from bayescal.experiments.audit.pose_sensors import build_instruments, find_channels, read_pose_sensors
 from bayescal.experiments.audit.schema import AuditConfig, VariantConfig
@@ -24,7 +24,6 @@ from bayescal.experiments.shared.readings.instruments import read_instruments, r
 from bayescal.experiments.shared.readings.knowledge import name_place
 from bayescal.experiments.shared.readings.schema import FreeConfig
 from bayescal.experiments.shared.readings.workspace import build_workspace
-from bayescal.identifiability.draws import Draws
 from bayescal.identifiability.profile import check_profiles
 from bayescal.identifiability.reading_rows import name_tool, typical_given
 from bayescal.identifiability.requirements import Requirement

@@ -18,7 +18,7 @@ along all other ridges. The rest then is its move along this one and what lies o
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -30,10 +30,8 @@ from scipy.linalg import subspace_angles
 from bayescal.density.priors import UniformPrior
 from bayescal.errors import InputError
 from bayescal.experiments.audit.audit import Audit
-from bayescal.experiments.audit.measured import SEED, MeasuredMachine
+from bayescal.experiments.audit.measured import SEED, Draws, MeasuredMachine
 from bayescal.experiments.audit.planned import Planned
-from bayescal.identifiability.directions import Direction
-from bayescal.identifiability.draws import Draws
 from bayescal.identifiability.information import Information, root_of
 from bayescal.identifiability.profile import Profile
 from bayescal.identifiability.reading_rows import typical_given
@@ -118,23 +116,12 @@ class PosteriorLevel:
         }
 
 
-@dataclass(frozen=True)
-class LeftOut:
-    """An audit without this level, and why."""
-
-    reason: str
-
-    def contraction_along(self, vector: Array) -> None:
-        """Return None: nothing is known."""
-        del vector
-
-
-def audit_posterior(inputs: Planned, draws: Draws | None, audit: Audit) -> PosteriorLevel | LeftOut:
+def audit_posterior(inputs: Planned, draws: Draws | None, audit: Audit) -> PosteriorLevel | str:
     """Return what draws of measured data's posterior say, or why there are none."""
     if not isinstance(inputs.maker, MeasuredMachine):
-        return LeftOut("nothing has been measured: an audit with [data] draws the posterior of a study")
+        return "nothing has been measured: an audit with [data] draws the posterior of a study"
     if draws is None:
-        return LeftOut("the design wants no draws: draws is 0 in [posterior]")
+        return "the design wants no draws: draws is 0 in [posterior]"
     angle = compare_spaces(audit.analysis.information, draws.values / inputs.sd)
     rng = np.random.default_rng([inputs.config.seed, SEED + 1])
     # draws of the geometry alone, whose errors functions take back in part
@@ -233,23 +220,61 @@ class RidgePlot:
     points: dict[str, Array]
     curves: dict[str, Array]  # by source, (K, 2): ``tangent``, and ``profile`` where there is one
 
-    def summary(self) -> dict[str, Any]:
-        """Return what ``summary.json`` says of the ridge beside its direction."""
-        names = {"x": self.x, "y": self.y, "x_unit": self.x_unit, "y_unit": self.y_unit, "formula": self.formula}
-        return {"plot": names}
-
 
 def plot_ridges(
-    inputs: Planned, audit: Audit, level: PosteriorLevel | LeftOut, profiles: Sequence[Profile] = ()
+    inputs: Planned, audit: Audit, level: PosteriorLevel | str, profiles: Sequence[Profile] = ()
 ) -> dict[int, RidgePlot]:
     """Return what is drawn of each ridge, by its place among the directions."""
-    directions = audit.analysis.directions
-    ridges = {k: direction for k, direction in enumerate(directions) if direction.pivot is not None}
+    ridges = {k: one for k, one in enumerate(audit.analysis.directions) if one.pivot is not None}
     if not ridges:
         return {}
-    paths = {one.name: one.path for one in profiles}
-    plotter = _Plotter(inputs, audit.analysis.information, list(ridges.values()), level, paths)
-    return {number: plotter.plot(k) for k, number in enumerate(ridges)}
+    covariance, paths = audit.analysis.information.covariance, {one.name: one.path for one in profiles}
+    mean = inputs.parameters.nominal if isinstance(level, str) else level.draws.mean
+    samples = _draw_samples(inputs, covariance, level)
+    vectors = np.stack([ridge.vector for ridge in ridges.values()])
+    back = np.linalg.pinv(vectors)
+    # draws' moves along each ridge by least squares, in units of the tolerances, (S, k, n)
+    moves = {source: ((values - mean) / inputs.sd @ back)[..., None] * vectors for source, values in samples.items()}
+    plots = {}
+    for place, (number, direction) in enumerate(ridges.items()):
+        x = direction.pivot
+        assert x is not None
+        # the parameter that follows most, or, where none does, that the posterior ties to it most
+        others = np.abs(direction.vector if np.count_nonzero(direction.vector) > 1 else covariance[x])
+        pair = np.array([x, int(np.argmax(np.where(np.arange(len(others)) == x, -1.0, others)))])
+        names, units = ([some[i] for i in pair] for some in (inputs.names, inputs.parameters.units))
+        factors = np.array([inputs.units.factor(unit) for unit in units])
+        scale, points = inputs.sd[pair] / factors, {}
+        for source, values in samples.items():
+            own = np.delete(moves[source], place, axis=1).sum(axis=1)[:, pair]
+            raw = values[:, pair] / factors
+            points[source] = np.concatenate([raw, raw - own * scale], axis=1)
+        step = direction.vector[pair] / np.abs(direction.vector[pair]).max()
+        curves = {"tangent": mean[pair] / factors + np.array([[-WIDE], [WIDE]]) * step * scale}
+        if names[0] in paths:
+            path = paths[names[0]][:, pair] / factors
+            curves["profile"] = path[np.isfinite(path).all(axis=1)]
+        slope = step[1] * scale[1] / (step[0] * scale[0])
+        formula = f"{names[1]} moves by {slope:.4g} times {names[0]}".replace("-", "\u2212")
+        x_unit, y_unit = (inputs.units.name(unit) for unit in units)
+        plots[number] = RidgePlot(names[0], names[1], x_unit, y_unit, formula, points, curves)
+    return plots
+
+
+def _draw_samples(inputs: Planned, covariance: Array, level: PosteriorLevel | str) -> dict[str, Array]:
+    """Return parameters in natural units, (S, n), by source: of the prior, and of the posterior or its forecast."""
+    rng, priors = np.random.default_rng([inputs.config.seed, SEED_OF_PLOTS]), inputs.maker.list_priors(inputs.section)
+    columns = [
+        rng.uniform(prior.lower, prior.upper, MAX_DRAWS)
+        if isinstance(prior := priors[name], UniformPrior)
+        else rng.normal(prior.mean, prior.sd, MAX_DRAWS)
+        for name in inputs.names
+    ]
+    before = np.stack(columns, axis=1)
+    if not isinstance(level, str):
+        return {"prior": before, "posterior": level.draws.thin(MAX_DRAWS)}
+    spread = rng.standard_normal(before.shape) @ root_of(covariance)
+    return {"prior": before, "forecast": inputs.parameters.nominal + spread * inputs.sd}
 
 
 def tabulate_plots(plots: dict[int, RidgePlot]) -> dict[str, pd.DataFrame]:
@@ -266,69 +291,3 @@ def tabulate_plots(plots: dict[int, RidgePlot]) -> dict[str, pd.DataFrame]:
     first = ["direction", "source"]
     tables = {"ridge_draws": pd.concat(draws), "ridge_curves": pd.concat(curves)}
     return {name: t[first + [c for c in t.columns if c not in first]] for name, t in tables.items()}
-
-
-@dataclass(frozen=True, eq=False)
-class _Plotter:
-    inputs: Planned
-    information: Information
-    ridges: list[Direction]
-    level: PosteriorLevel | LeftOut
-    paths: Mapping[str, Array]
-
-    @cached_property
-    def samples(self) -> dict[str, Array]:
-        """Parameters in natural units, shape (S, n), by source."""
-        inputs, rng = self.inputs, np.random.default_rng([self.inputs.config.seed, SEED_OF_PLOTS])
-        priors = inputs.maker.list_priors(inputs.section)
-        columns = [
-            rng.uniform(prior.lower, prior.upper, MAX_DRAWS)
-            if isinstance(prior := priors[name], UniformPrior)
-            else rng.normal(prior.mean, prior.sd, MAX_DRAWS)
-            for name in inputs.names
-        ]
-        before = np.stack(columns, axis=1)
-        if isinstance(self.level, PosteriorLevel):
-            return {"prior": before, "posterior": self.level.draws.thin(MAX_DRAWS)}
-        spread = rng.standard_normal(before.shape) @ root_of(self.information.covariance)
-        return {"prior": before, "forecast": self.mean + spread * inputs.sd}
-
-    @cached_property
-    def mean(self) -> Array:
-        """Parameters in the middle of the ridges, shape (n,)."""
-        return self.level.draws.mean if isinstance(self.level, PosteriorLevel) else self.inputs.parameters.nominal
-
-    @cached_property
-    def moves(self) -> dict[str, Array]:
-        """Draws' moves along each ridge by least squares, in units of the tolerances, shape (S, k, n)."""
-        vectors = np.stack([ridge.vector for ridge in self.ridges])
-        back = np.linalg.pinv(vectors)
-        return {
-            source: ((values - self.mean) / self.inputs.sd @ back)[..., None] * vectors
-            for source, values in self.samples.items()
-        }
-
-    def plot(self, k: int) -> RidgePlot:
-        """Return what is drawn of the k-th ridge."""
-        inputs, direction = self.inputs, self.ridges[k]
-        x = direction.pivot
-        assert x is not None
-        # the parameter that follows most, or, where none does, that the posterior ties to it most
-        others = np.abs(direction.vector if np.count_nonzero(direction.vector) > 1 else self.information.covariance[x])
-        pair = np.array([x, int(np.argmax(np.where(np.arange(len(others)) == x, -1.0, others)))])
-        names, units = ([some[i] for i in pair] for some in (inputs.names, inputs.parameters.units))
-        factors = np.array([inputs.units.factor(unit) for unit in units])
-        scale, middle, points = inputs.sd[pair] / factors, self.mean[pair] / factors, {}
-        for source, values in self.samples.items():
-            own = np.delete(self.moves[source], k, axis=1).sum(axis=1)[:, pair]
-            raw = values[:, pair] / factors
-            points[source] = np.concatenate([raw, raw - own * scale], axis=1)
-        step = direction.vector[pair] / np.abs(direction.vector[pair]).max()
-        curves = {"tangent": middle + np.array([[-WIDE], [WIDE]]) * step * scale}
-        if names[0] in self.paths:
-            path = self.paths[names[0]][:, pair] / factors
-            curves["profile"] = path[np.isfinite(path).all(axis=1)]
-        slope = step[1] * scale[1] / (step[0] * scale[0])
-        formula = f"{names[1]} moves by {slope:.4g} times {names[0]}".replace("-", "\u2212")
-        (x_name, y_name), (x_unit, y_unit) = names, [inputs.units.name(unit) for unit in units]
-        return RidgePlot(x_name, y_name, x_unit, y_unit, formula, points, curves)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -30,16 +31,19 @@ from bayescal.experiments.shared.readings.inputs import Variant
 from bayescal.experiments.shared.readings.workspace import Workspace, build_workspace, check_told, draw_standing
 from bayescal.experiments.shared.study_schema import VariantConfig as FittedConfig
 from bayescal.experiments.shared.study_schema import name_variant
-from bayescal.identifiability.draws import Draws, sample
 from bayescal.identifiability.reading_rows import typical_given
+from bayescal.inference.diagnostics import Diagnostics
+from bayescal.inference.exploration import explore
 from bayescal.inference.mode import find_modes
-from bayescal.inference.schema import DrawsConfig
+from bayescal.inference.sampling import sample_posterior
+from bayescal.inference.schema import DrawsConfig, count_walkers
 from bayescal.machines.readings import ReadingModel
 from bayescal.numerics.geometry import Array
 
 DRAWS_WITH_DATA = 100_000
 """So many that chance turns the ridges' directions by less than what is said of them; a few seconds."""
 SEED = 4
+LEAST_STEPS = 4  # R-hat splits an ensemble in time
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,11 +184,38 @@ def read_measured(config: AuditConfig, folder: Path) -> MeasuredMachine:
     return MeasuredMachine(config, found, workspace, {name: one.mean for name, one in posterior.priors.items()})
 
 
+@dataclass(frozen=True, eq=False)
+class Draws:
+    """S draws of m free parameters, and of k errors that go with them."""
+
+    values: Array  # (S, m): the parameters in natural units
+    zeta: Array  # (S, k): coordinates of the errors
+    diagnostics: Diagnostics
+    problems: list[str]  # what speaks against convergence, in words
+
+    @cached_property
+    def mean(self) -> Array:
+        """Posterior mean of the parameters, shape (m,)."""
+        return np.asarray(self.values.mean(axis=0))
+
+    def thin(self, n: int) -> Array:
+        """Return the parameters of at most n draws, evenly taken, shape (n', m)."""
+        return self.values[np.linspace(0, len(self.values) - 1, min(n, len(self.values))).astype(int)]
+
+
 def draw(task: tuple[MeasuredReadings, DrawsConfig, int, int]) -> Draws:
-    """Return draws of what was found of a machine: so many, by a design's effort and seed."""
-    found, effort, wanted, seed = task
-    y, diagnostics, problems = sample(found.anchored, effort, wanted, np.random.SeedSequence([seed, SEED]))
-    return Draws(*_take(found, y), diagnostics, problems)
+    """Return draws of what was found of a machine, at least so many: explored first, as a study does it."""
+    found, config, wanted, seed = task
+    target = found.anchored
+    explore_seed, ensemble_seed = np.random.SeedSequence([seed, SEED]).spawn(2)
+    exploration = explore(target, explore_seed, config.walkers)
+    walkers = count_walkers(target.n_parameters, config.walkers)
+    steps = max(LEAST_STEPS, -(-wanted // (config.ensembles * walkers)))
+    drawn = sample_posterior(exploration, ensemble_seed, config.ensembles, config.walkers, config.burn_in, steps)
+    problems = drawn.diagnostics.list_problems()
+    if not all(mode.converged for mode in exploration.modes):
+        problems.append("the mode search did not converge")
+    return Draws(*_take(found, drawn.y.reshape(-1, target.n_parameters)), drawn.diagnostics, problems)
 
 
 def _take(found: MeasuredReadings, y: Array) -> tuple[Array, Array]:
