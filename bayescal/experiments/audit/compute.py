@@ -14,9 +14,8 @@ from bayescal.experiments.audit.audit import Audit, complete, judge
 from bayescal.experiments.audit.design import AuditDesign, draw_plan
 from bayescal.experiments.audit.draws import audit_posterior, plot_ridges, tabulate_plots
 from bayescal.experiments.audit.measured import Draws
-from bayescal.experiments.audit.model_error import tabulate_errors
 from bayescal.experiments.audit.planned import Planned
-from bayescal.experiments.audit.results import describe_variant, summarise, tabulate, tabulate_variants
+from bayescal.experiments.audit.results import describe_variant, summarise, tabulate, tabulate_errors, tabulate_variants
 from bayescal.experiments.audit.sensor_sets import FoundSets, search_sensors, tabulate_sets
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results

@@ -107,10 +107,10 @@ def draw_plan(design: AuditDesign, run: Run) -> tuple[Planned, Draws | None]:
     assert design.measured is not None
     config, (machine, draws, zeta) = design.config, centre(design.measured, run)
     section, posterior = config.variants[0], machine.found.posterior
-    name, units = getattr(machine.model, "name", ""), Units(config.units.length, config.units.angle)
+    units = Units(config.units.length, config.units.angle)
     tau, sizes, floors, others = describe_found(posterior.errors, zeta)
     variant, required = machine.build(section, machine.own_poses), read_requirements(config, machine.model)
-    plan = Planned(config, section, name, variant, required, units, machine, tau, sizes, floors, others)
+    plan = Planned(config, section, variant, required, units, machine, tau, sizes, floors, others)
     check_profiles(plan.names, config.profiles)
     check_changes(plan)
     return plan.resize(sizes), draws
@@ -125,10 +125,8 @@ def build_plan(
 ) -> Planned:
     """Return a variant with the systematic errors that a study of it is expected to find."""
     true, error = find_true_sizes(config, variant), config.model_error
-    name, units = str(getattr(maker.model, "name", config.machine)), Units(config.units.length, config.units.angle)
-    plan = Planned(
-        config, section, name, variant, required, units, maker, error.tau, sizes=true, floors=error.lengths()
-    )
+    units = Units(config.units.length, config.units.angle)
+    plan = Planned(config, section, variant, required, units, maker, error.tau, true, error.lengths())
     return plan.settle(true)
 
 

@@ -9,11 +9,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from bayescal.config.classes import label_class
 from bayescal.density.calibration.likelihood import CalibrationPosterior, JointFit
 from bayescal.density.calibration.measurements import Comparison, Measurements
 from bayescal.density.calibration.model_error import FunctionsOfPose, IndependentErrors, ThinFunctionsOfPose
@@ -28,20 +27,18 @@ from bayescal.experiments.shared.readings.knowledge import (
     inform,
     look,
     look_around,
-    name_data,
-    name_place,
 )
 from bayescal.identifiability.calibration import Calibrations
 from bayescal.identifiability.directions import Direction
 from bayescal.identifiability.found_sizes import expect_sizes
 from bayescal.identifiability.information import Information, information_of_rows, root_of
-from bayescal.identifiability.levers import Lever, find_levers
 from bayescal.identifiability.reading_rows import View, see, typical_covariance, typical_given
 from bayescal.identifiability.requirements import ErrorsInUse, Forecast, Requirement
 from bayescal.identifiability.ridges import Ridge, describe_ridges
 from bayescal.identifiability.structure import Structure, find_structural_rank
+from bayescal.machines.readings import ReadingModel
 from bayescal.numerics.geometry import Array
-from bayescal.numerics.units import MICROMETRE, Units
+from bayescal.numerics.units import Units
 
 WIDER = (64.0, 32.0, 16.0, 8.0, 4.0, 2.0, 1.0)
 """Times the workspace from which the structural rank is taken; the first that the machine can take."""
@@ -80,6 +77,10 @@ def count_poses(n: int) -> tuple[str, ...]:
 class Maker(Protocol):
     """What variants are made of: a machine that is to be measured, or has been."""
 
+    @property
+    def model(self) -> ReadingModel:
+        """The machine with all instruments, or the channels that a study takes in."""
+
     def plan(self, section: PosesConfig, factor: float = 1.0) -> PlannedPoses:
         """Return where to measure, of a workspace so many times as wide; InputError where that cannot be."""
 
@@ -99,7 +100,6 @@ class Planned:
 
     config: AuditConfig
     section: VariantConfig
-    machine: str  # its name
     variant: Variant  # its readings those of the machine as expected, without noise
     requirements: Sequence[Requirement]  # of the tool's numbers, inner units
     units: Units  # those of tolerances, requirements and results
@@ -169,19 +169,10 @@ class Planned:
         """Whether the actuators would have to reach further than they do."""
         return bool(self.variant.model.find_beyond(self.variant.data.values).any())
 
-    @property
-    def tool_units(self) -> tuple[str, ...]:
-        """Inner units of what has to be accurate."""
-        return tuple(one.unit for one in self.variant.model.tool_channels)
-
     @cached_property
     def around(self) -> View:
         """Poses of the workspace seen by the machine's own sensors."""
         return look_around(self.variant, self.posterior, self.expected, np.random.default_rng([self.config.seed, 5]))
-
-    def name_workspace_pose(self, k: int) -> str:
-        """Return where a pose of the workspace is, coordinate by coordinate."""
-        return name_place(self.variant, self.around.pose[k], self.config.units)
 
     def inform(self) -> Information:
         """Return what the plan tells of the parameters."""
@@ -223,7 +214,11 @@ class Planned:
             self.units,
             self.variant.model.member,
         )
-        forecast, lengths, found = self.forecast(), np.array([unit == "mm" for unit in self.tool_units]), []
+        forecast, lengths, found = (
+            self.forecast(),
+            np.array([one.unit == "mm" for one in self.variant.model.tool_channels]),
+            [],
+        )
         for direction, move, sentence in described:
             effect = np.nan_to_num(np.abs(forecast.effect(move / self.sd)))
             moves = [float(np.linalg.norm(effect[:, part], axis=1).max(initial=0.0)) for part in (lengths, ~lengths)]
@@ -231,46 +226,7 @@ class Planned:
             found.append(Ridge(direction, moves[0], moves[1], loadings, sentence))
         return found
 
-    def find_levers(self, ridges: Sequence[Ridge]) -> list[Lever]:
-        """Return which channels read far from where ridges turn what they are at."""
-        return list(find_levers(self.posterior, self.expected, [one.direction for one in ridges]))
-
-    def describe_variant(self) -> dict[str, Any]:
-        """Return which channels it takes in: ``title``, ``data`` and the number of equations."""
-        model = self.variant.model
-        return {
-            "title": self.section.label,
-            "data": name_data(self.variant),
-            "n_equations": self.n_poses * (len(model.channels) - len(model.coordinates)),
-        }
-
-    def summarise_plan(self) -> dict[str, Any]:
-        """Return machine and plan for ``summary.json``."""
-        poses, section = self.config.poses, self.section
-        said = {"workspace": "random ones of the workspace", "file": poses.file or poses.configurations or ""}
-        measured = self.config.data is not None
-        plan = {
-            "n_poses": self.n_poses,
-            "sensors": list(dict.fromkeys(one.kind for one in self.variant.model.channels)),
-            "poses": "measured" if measured else said.get(poses.plan, f"{poses.plan} actuator positions"),
-            **self.describe_errors(),
-        }
-        seen = {}
-        if section.model is not None:
-            seen = {"model": label_class(section.model), "deformation": label_class(section.deformation)}
-        return {"machine": self.machine, "member": self.variant.model.member, **seen, "plan": plan}
-
     # --- errors that are functions of the pose -----------------------------------------------------------------------
-
-    @property
-    def function_scale(self) -> float:
-        """Scale of the prior of each of these sizes, as a study has it, mm."""
-        return next((one.scale for one in list_functions(self.variant)), 0.0)
-
-    def describe_errors(self) -> dict[str, dict[str, float]]:
-        """Return for ``summary.json`` how large systematic errors are, and what is stated of unseen ones, µm."""
-        found = {"systematic_um": self.sizes, "at_least_um": self.floors if self.sizes else {}}
-        return {key: {name: size / MICROMETRE for name, size in one.items()} for key, one in found.items() if one}
 
     def list_rows(self) -> tuple[Array, Array, np.ndarray]:
         """Return white rows (K, n), their columns of systematic errors (K, q), and of which term each is (q,)."""
@@ -287,7 +243,8 @@ class Planned:
         if not true:
             return self.bare()
         rows = self.resize(dict.fromkeys(true, 1.0)).list_rows()
-        return self.resize(expect_sizes(*rows, true, self.floors, self.function_scale))
+        scale = list_functions(self.variant)[0].scale  # of the prior of each size, as a study has it, mm
+        return self.resize(expect_sizes(*rows, true, self.floors, scale))
 
     def resize(self, sizes: Mapping[str, float]) -> Planned:
         """Return the same with systematic errors of other sizes, mm; without those that are not named."""

@@ -2,24 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from bayescal.experiments.audit.audit import Audit, ChangeEffect
+from bayescal.config.classes import label_class
+from bayescal.experiments.audit.audit import Audit, ChangeEffect, judge
 from bayescal.experiments.audit.planned import Planned
+from bayescal.experiments.shared.hidden import tabulate_hidden
+from bayescal.experiments.shared.readings.knowledge import name_data, name_place
 from bayescal.identifiability.directions import Direction
+from bayescal.identifiability.hidden import add, choose_unseen, hide
 from bayescal.identifiability.information import nats_from_contraction
-from bayescal.identifiability.levers import Lever
+from bayescal.identifiability.levers import find_levers
 from bayescal.identifiability.requirements import Requirement
 from bayescal.identifiability.ridges import Ridge
 from bayescal.limits import COVERAGE, INFORMED
+from bayescal.numerics.units import MICROMETRE
 from bayescal.report.numbers import join_words
 
 NAMED_SHARE = 0.02  # of a direction, for a parameter to be named in a sentence
 NAMED = 4
+TIMES = (0.0, 1.0, 3.0)  # the expected size of systematic errors
 
 
 def summarise(audit: Audit) -> dict[str, Any]:
@@ -30,11 +36,11 @@ def summarise(audit: Audit) -> dict[str, Any]:
     return {
         "name": config.name,
         "title": config.title,
-        **inputs.summarise_plan(),
+        **_summarise_plan(inputs),
         "seed": config.seed,
         "units": {"length": inputs.units.length, "angle": inputs.units.angle},
         "required_of": config.required_of,
-        **_describe_levers(inputs.find_levers(audit.ridges)),
+        **_describe_levers(audit),
         "n_parameters": len(names),
         "structural_rank": structure.rank,
         "structural_gap": structure.gap if np.isfinite(structure.gap) else None,
@@ -55,8 +61,30 @@ def summarise(audit: Audit) -> dict[str, Any]:
     }
 
 
-def _describe_levers(levers: Sequence[Lever]) -> dict[str, Any]:
-    """Return which channels read far from where a direction's tolerance turns them, and the longest lever."""
+def _summarise_plan(inputs: Planned) -> dict[str, Any]:
+    """Return machine and plan; how large systematic errors are, and what is stated of unseen ones, in µm."""
+    config, section, model = inputs.config, inputs.section, inputs.variant.model
+    said = {"workspace": "random ones of the workspace", "file": config.poses.file or config.poses.configurations or ""}
+    errors = {"systematic_um": inputs.sizes, "at_least_um": inputs.floors if inputs.sizes else {}}
+    plan = {
+        "n_poses": inputs.n_poses,
+        "sensors": list(dict.fromkeys(one.kind for one in model.channels)),
+        "poses": said.get(config.poses.plan, f"{config.poses.plan} actuator positions"),
+        **{key: {name: size / MICROMETRE for name, size in one.items()} for key, one in errors.items() if one},
+    }
+    if config.data is not None:
+        plan["poses"] = "measured"
+    seen = {}
+    if section.model is not None:
+        seen = {"model": label_class(section.model), "deformation": label_class(section.deformation)}
+    machine = str(getattr(inputs.maker.model, "name", config.machine or ""))
+    return {"machine": machine, "member": model.member, **seen, "plan": plan}
+
+
+def _describe_levers(audit: Audit) -> dict[str, Any]:
+    """Return which channels read far from where a ridge's tolerance turns them, and the longest lever."""
+    inputs = audit.inputs
+    levers = list(find_levers(inputs.posterior, inputs.expected, [one.direction for one in audit.ridges]))
     if not levers:
         return {}
     far = max(levers, key=lambda one: abs(one.reading))
@@ -189,14 +217,14 @@ def _percent(share: float) -> str:
 
 def unit_of(inputs: Planned, requirement: Requirement) -> str:
     """Return the inner unit of what is required."""
-    return inputs.tool_units[requirement.where][0]
+    return inputs.variant.model.tool_channels[requirement.where][0].unit
 
 
 def summarise_requirements(audit: Audit) -> dict[str, Any]:
     """Return how each requirement stands."""
-    units, result = audit.inputs.units, {}
+    inputs, units, result = audit.inputs, audit.inputs.units, {}
     for outlook in audit.outlooks:
-        unit = unit_of(audit.inputs, outlook.requirement)
+        unit = unit_of(inputs, outlook.requirement)
         factor = units.factor(unit)
         lengths = ("prior_sd", "predicted_sd", "geometry_sd", "reduced_sd", "rms_sd", "worst_sd")
         chances = ("prior_probability", "probability", "reduced_probability", "everywhere")
@@ -205,7 +233,7 @@ def summarise_requirements(audit: Audit) -> dict[str, Any]:
             "limit": outlook.requirement.limit / factor,
             **{name: _plain(getattr(outlook, name) / factor) for name in lengths},
             **{name: getattr(outlook, name) for name in chances},
-            "worst_at": audit.inputs.name_workspace_pose(outlook.worst),
+            "worst_at": name_place(inputs.variant, inputs.around.pose[outlook.worst], inputs.config.units),
         }
     return result
 
@@ -272,10 +300,12 @@ def tabulate_variants(audits: Mapping[str, Audit]) -> dict[str, pd.DataFrame]:
 
 def describe_variant(audit: Audit) -> dict[str, Any]:
     """Return a variant in a row: what it takes in, what it determines, how likely it keeps what is required."""
-    inputs, analysis = audit.inputs, audit.analysis
+    inputs, analysis, model = audit.inputs, audit.analysis, audit.inputs.variant.model
     shares = [one.predicted_sd / one.requirement.limit for one in audit.outlooks]
     return {
-        **inputs.describe_variant(),
+        "title": inputs.section.label,
+        "data": name_data(inputs.variant),
+        "n_equations": inputs.n_poses * (len(model.channels) - len(model.coordinates)),
         "n_parameters": len(inputs.names),
         "n_poses": inputs.n_poses,
         "n_identifiable": analysis.verdicts.count("identifiable"),
@@ -340,3 +370,51 @@ def _tabulate_sweep_requirements(audit: Audit) -> pd.DataFrame:
             limit = required[name].limit / units.factor(unit)
             rows.append({"sweep": sweep, "value": value, **said, "limit": limit})
     return pd.DataFrame(rows)
+
+
+# --- systematic errors -----------------------------------------------------------------------------------------------
+
+
+def tabulate_errors(audit: Audit) -> dict[str, pd.DataFrame]:
+    """Return tables of systematic errors by name, none where an audit has none.
+
+    ``error_sizes`` has standard deviations of parameters, rms by symbol, and how requirements stand, in the config's
+    units, with errors so many ``times`` as large as they are expected; ``model_error_hidden`` what those that leave no
+    trace hide of each parameter.
+    """
+    inputs = audit.inputs
+    if not inputs.sizes:
+        return {}
+    rows, units, measured = list[dict[str, object]](), inputs.units, inputs.config.data is not None
+    true = inputs.sizes if measured else inputs.config.model_error.sizes(list(inputs.sizes))
+    for times in TIMES:
+        sizes = {name: times * size for name, size in true.items()}
+        changed = inputs if times == 1.0 else inputs.resize(sizes) if measured else inputs.settle(sizes)
+        one = audit if times == 1.0 else judge(changed)
+        total = float(np.linalg.norm(list(sizes.values()))) / MICROMETRE
+        at = {"times": times, "size_um": total}
+        variance = inputs.sd**2 * np.diagonal(one.analysis.information.covariance)
+        for symbol in dict.fromkeys(inputs.symbols):
+            part = np.array([name == symbol for name in inputs.symbols])
+            unit = inputs.parameters.units[int(part.argmax())]
+            sd = float(np.sqrt(variance[part].mean())) / units.factor(unit)
+            rows.append({**at, "what": "parameter", "name": symbol, "unit": units.name(unit), "sd": sd})
+        for outlook in one.outlooks:
+            unit = unit_of(inputs, outlook.requirement)
+            own = {"name": outlook.requirement.name, "unit": units.name(unit)}
+            sd = outlook.predicted_sd / units.factor(unit)
+            rows.append({**at, "what": "requirement", **own, "sd": sd, "probability": outlook.probability})
+    return {"error_sizes": pd.DataFrame(rows), "model_error_hidden": _tabulate_hidden(audit)}
+
+
+def _tabulate_hidden(audit: Audit) -> pd.DataFrame:
+    """Return what errors hide that are as large as stated, or as is usual, and leave no trace."""
+    inputs = audit.inputs
+    unseen = choose_unseen(inputs.floors, list(inputs.sizes))
+    with_floors = inputs.sizes if inputs.floors else add(inputs.sizes, unseen)  # what is stated is among the sizes
+    pair = with_floors, add(with_floors, unseen, -1.0)
+    covariances = [inputs.resize(sizes).inform().covariance for sizes in pair]
+    hidden, sd = hide(*covariances), np.sqrt(np.diagonal(audit.analysis.information.covariance))
+    factors = inputs.sd / np.array([inputs.units.factor(unit) for unit in inputs.parameters.units])
+    units = [inputs.units.name(unit) for unit in inputs.parameters.units]
+    return tabulate_hidden(audit.inputs.config.variants[0].name, inputs.names, units, factors * hidden, factors * sd)

@@ -70,7 +70,7 @@ def test_machine_tolerances_and_poses_are_the_studys(design):
     seen = np.array([one.external for one in model.channels])
     covariance = data.correlation * data.sd[:, :, None] * data.sd[:, None]
     assert np.allclose(covariance[:, seen][:, :, seen], poses.covariance, rtol=1e-9, atol=1e-18)
-    assert plan.machine == study.seen.mechanism.name
+    assert plan.maker.model.name == study.seen.mechanism.name
 
 
 def test_derivatives_are_taken_at_the_posterior_mean(design):
