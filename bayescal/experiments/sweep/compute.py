@@ -26,26 +26,33 @@ COLUMNS = ("figure", "axis", "where", "holds", "bound", "inside", "outside")
 NUMBERS = dict.fromkeys(("bound", "inside", "outside"), float)
 ALWAYS, NEVER, UP_TO, FROM, MIXED = "everywhere", "nowhere", "up to", "from", "in places"
 
-type Row = list[Any]
-"""Of a member: its figures, its state and why."""
-
 
 def compute_sweep(inputs: SweepInputs, run: Run) -> Results:
     """Return the table of all members and what it answers; members that fail are in it, with the reason."""
-    taken, addresses, tasks, faults = _plan(inputs)
-    rows = {address: _read_row(inputs.config, fault) for address, fault in faults.items()}
-    run = _keep(inputs.config, run)
+    config = inputs.config
+    taken, addresses, tasks, rows = [], list[str](), dict[str, tuple[Setting, ...]](), dict[str, list[Any]]()
+    for values, settings in inputs.list_members():
+        try:
+            address = inputs.find_address(settings)
+            tasks[address] = settings
+        except InputError as error:  # no experiment
+            address = json.dumps(settings)
+            rows[address] = _read_row(config, Outcome.of(str(error)))
+        taken.append(values)
+        addresses.append(address)
+    if run.store is not None and config.cache:  # members are kept beside the results directory, for other sweeps too
+        run = replace(run, store=open_pool(run.store.out.resolve().parent / config.cache))
     is_told = False
     for address, outcome in run.stream("members", compute_member, inputs.base, tasks, (Outcome,)):
-        known = Outcome.from_failure(outcome.reason) if isinstance(outcome, Failed) else outcome
+        known = Outcome.of(outcome.reason) if isinstance(outcome, Failed) else outcome
         if known.has_summary and not is_told:
-            _check_figures(inputs.config, known.read())
+            _check_figures(config, known.read())
             is_told = True
-        rows[address] = _read_row(inputs.config, known)
-    members = _tabulate(inputs.config, taken, [rows[address] for address in addresses])
-    answers = find_answers(inputs.config, members)
+        rows[address] = _read_row(config, known)
+    members = _tabulate(config, taken, [rows[address] for address in addresses])
+    answers = find_answers(config, members)
     return Results(
-        _summarise(inputs.config, members, len(set(addresses)), answers),
+        _summarise(config, members, len(set(addresses)), answers),
         {"members": members, "answers": pd.DataFrame(answers, columns=list(COLUMNS)).astype(NUMBERS)},
     )
 
@@ -59,48 +66,27 @@ def _check_figures(config: SweepConfig, summary: dict[str, Any]) -> None:
         raise InputError(f"figures: found none of {', '.join(keys)} in the summary of the first member{said}")
 
 
-def _plan(
-    inputs: SweepInputs,
-) -> tuple[list[tuple[Any, ...]], list[str], dict[str, tuple[Setting, ...]], dict[str, Outcome]]:
-    """Return what each member takes and its address, what is to be computed, and members that are no experiments."""
-    taken, addresses, tasks, faults = [], [], {}, {}
-    for values, settings in inputs.list_members():
-        try:
-            address = inputs.find_address(settings)
-            tasks[address] = settings
-        except InputError as error:
-            address = json.dumps(settings)
-            faults[address] = Outcome.from_failure(str(error))
-        taken.append(values)
-        addresses.append(address)
-    return taken, addresses, tasks, faults
-
-
-def _keep(config: SweepConfig, run: Run) -> Run:
-    """Return the run that keeps members beside its results directory, for other sweeps too."""
-    if run.store is None or not config.cache:
-        return run
-    return replace(run, store=open_pool(run.store.out.resolve().parent / config.cache))
-
-
-def _read_row(config: SweepConfig, outcome: Outcome) -> Row:
-    """Return what the table has of a member; of thousands, unpacked or packed, whole summaries would take gigabytes."""
+def _read_row(config: SweepConfig, outcome: Outcome) -> list[Any]:
+    """Return a member's figures, its state and why; of thousands whole summaries, even packed, would take gigabytes."""
     summary = outcome.read()
-    return [*(_show(look_up(summary, figure.key)) for figure in config.figures), _say(outcome), outcome.failure]
+    state = FAILED if not outcome.has_summary else UNSURE if outcome.failure else DONE
+    return [*(_show(look_up(summary, figure.key)) for figure in config.figures), state, outcome.failure]
 
 
-def _tabulate(config: SweepConfig, taken: list[tuple[Any, ...]], rows: list[Row]) -> pd.DataFrame:
+def _tabulate(config: SweepConfig, taken: list[tuple[Any, ...]], rows: list[list[Any]]) -> pd.DataFrame:
     """Return a row per member: what its axes take, its figures, and what became of it."""
     names = [*(figure.key for figure in config.figures), "state", "reason"]
     columns: dict[str, list[Any]] = {
         axis.name: [_show(values[k]) for values in taken] for k, axis in enumerate(config.axes)
     }
     columns |= {name: [row[k] for row in rows] for k, name in enumerate(names)}
-    return pd.DataFrame({name: _unify(values) for name, values in columns.items()})
-
-
-def _say(outcome: Outcome) -> str:
-    return FAILED if not outcome.has_summary else UNSURE if outcome.failure else DONE
+    found = {}
+    for name, values in columns.items():
+        if all(isinstance(value, int | float) or value is None for value in values):
+            found[name] = pd.Series([float("nan") if value is None else float(value) for value in values], dtype=float)
+        else:  # texts where not all are numbers
+            found[name] = pd.Series(["" if value is None else str(value) for value in values], dtype=object)
+    return pd.DataFrame(found)
 
 
 def _show(value: Any) -> Any:
@@ -108,13 +94,6 @@ def _show(value: Any) -> Any:
     if isinstance(value, bool):
         return int(value)
     return value if value is None or isinstance(value, int | float | str) else json.dumps(value)
-
-
-def _unify(values: list[Any]) -> pd.Series:
-    """Return a column of numbers, or of texts where not all are."""
-    if all(isinstance(value, int | float) or value is None for value in values):
-        return pd.Series([float("nan") if value is None else float(value) for value in values], dtype=float)
-    return pd.Series(["" if value is None else str(value) for value in values], dtype=object)
 
 
 def _summarise(

@@ -83,15 +83,10 @@ class Outcome:
     failure: str  # why it failed, or what forbids to rely on it
 
     @classmethod
-    def from_summary(cls, summary: Mapping[str, Any], failure: str = "") -> Outcome:
-        """Return the outcome of a member that has a summary."""
-        text = json.dumps(summary, ensure_ascii=False, allow_nan=False)
-        return cls(np.frombuffer(zlib.compress(text.encode()), dtype=np.uint8), failure)
-
-    @classmethod
-    def from_failure(cls, failure: str) -> Outcome:
-        """Return the outcome of a member that has none."""
-        return cls(np.empty(0, dtype=np.uint8), failure)
+    def of(cls, failure: str, summary: Mapping[str, Any] | None = None) -> Outcome:
+        """Return the outcome of a member, of one that failed without a summary."""
+        text = "" if summary is None else json.dumps(summary, ensure_ascii=False, allow_nan=False)
+        return cls(np.frombuffer(zlib.compress(text.encode()) if text else b"", dtype=np.uint8), failure)
 
     @property
     def has_summary(self) -> bool:
@@ -114,7 +109,7 @@ def compute_member(base: Base, settings: tuple[Setting, ...]) -> Outcome:
             inputs = read_inputs(experiment, config, folder)
             check_memory(experiment.estimate_memory(inputs), 1)
             results = experiment.compute(inputs, Run())
-            return Outcome.from_summary(results.summary, "; ".join(experiment.list_failures(results)))
+            return Outcome.of("; ".join(experiment.list_failures(results)), results.summary)
         except MemoryError as error:  # another time, or on another machine, it may do: such an outcome is not kept
             raise NumericalError("found no memory for it") from error
         except Exception as error:  # whatever it is, the other members go on, and it is listed
@@ -122,7 +117,7 @@ def compute_member(base: Base, settings: tuple[Setting, ...]) -> Outcome:
                 error, InputError | NumericalError | ArithmeticError | ValueError
             )  # LAPACK's are the last
             said = " ".join(str(error).split()).replace(f"{folder}{os.sep}", "")
-            return Outcome.from_failure(said if known and said else f"{type(error).__name__}: {said}")
+            return Outcome.of(said if known and said else f"{type(error).__name__}: {said}")
 
 
 @lru_cache(maxsize=4)
@@ -144,20 +139,15 @@ def _go_to(base: Base, settings: tuple[Setting, ...]) -> Iterator[Path]:
 
 def _lay_out_once(files: Files) -> Path:
     """Return a folder with files, the same as long as this process lives."""
-    content = hash_files(files)
+    whole = hashlib.sha256()
+    for name, text in sorted(files.items()):
+        whole.update(f"{name} {len(text)} ".encode() + text)
+    content = whole.hexdigest()
     if content not in _laid_out:
         root = tempfile.mkdtemp(prefix="bayescal_")
         Finalize(None, shutil.rmtree, (root, True), exitpriority=0)  # at the end of a worker process, too
         _laid_out[content] = lay_out(files, Path(root))
     return _laid_out[content]
-
-
-def hash_files(files: Files) -> str:
-    """Return the SHA-256 of files with their names."""
-    whole = hashlib.sha256()
-    for name, content in sorted(files.items()):
-        whole.update(f"{name} {len(content)} ".encode() + content)
-    return whole.hexdigest()
 
 
 def lay_out(files: Mapping[str, bytes], root: Path) -> Path:
@@ -189,25 +179,16 @@ def change(content: Mapping[str, Any], settings: Iterable[tuple[str, Any]]) -> d
     for key, value in settings:
         *way, last = key.split(".")
         place: Any = changed
-        for part in way:
-            place = _enter(place, part, key)
+        for part in way:  # a copy of what stands there, put in its place
+            own = copy.copy(place.get(part, {}) if isinstance(place, dict) else _step(place, part, key))
+            place[part if isinstance(place, dict) else int(part)] = own
+            place = own
         if isinstance(place, dict):
             place[last] = value
         else:
             _step(place, last, key)
             place[int(last)] = value
     return changed
-
-
-def _enter(place: Any, part: str, key: str) -> Any:
-    """Return a copy of what stands at a part of a key, put in its place."""
-    inner = place.get(part, {}) if isinstance(place, dict) else _step(place, part, key)
-    own = copy.copy(inner)
-    if isinstance(place, dict):
-        place[part] = own
-    elif isinstance(place, list):
-        place[int(part)] = own
-    return own
 
 
 def _step(place: Any, part: str, key: str) -> Any:

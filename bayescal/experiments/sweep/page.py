@@ -45,9 +45,9 @@ def build_page(config: SweepConfig, results: Results) -> Page:
     axes, figures = {axis.name: axis for axis in config.axes}, {figure.key: figure for figure in config.figures}
     pairs = answers.groupby(["figure", "axis"], sort=False)
     said = [_say(rows.to_dict("records"), axes, figures) for _, rows in pairs]
-    verdict = (*said[:MOST_SAID], *_state_members(config, summary))
+    verdict = (*said[:MOST_SAID], *_state_members(summary))
     sections = (
-        *_answer_section(said, answers, axes, figures),
+        *_answer_section(answers, axes, figures),
         make_section("Figures against what was swept", (), (), tuple(_list_pictures(config, members))),
         *_failed_section(config, members),
         _member_section(config, members),
@@ -103,7 +103,7 @@ def _state_span(figure: FigureConfig, summary: dict[str, Any]) -> str:
     )
 
 
-def _state_members(config: SweepConfig, summary: dict[str, Any]) -> Iterator[Statement]:
+def _state_members(summary: dict[str, Any]) -> Iterator[Statement]:
     """Yield what became of the members, and figures that no summary has."""
     n, failed, unsure = summary["n_members"], summary["n_failed"], summary["n_not_converged"]
     text = f"{format_count(n)} members, {format_count(summary['n_distinct'])} of them different"
@@ -126,7 +126,7 @@ def _span(axis: AxisConfig) -> str:
 
 
 def _answer_section(
-    said: list[Statement], answers: pd.DataFrame, axes: dict[str, AxisConfig], figures: dict[str, FigureConfig]
+    answers: pd.DataFrame, axes: dict[str, AxisConfig], figures: dict[str, FigureConfig]
 ) -> Iterator[Section]:
     if answers.empty:
         return
