@@ -130,10 +130,7 @@ class VariantConfig(FreeConfig):
 
 
 class SelectionConfig(Section):
-    """How many poses to choose out of how many random ones of the workspace.
-
-    ``greedy`` ones are added one by one; ``exchange`` goes on to put others in their place for as long as that helps.
-    """
+    """How many poses to choose out of how many random ones of the workspace."""
 
     count: Annotated[int, Field(ge=1, le=1000)]
     """Number of poses to choose."""
@@ -172,10 +169,7 @@ class SensorChoiceConfig(FreeConfig):
 
 
 class AuditDataConfig(Section):
-    """A study whose measured poses are audited in place of a plan, with its priors and its posterior.
-
-    ``variant`` names one of the study's variants, needed where several have the audit's model and deformation.
-    """
+    """A study whose measured poses are audited in place of a plan, with its priors and its posterior."""
 
     study: InputFile
     """TOML file of a study, whose measured poses are audited."""

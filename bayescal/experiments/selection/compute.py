@@ -115,23 +115,21 @@ def run_tasks(inputs: SelectionInputs, run: Run) -> list[JudgedPoses]:
 
 def run_one(inputs: SelectionInputs, task: Task) -> JudgedPoses:
     """Return the outcome of a task: sets of the same repeat start alike, machines of the same repeat are the same."""
-    began = time.perf_counter()
-    selection = None
+    began, selection, config = time.perf_counter(), None, inputs.config
     if task.choice is None:
         actuators = inputs.designs[task.label]
         moves = inputs.domain.at_actuators(actuators).moves
     else:
-        problem = SelectionProblem(
-            inputs.candidates(task.repeat), inputs.criterion(task.criterion), task.n_poses, inputs.measured
-        )
-        rng = np.random.default_rng([inputs.config.seed, SETS, task.n_poses, task.repeat])
-        selection = select(problem, inputs.method(inputs.config.selections[task.choice]), rng)
+        candidates, criterion = inputs.candidates(task.repeat), inputs.criterion(task.criterion)
+        problem = SelectionProblem(candidates, criterion, task.n_poses, inputs.measured)
+        rng = np.random.default_rng([config.seed, SETS, task.n_poses, task.repeat])
+        selection = select(problem, inputs.method(config.selections[task.choice]), rng)
         actuators, moves = selection.actuators, selection.placed.moves
     seconds = time.perf_counter() - began
     whole = actuators if inputs.measured is None else np.concatenate([inputs.measured, actuators])
     accuracy = None
-    if (wanted := inputs.config.calibrations) is not None:
-        rng = np.random.default_rng([inputs.config.seed, MACHINES, task.repeat])
+    if (wanted := config.calibrations) is not None:
+        rng = np.random.default_rng([config.seed, MACHINES, task.repeat])
         accuracy = judge_poses(inputs, whole, wanted.machines, rng, wanted.known)
     return JudgedPoses(task, selection, actuators, moves, inputs.indices(whole), accuracy, seconds)
 
@@ -202,7 +200,7 @@ def tabulate(inputs: SelectionInputs, chosen: list[JudgedPoses]) -> dict[str, pd
         "selection_summary": summarise_selections(selections),
         "poses": tabulate_poses(inputs, chosen),
         "traces": _tabulate_values([o for o in chosen if not o.task.is_histogram], "iteration"),
-        "random_sets": tabulate_random_sets(chosen),
+        "random_sets": _tabulate_values([o for o in chosen if o.task.is_histogram], "set"),
         "timings": pd.DataFrame([_key(o.task) | {"seconds": o.seconds} for o in chosen if o.selection is not None]),
         "errors": errors,
         "error_summary": error_summary,
@@ -248,17 +246,10 @@ def tabulate_poses(inputs: SelectionInputs, outcomes: list[JudgedPoses]) -> pd.D
     parts = []
     for outcome in outcomes:
         moves = np.concatenate([outcome.moves[:, :3], np.degrees(outcome.moves[:, 3:])], axis=1)
-        part = pd.DataFrame(np.concatenate([moves, outcome.actuators - start], axis=1), columns=[*columns, *legs])
-        part.insert(0, "pose", np.arange(1, len(part) + 1))
-        for place, (name, value) in enumerate(_key(outcome.task).items()):
-            part.insert(place, name, value)
-        parts.append(part)
+        where = pd.DataFrame(np.concatenate([moves, outcome.actuators - start], axis=1), columns=[*columns, *legs])
+        which = pd.DataFrame(_key(outcome.task) | {"pose": np.arange(1, len(where) + 1)})
+        parts.append(pd.concat([which, where], axis=1))
     return pd.concat(parts, ignore_index=True)
-
-
-def tabulate_random_sets(outcomes: list[JudgedPoses]) -> pd.DataFrame:
-    """Return the criterion of each of many random sets."""
-    return _tabulate_values([o for o in outcomes if o.task.is_histogram], "set")
 
 
 def tabulate_errors(outcomes: list[JudgedPoses]) -> pd.DataFrame:
@@ -335,7 +326,7 @@ def format_plans(inputs: SelectionInputs, outcomes: list[JudgedPoses]) -> dict[s
     best: dict[tuple[str, str, int], JudgedPoses] = {}
     for outcome in outcomes:
         task, chosen = outcome.task, outcome.selection
-        if chosen is None or task.criterion == DESIGN:
+        if chosen is None:
             continue
         key = (task.label, task.criterion, task.n_poses)
         before = best.get(key)

@@ -14,13 +14,11 @@ from bayescal.data.actuators import read_moves
 from bayescal.density.priors import NormalPrior
 from bayescal.errors import InputError
 from bayescal.experiments.selection.schema import (
-    ActuatorDomainConfig,
     ContinuousChoiceConfig,
     OwnChoiceConfig,
     SelectionChoice,
     SelectionConfig,
     TableConfig,
-    WorkspaceDomainConfig,
 )
 from bayescal.experiments.shared.design import REQUIRED, build_sensor, known_symbols, read_machine, read_workspace
 from bayescal.experiments.shared.readings.priors import choose_priors
@@ -180,10 +178,9 @@ def _domain(config: SelectionConfig, design: Design) -> PoseDomain:
     half = None
     if section.position_mm is not None and section.rotation_deg is not None:
         half = np.concatenate([section.position_mm, np.radians(section.rotation_deg)])
-    if isinstance(section, WorkspaceDomainConfig):
+    if section.within == "workspace":
         assert half is not None
         return WorkspaceBox(design, half)
-    assert isinstance(section, ActuatorDomainConfig)
     return ActuatorBox(design, half)
 
 

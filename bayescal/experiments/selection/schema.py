@@ -66,10 +66,7 @@ type DomainConfig = Annotated[WorkspaceDomainConfig | ActuatorDomainConfig, Fiel
 
 
 class CandidatesConfig(Section):
-    """Poses to choose from: on an even grid, at random, or a full factorial, topped up.
-
-    With ``redraw`` each repeat has its own.
-    """
+    """Poses to choose from: on an even grid, at random, or a full factorial, topped up."""
 
     spread: Literal["even", "random", "factorial"] = "random"
     """How candidates lie: on an `even` grid, at `random`, or `factorial`."""
@@ -202,10 +199,7 @@ type SelectionChoice = Annotated[
 
 
 class CalibrationsConfig(Section):
-    """Simulated calibrations with each set of poses: machines drawn within the tolerances, measured and identified.
-
-    ``known``: the identification knows the tolerances; otherwise it is least squares, weighted by the noise.
-    """
+    """Simulated calibrations with each set of poses: machines drawn within the tolerances, measured and identified."""
 
     machines: Annotated[int, Field(ge=2, le=10_000)] = 20
     """Number of machines drawn within the tolerances."""

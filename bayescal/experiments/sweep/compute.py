@@ -80,7 +80,7 @@ def _tabulate(config: SweepConfig, taken: list[tuple[Any, ...]], rows: list[list
         axis.name: [_show(values[k]) for values in taken] for k, axis in enumerate(config.axes)
     }
     columns |= {name: [row[k] for row in rows] for k, name in enumerate(names)}
-    found = {}
+    found: dict[str, pd.Series] = {}
     for name, values in columns.items():
         if all(isinstance(value, int | float) or value is None for value in values):
             found[name] = pd.Series([float("nan") if value is None else float(value) for value in values], dtype=float)

@@ -114,19 +114,14 @@ class FigureConfig(Section):
 
 
 class SweepConfig(ExperimentConfig):
-    """A sweep: every combination of its axes, or their entries row by row (``combine = "list"``).
-
-    ``set`` is filled into the experiment for all members, as a config is that extends another.
-    ``cache`` is the folder, beside the results directory, that members are kept in for other sweeps; none where it is
-    empty.
-    """
+    """A sweep: every combination of its axes, or their entries row by row."""
 
     kind: Literal["sweep"]
     """`"sweep"`."""
     experiment: InputFile
     """TOML file of the experiment that is varied."""
     set: dict[str, Any] = Field(default={})
-    """Keys that are filled into the experiment for all members."""
+    """Keys that are filled into the experiment for all members, as a config is that extends another."""
     combine: Literal["grid", "list"] = "grid"
     """Every combination of the axes (`grid`), or their entries row by row (`list`)."""
     axes: Annotated[list[AxisConfig], Field(min_length=1)]
