@@ -19,7 +19,6 @@ from bayescal.errors import InputError
 from bayescal.limits import NINETY
 from bayescal.numerics.geometry import Array
 
-LIMITS = (1.0, 1.96)  # standard deviations
 BAND = 0.99
 
 
@@ -50,11 +49,7 @@ class Comparison:
     # (n,) each: found by predicted, and its standard error with the errors' own kurtosis
     ratio: Array
     ratio_error: Array
-    # by float, (n,): share of the errors within so many predicted standard deviations; 0.683 and 0.95 were they
-    # normal
-    coverage: dict[float, Array]
-    # mean squared length of the errors in the metric of the predicted covariance, by n: one where all is as
-    # predicted
+    # mean squared length of the errors in the metric of the predicted covariance, by n: one where all is as predicted
     chi_square: float
     chi_square_error: float  # its standard error
     # (n,): root mean square of the standard deviations that the calibrations claim, in units of the tolerances
@@ -85,7 +80,7 @@ def compare_with_prediction(simulated: Calibrations, covariance: Array) -> Compa
     square = np.mean(errors**2, axis=0)
     kurtosis = np.mean(errors**4, axis=0) / square**2
     ratio = np.sqrt(square) / predicted
-    z, own = errors / predicted, errors / simulated.claimed
+    own = errors / simulated.claimed
     variances, axes = np.linalg.eigh(covariance)
     lengths = ((errors @ axes) ** 2 / variances).mean(axis=1)
     return Comparison(
@@ -94,7 +89,6 @@ def compare_with_prediction(simulated: Calibrations, covariance: Array) -> Compa
         np.sqrt(square),
         ratio,
         ratio * np.sqrt(np.maximum(kurtosis - 1.0, 0.0) / (4.0 * len(errors))),
-        {limit: np.mean(np.abs(z) < limit, axis=0) for limit in LIMITS},
         float(lengths.mean()),
         float(lengths.std(ddof=1) / np.sqrt(len(lengths))),
         np.sqrt(np.mean(simulated.claimed**2, axis=0)),

@@ -20,7 +20,6 @@ from bayescal.experiments.audit.schema import AuditConfig
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.shared.readings.inputs import Variant
 from bayescal.experiments.shared.readings.knowledge import (
-    Knowledge,
     assess,
     list_next,
     look,
@@ -39,21 +38,44 @@ LEAST_FALL = 1e-9  # of the mean squared error, for which poses are exchanged
 
 def compute_accuracy(plans: Mapping[str, Planned], run: Run) -> dict[str, pd.DataFrame]:
     """Return the tables of all variants' accuracy and poses."""
-    names, classes = {name: name for name in plans}, (Prospect, Knowledge, ChosenPoses)
-    found = run.map("variants", _compute_variant, plans, names, classes)
-    every = [(plans[name].variant, one) for name, one in found.items()]
-    first, config = next(iter(plans.values())).variant, next(iter(plans.values())).config
-    accuracy = [tabulate_accuracy(variant, one.knowledge, config.units) for variant, one in every]
+    found = list(run.map("variants", _compute_variant, plans, {name: name for name in plans}).values())
     tables = {
-        "accuracy": pd.concat(accuracy, ignore_index=True),
-        "next": pd.DataFrame([row for variant, one in every for row in list_next(variant, one.knowledge)]),
-        "selected": pd.DataFrame([row for one in every for row in _list_selected(*one)]),
-        "pose_counts": pd.DataFrame([row for one in every for row in _list_counts(*one)]),
-        "poses": pd.DataFrame(
-            [{"pose": n, **_place(first, v)} for n, v in zip(first.data.poses, first.start, strict=True)]
-        ),
+        name: pd.concat(some, ignore_index=True)
+        for name in ("accuracy", "next", "selected", "pose_counts")
+        if (some := [one[name] for one in found if not one[name].empty])
     }
-    return {name: table for name, table in tables.items() if not table.empty}
+    first = next(iter(plans.values())).variant
+    poses = zip(first.data.poses, first.start, strict=True)
+    return {**tables, "poses": pd.DataFrame([{"pose": n, **_place(first, v)} for n, v in poses])}
+
+
+def _compute_variant(plans: Mapping[str, Planned], name: str) -> dict[str, pd.DataFrame]:
+    """Return the tables of how accurate a variant is, and at which poses it is best measured."""
+    plan, variant = plans[name], plans[name].variant
+    known = plan.forecast(), plan.inform().joint
+    knowledge = assess(plan.config, variant, plan.posterior, plan.expected, lambda _: known)
+    chosen = select_poses(plan.config, variant, plan.posterior, plan.expected)
+    selected, counts = list[dict[str, Any]](), list[dict[str, Any]]()
+    names = [f"{name}_{unit}" for name, unit in zip(knowledge.coordinates, knowledge.units, strict=True)]
+    if chosen is not None:
+        n_lengths = max(1, variant.model.pose_units.count("mm"))  # poses are chosen by the tool's lengths only
+        size = [float(np.linalg.norm(error[:n_lengths])) for error in (knowledge.before, *chosen.curve)]
+        for k, (pose, after, curve, random) in enumerate(
+            zip(chosen.pose, chosen.after, chosen.curve, chosen.random, strict=True), start=1
+        ):
+            left, best, chance = (
+                {f"{start}_{name}": value for name, value in zip(names, values, strict=True)}
+                for start, values in (("after", after), ("after", curve), ("random", random))
+            )
+            selected.append({"variant": variant.name, "step": k, **_place(variant, pose), **left})
+            gain = 1.0 - size[k] / size[k - 1]  # of the last of them
+            counts.append({"variant": variant.name, "n_poses": k, **best, **chance, "size": size[k], "gain": gain})
+    return {
+        "accuracy": tabulate_accuracy(variant, knowledge, plan.config.units),
+        "next": pd.DataFrame(list_next(variant, knowledge)),
+        "selected": pd.DataFrame(selected),
+        "pose_counts": pd.DataFrame(counts),
+    }
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,54 +87,6 @@ class ChosenPoses:
     after: Array
     curve: Array  # (N, t): the same with the best set found of 1 to N poses
     random: Array  # (N, t): the same with as many of the candidates at random, root mean square of several sets
-
-
-@dataclass(frozen=True, eq=False)
-class Prospect:
-    """How accurate a variant is, and at which poses it is best measured."""
-
-    knowledge: Knowledge
-    selection: ChosenPoses | None
-
-    def name_errors(self, start: str, values: Array) -> dict[str, float]:
-        """Return errors (t,) of the tool by the names of columns."""
-        names = zip(self.knowledge.coordinates, self.knowledge.units, strict=True)
-        return {f"{start}_{name}_{unit}": value for (name, unit), value in zip(names, values, strict=True)}
-
-
-def _compute_variant(plans: Mapping[str, Planned], name: str) -> Prospect:
-    plan = plans[name]
-    known = plan.forecast(), plan.inform().joint
-    knowledge = assess(plan.config, plan.variant, plan.posterior, plan.expected, lambda _: known)
-    return Prospect(knowledge, select_poses(plan.config, plan.variant, plan.posterior, plan.expected))
-
-
-def _list_selected(variant: Variant, one: Prospect) -> list[dict[str, Any]]:
-    if (chosen := one.selection) is None:
-        return []
-    return [
-        {"variant": variant.name, "step": k, **_place(variant, pose), **one.name_errors("after", after)}
-        for k, (pose, after) in enumerate(zip(chosen.pose, chosen.after, strict=True), start=1)
-    ]
-
-
-def _list_counts(variant: Variant, one: Prospect) -> list[dict[str, Any]]:
-    """Return what every number of poses leaves of the error, chosen and at random, and what the last of them gained."""
-    if (chosen := one.selection) is None:
-        return []
-    n_lengths = max(1, variant.model.pose_units.count("mm"))  # poses are chosen by the tool's lengths only
-    size = [float(np.linalg.norm(error[:n_lengths])) for error in (one.knowledge.before, *chosen.curve)]
-    return [
-        {
-            "variant": variant.name,
-            "n_poses": k,
-            **one.name_errors("after", curve),
-            **one.name_errors("random", random),
-            "size": size[k],
-            "gain": 1.0 - size[k] / size[k - 1],
-        }
-        for k, (curve, random) in enumerate(zip(chosen.curve, chosen.random, strict=True), start=1)
-    ]
 
 
 def _place(variant: Variant, pose: Array) -> dict[str, float]:

@@ -20,7 +20,7 @@ from bayescal.experiments.audit.sensor_sets import FoundSets, search_sensors, ta
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.shared.joints import tabulate_joints
-from bayescal.identifiability.calibration import Comparison, Kept, compare_kept, compare_with_prediction
+from bayescal.identifiability.calibration import compare_kept, compare_with_prediction
 from bayescal.identifiability.profile import Profile, compute_profile
 from bayescal.identifiability.requirements import DRAWS
 from bayescal.machines.readings import Legs, Placed
@@ -46,7 +46,8 @@ def compute_audit(inputs: AuditDesign, run: Run) -> Results:
         audit = complete(judged[best], run)
         # simulated calibrations see whether first order holds: of machines without errors that bind the poses together
         bare = judge(audit.inputs.bare()) if config.simulated_calibrations and audit.inputs.sizes else audit
-        simulated, averaged = _simulate(bare, run), None
+        simulated = run.map("simulated calibrations", _simulate_case, bare.inputs, _list_cases(bare))
+        averaged = None
         if config.expected_over_draws:
             averaged = run.once("expected over machines", _average_machines, audit.inputs)
         summary = summarise(audit)
@@ -66,9 +67,7 @@ def compute_audit(inputs: AuditDesign, run: Run) -> Results:
     if averaged is not None:
         for said, share in zip(summary["parameters"].values(), averaged, strict=True):
             said["posterior_sd_over_draws"] = float(share) * said["prior_sd"]
-    for name, (case, calibrations) in simulated.items():
-        summary[name] = _summarise_calibrations(bare, case, calibrations)
-    return Results(summary, tables)
+    return Results(summary | simulated, tables)
 
 
 def choose_best(audits: Mapping[str, Audit]) -> str:
@@ -163,17 +162,6 @@ def _tabulate_profiles(inputs: Planned, profiles: list[Profile]) -> dict[str, pd
 
 
 @dataclass(frozen=True, eq=False)
-class Simulated:
-    """Simulated calibrations beside what was predicted of them: how many, how many converged, how many were redrawn."""
-
-    n: int
-    n_converged: int
-    n_redrawn: int
-    comparison: Comparison
-    kept: dict[str, Kept]  # by requirement
-
-
-@dataclass(frozen=True, eq=False)
 class Case:
     """What is identified in simulated calibrations, and what is predicted of it."""
 
@@ -205,74 +193,56 @@ def _list_cases(audit: Audit) -> dict[str, Case]:
     return cases
 
 
-def _simulate(audit: Audit, run: Run) -> dict[str, tuple[Case, Simulated]]:
-    classes, cases = (Simulated, Comparison, Kept), _list_cases(audit)
-    found = run.map("simulated calibrations", _simulate_case, audit.inputs, cases, classes)
-    return {name: (case, found[name]) for name, case in cases.items()}
-
-
-def _simulate_case(inputs: Planned, case: Case) -> Simulated:
-    n, rng = inputs.config.simulated_calibrations, np.random.default_rng([inputs.config.seed, STREAM])
+def _simulate_case(inputs: Planned, case: Case) -> dict[str, Any]:
+    """Return what simulated calibrations reach beside what is predicted of them, in the config's units."""
+    n, rng, units = (
+        inputs.config.simulated_calibrations,
+        np.random.default_rng([inputs.config.seed, STREAM]),
+        inputs.units,
+    )
     simulated, kept = inputs.simulate(n, rng, case.fitted.tolist())
-    comparison, converged = compare_with_prediction(simulated, case.covariance), int(simulated.converged.sum())
-    beside = {
-        requirement.name: compare_kept(int(number), converged, case.probability[requirement.name], DRAWS)
-        for requirement, number in zip(inputs.requirements, kept, strict=True)
+    found, converged = compare_with_prediction(simulated, case.covariance), int(simulated.converged.sum())
+    fitted, ratios, symbols = np.array(inputs.symbols)[case.fitted], found.by_symbol(), dict[str, Any]()
+    for symbol, ratio in ratios.items():
+        part = np.flatnonzero(fitted == symbol)
+        places = case.fitted[part]
+        unit = inputs.parameters.units[places[0]]
+        scale = inputs.sd[places] / units.factor(unit)
+        deviations = {"claimed_sd": found.claimed, "predicted_sd": found.predicted, "simulated_sd": found.found}
+        symbols[symbol] = {
+            "unit": units.name(unit),
+            **{name: float(np.sqrt(np.mean((value[part] * scale) ** 2))) for name, value in deviations.items()},
+            "ratio": ratio,
+            "ratio_se": float(np.sqrt(np.mean(found.ratio_error[part] ** 2) / len(part))),
+            "coverage_90": float(found.covered[part].mean()),
+            "rms_z": float(np.sqrt(np.mean(found.z[part] ** 2))),
+        }
+    requirements = dict[str, Any]()
+    for required, number in zip(inputs.requirements, kept, strict=True):
+        claimed = case.probability[required.name]
+        one = compare_kept(int(number), converged, claimed, DRAWS)
+        requirements[required.name] = {
+            "claimed_probability": claimed,
+            "kept": one.kept,
+            "n": one.n,
+            "expected_low": one.low,
+            "expected_high": one.high,
+            "agrees": one.agrees,
+        }
+    return {
+        "n": n,
+        "n_converged": converged,
+        "n_redrawn": simulated.n_redrawn,
+        "chi_square": found.chi_square,
+        "chi_square_se": found.chi_square_error,
+        "coverage_90": float(found.covered.mean()),
+        "rms_z": float(np.sqrt(np.mean(found.z**2))),
+        "symbols": symbols,
+        "requirements": requirements,
     }
-    return Simulated(n, converged, simulated.n_redrawn, comparison, beside)
 
 
 def _average_machines(inputs: Planned) -> Array:
     """Return posterior sds in tolerances as root mean squares over machines of the tolerances, shape (n,)."""
     n, rng = inputs.config.expected_over_draws, np.random.default_rng([inputs.config.seed, 7])
     return np.sqrt(np.diagonal(inputs.average(n, rng)))
-
-
-def _summarise_calibrations(audit: Audit, case: Case, simulated: Simulated) -> dict[str, Any]:
-    found = simulated.comparison
-    symbols = [audit.inputs.symbols[k] for k in case.fitted]
-    result = {}
-    for symbol in dict.fromkeys(symbols):
-        part = np.flatnonzero(np.array(symbols) == symbol)
-        result[symbol] = _summarise_symbol(audit, case.fitted[part], part, found)
-    return {
-        "n": simulated.n,
-        "n_converged": simulated.n_converged,
-        "n_redrawn": simulated.n_redrawn,
-        "chi_square": found.chi_square,
-        "chi_square_se": found.chi_square_error,
-        "coverage_90": float(found.covered.mean()),
-        "rms_z": float(np.sqrt(np.mean(found.z**2))),
-        "symbols": result,
-        "requirements": {
-            requirement: {
-                "claimed_probability": case.probability[requirement],
-                "kept": one.kept,
-                "n": one.n,
-                "expected_low": one.low,
-                "expected_high": one.high,
-                "agrees": one.agrees,
-            }
-            for requirement, one in simulated.kept.items()
-        },
-    }
-
-
-def _summarise_symbol(audit: Audit, places: np.ndarray, part: np.ndarray, found: Comparison) -> dict[str, Any]:
-    """Return what simulated calibrations say of a symbol's parameters: places among all, part among those fitted."""
-    inputs, units = audit.inputs, audit.inputs.units
-    unit = inputs.parameters.units[places[0]]
-    scale = inputs.sd[places] / units.factor(unit)
-    claimed, predicted, simulated = (
-        float(np.sqrt(np.mean((value[part] * scale) ** 2))) for value in (found.claimed, found.predicted, found.found)
-    )
-    return {
-        "unit": units.name(unit),
-        "claimed_sd": claimed,
-        "predicted_sd": predicted,
-        "simulated_sd": simulated,
-        "ratio": found.by_symbol()[inputs.symbols[places[0]]],
-        "ratio_se": float(np.sqrt(np.mean(found.ratio_error[part] ** 2) / len(part))),
-        "coverage_90": float(found.covered[part].mean()),
-        "rms_z": float(np.sqrt(np.mean(found.z[part] ** 2))),
-    }
