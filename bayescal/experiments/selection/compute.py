@@ -72,7 +72,7 @@ class JudgedPoses:
     actuators: Array  # (n, N), mm
     moves: Array  # (n, 6): displacements from home, mm and rad
     indices: dict[str, float]  # by name: O1 to O5
-    accuracy: Accuracy | None
+    accuracy: dict[str, float] | None  # after calibrations, by column
     seconds: float  # that the selection took
 
 
@@ -137,27 +137,15 @@ def run_one(inputs: SelectionInputs, task: Task) -> JudgedPoses:
 # --- calibrations ------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class Accuracy:
-    """Pose errors over the workspace after calibrations with one set of poses."""
-
-    # (3,): root mean square over the workspace's poses to first order: of the position's length, mm, of the
-    # rotation's, rad, and of all components in units of their limits
-    predicted: Array
-    simulated: Array  # (B, 3): the same of each machine that was drawn, measured and identified, by the machine itself
-    positions: Array  # (B,): mean over the workspace of the position error, mm
-    parameters: Array  # (B,): root mean square error of the parameters in units of the tolerances
-    # machines that the one as expected cannot fit, or that have no pose somewhere; they count in nothing else
-    n_failed: int
-
-
 def judge_poses(
     inputs: SelectionInputs, actuators: Array, n_machines: int, rng: np.random.Generator, known: bool = True
-) -> Accuracy:
-    """Return what calibrations with poses at actuator positions (n, N) achieve.
+) -> dict[str, float]:
+    """Return predicted and simulated pose errors over the workspace after calibrations with poses at (n, N) actuators.
 
     Machines are drawn within the tolerances, the same ones for the same generator; the identification knows these, or
-    is least squares weighted by the noise.
+    is least squares weighted by the noise. ``simulated`` is the root mean square over machines, comparable with
+    ``predicted`` to first order, with its standard error. Machines that the one as expected cannot fit, or that have no
+    pose somewhere, have failed and count in nothing else.
     """
     seen, weight = inputs.see(actuators), 1.0 if known else UNKNOWN
     # errors of an identification are K Rᵀ ε - w K z with K = (w + Λ)⁻¹, of covariance K (Λ + w²) K; (1 + Λ)⁻¹ for w = 1
@@ -171,15 +159,22 @@ def judge_poses(
     if not good.any():
         raise InputError(f"calibrations: found none of {n_machines} that converged, expected more poses or tolerances")
     square = errors[good] ** 2
-    length = np.sqrt(square[..., :3].sum(axis=-1))
     parts = (square[..., :3], square[..., 3:], square / inputs.limits**2)
-    return Accuracy(
-        np.sqrt([variance[:3].sum(), variance[3:].sum(), (variance / inputs.limits**2).sum()]),
-        np.stack([np.sqrt(part.sum(axis=-1).mean(axis=1)) for part in parts], axis=1),
-        length.mean(axis=1),
-        np.sqrt(np.mean(found.errors[good] ** 2, axis=1)),
-        int(n_machines - good.sum()),
-    )
+    of_machines = np.stack([np.sqrt(part.sum(axis=-1).mean(axis=1)) for part in parts], axis=1) ** 2  # (B, 3)
+    predicted = np.sqrt([variance[:3].sum(), variance[3:].sum(), (variance / inputs.limits**2).sum()])
+    root = np.sqrt(of_machines.mean(axis=0))
+    spread = of_machines.std(axis=0, ddof=1) if len(square) > 1 else np.full(3, np.nan)
+    error = spread / np.sqrt(len(square)) / (2.0 * root)
+    row = dict[str, float]()
+    for k, (part, scale) in enumerate(SCALES.items()):
+        row[f"predicted_{part}"] = float(predicted[k] * scale)
+        row[f"simulated_{part}"] = float(root[k] * scale)
+        row[f"simulated_{part}_se"] = float(error[k] * scale)
+    distances = np.sqrt(square[..., :3].sum(axis=-1)).mean(axis=1)
+    row["mean_position_um"] = float(distances.mean() / MICROMETRE)
+    in_tolerances = np.sqrt(np.mean(found.errors[good] ** 2, axis=1))
+    row["parameters_rms"] = float(np.sqrt(np.mean(in_tolerances**2)))
+    return row | {"n_machines": len(square), "n_failed": int(n_machines - good.sum())}
 
 
 # --- tables ------------------------------------------------------------------------------------------------------
@@ -188,7 +183,8 @@ def judge_poses(
 def tabulate(inputs: SelectionInputs, chosen: list[JudgedPoses]) -> dict[str, pd.DataFrame]:
     """Return all tables of an experiment."""
     selections = tabulate_selections(chosen)
-    errors, error_summary = tabulate_errors(chosen), pd.DataFrame()
+    errors = pd.DataFrame([_key(o.task) | o.accuracy for o in chosen if o.accuracy is not None])
+    error_summary = pd.DataFrame()
     if not errors.empty:
         errors.insert(0, "name", name_ways(errors))
         error_summary = summarise_errors(errors)
@@ -250,32 +246,6 @@ def tabulate_poses(inputs: SelectionInputs, outcomes: list[JudgedPoses]) -> pd.D
         which = pd.DataFrame(_key(outcome.task) | {"pose": np.arange(1, len(where) + 1)})
         parts.append(pd.concat([which, where], axis=1))
     return pd.concat(parts, ignore_index=True)
-
-
-def tabulate_errors(outcomes: list[JudgedPoses]) -> pd.DataFrame:
-    """Return predicted and simulated pose errors over the workspace of each set of poses.
-
-    ``simulated`` is the root mean square over machines, comparable with ``predicted``, with its standard error.
-    """
-    rows = []
-    for outcome in outcomes:
-        accuracy = outcome.accuracy
-        if accuracy is None:
-            continue
-        row: dict[str, object] = {**_key(outcome.task)}
-        square = accuracy.simulated**2
-        root = np.sqrt(square.mean(axis=0))
-        spread = square.std(axis=0, ddof=1) if len(square) > 1 else np.full(3, np.nan)
-        error = spread / np.sqrt(len(square)) / (2.0 * root)
-        for k, (part, scale) in enumerate(SCALES.items()):
-            row[f"predicted_{part}"] = float(accuracy.predicted[k] * scale)
-            row[f"simulated_{part}"] = float(root[k] * scale)
-            row[f"simulated_{part}_se"] = float(error[k] * scale)
-        row["mean_position_um"] = float(accuracy.positions.mean() / MICROMETRE)
-        row["parameters_rms"] = float(np.sqrt(np.mean(accuracy.parameters**2)))
-        row["n_machines"], row["n_failed"] = len(square), accuracy.n_failed
-        rows.append(row)
-    return pd.DataFrame(rows)
 
 
 def name_ways(table: pd.DataFrame) -> pd.Series:
