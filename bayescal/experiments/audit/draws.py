@@ -57,16 +57,6 @@ class SpaceAngle:
     gap: float  # ratio of the remaining variances on both sides of the cut, as the information has them
 
 
-@dataclass(frozen=True)
-class Chance:
-    """How probable it is that no pose of the workspace exceeds a limit."""
-
-    probability: float  # with poses predicted by all draws together
-    # with poses predicted by the machine whose parameters are the posterior means. Where a ridge bends, that
-    # machine lies off it, and predicts worse than any draw
-    of_mean_machine: float
-
-
 @dataclass(frozen=True, eq=False)
 class PosteriorLevel:
     """What draws say of n free parameters."""
@@ -75,7 +65,9 @@ class PosteriorLevel:
     origin: str  # of the draws, in words
     draws: Draws
     angle: SpaceAngle | None  # None where no direction is weak, or all are
-    chances: dict[str, Chance]  # by requirement
+    # by requirement, that no pose of the workspace exceeds its limit: ``probability`` with poses predicted by all draws
+    # together, ``probability_of_mean_machine`` by the machine of the posterior means, which lies off a ridge that bends
+    chances: dict[str, dict[str, float]]
 
     @cached_property
     def covariance(self) -> Array:
@@ -109,10 +101,7 @@ class PosteriorLevel:
                 name: {"mean": float(m), "sd": float(s), "contraction": float(c)}
                 for name, m, s, c in zip(inputs.names, mean, sd, contraction, strict=True)
             },
-            "requirements": {
-                name: {"probability": chance.probability, "probability_of_mean_machine": chance.of_mean_machine}
-                for name, chance in self.chances.items()
-            },
+            "requirements": self.chances,
         }
 
 
@@ -165,7 +154,7 @@ def _covariance(draws: Array) -> Array:
 # --- requirements ------------------------------------------------------------------------------------------------
 
 
-def judge_draws(inputs: Planned, draws: Draws, rng: np.random.Generator) -> dict[str, Chance]:
+def judge_draws(inputs: Planned, draws: Draws, rng: np.random.Generator) -> dict[str, dict[str, float]]:
     """Return how requirements stand by the machine itself, not by its derivatives.
 
     Each draw is one possible true machine. Where its tool is, is predicted by the mean of what all draws predict, or by
@@ -188,7 +177,7 @@ def judge_draws(inputs: Planned, draws: Draws, rng: np.random.Generator) -> dict
     if not possible.any():
         raise InputError("workspace: found poses that the posterior's machines cannot take, expected none")
     by_mean = by_mean[possible]
-    errors = {"probability": by_mean - by_mean.mean(axis=0), "of_mean_machine": by_mean}
+    errors = {"probability": by_mean - by_mean.mean(axis=0), "probability_of_mean_machine": by_mean}
     root = np.swapaxes(root_of(forecast.noise), -1, -2)
     good = {name: np.zeros(len(inputs.requirements)) for name in errors}
     for _ in range(NOISES):
@@ -197,8 +186,7 @@ def judge_draws(inputs: Planned, draws: Draws, rng: np.random.Generator) -> dict
             good[name] += [r.keeps(error + added).sum() for r in inputs.requirements]
     n = NOISES * len(values)
     return {
-        r.name: Chance(**{name: float(count[k]) / n for name, count in good.items()})
-        for k, r in enumerate(inputs.requirements)
+        r.name: {name: float(count[k]) / n for name, count in good.items()} for k, r in enumerate(inputs.requirements)
     }
 
 

@@ -140,7 +140,7 @@ def run_one(inputs: SelectionInputs, task: Task) -> JudgedPoses:
 def judge_poses(
     inputs: SelectionInputs, actuators: Array, n_machines: int, rng: np.random.Generator, known: bool = True
 ) -> dict[str, float]:
-    """Return predicted and simulated pose errors over the workspace after calibrations with poses at (n, N) actuators.
+    """Return pose errors over the workspace after calibrations with poses at actuator positions (n, N), as a row.
 
     Machines are drawn within the tolerances, the same ones for the same generator; the identification knows these, or
     is least squares weighted by the noise. ``simulated`` is the root mean square over machines, comparable with
