@@ -323,12 +323,7 @@ def _write(tmp_path, text, base=REFERENCE):
 
 
 FAULTS = {
-    "zero tolerance": ('[parameters]\nl = { prior = "normal", sd = 0.0 }', "parameters.l.*found 0"),
     "unknown parameter": ('[parameters]\nq_x = { prior = "normal", sd = 1.0 }', "found 'q_x'.*some of a_x"),
-    "unknown sensor": (
-        '[[variants]]\nmodel = "six_pus"\nsensors = ["theodolite"]',
-        "sensor 'theodolite': unknown here, expected some of rho",
-    ),
     "unknown sensor in a what-if": (
         '[[what_if]]\nname = "w"\nsensors = ["theodolite"]',
         "sensor 'theodolite': unknown here",

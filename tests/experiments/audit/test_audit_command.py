@@ -83,16 +83,6 @@ def test_a_design_at_fault_is_one_line_and_nothing_is_written(call, design, tmp_
     assert not (tmp_path / "out").exists()
 
 
-def test_other_directories_are_left_alone(call, design, tmp_path):
-    precious = tmp_path / "precious"
-    precious.mkdir()
-    (precious / "notes.txt").write_text("mine")
-    code, _, complaint = call("audit", design, "--out", precious, "--workers", 1)
-    assert code == 2
-    assert "holds no results" in complaint
-    assert [path.name for path in precious.iterdir()] == ["notes.txt"]
-
-
 def test_a_posterior_that_did_not_converge_is_exit_code_3(call, design, tmp_path, monkeypatch, no_pictures):
     design.write_text(SMALL.replace("simulated_calibrations = 4", "simulated_calibrations = 0"))
     studies.edit(design, "expected_over_draws = 3", "expected_over_draws = 0")

@@ -7,7 +7,6 @@ import pytest
 from scipy.optimize import least_squares
 from sika_problems import make_problem
 
-from bayescal.errors import InputError
 from sika2008.sensors import find_poses
 from sika2008.simulate import BATCH, calibrate, unweighted
 
@@ -123,8 +122,6 @@ def test_a_machine_without_solution_says_so_and_spoils_no_other():
 def test_too_few_poses_have_no_solution_without_priors():
     sensors, free, pose = make_problem(4, 17)  # 17 equations for 18 parameters
     _, measured = measure(sensors, free, pose, 2)
-    with pytest.raises(InputError, match=r"found 17 equations .* for 18 parameters"):
-        sensors.check(17, 18)
     found = calibrate(unweighted(sensors), free, measured, pose, False)
     assert not found.converged.any()
     assert np.isnan(found.covariance).all()

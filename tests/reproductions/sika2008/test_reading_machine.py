@@ -22,24 +22,6 @@ def test_noise_of_single_sensors_goes_before_that_of_their_kind():
     assert len(build_sensors(model, NOISE).chosen) == 12
 
 
-LENGTH, ANGLE = SensorConfig(noise_um=1.0), SensorConfig(noise_arcsec=1.0)
-
-
-@pytest.mark.parametrize(
-    ("sensors", "names", "match"),
-    [
-        ({"s": LENGTH}, ["s", "phi[1]"], r"sensor phi\[1\]: found no noise, expected an entry in \[sensors\]"),
-        ({"s": LENGTH, "theta": ANGLE}, ["s"], r"sensor 'theta': unknown here, expected some of s\[1\]"),
-        ({"s": LENGTH}, ["s", "s[7]"], r"sensor 's\[7\]': unknown here"),
-        ({"s": ANGLE}, None, r"sensors.s\[1\]: found noise_arcsec, expected noise_um, for it reads a length"),
-        ({"psi": LENGTH}, None, r"sensors.psi\[1\]: found noise_um, expected noise_arcsec, for it reads an angle"),
-    ],
-)
-def test_faults_of_sensors_are_named(sensors, names, match):
-    with pytest.raises(InputError, match=match):
-        build_sensors(sliding_star(), sensors, names)
-
-
 def test_tolerances_by_what_a_parameter_is():
     model = sliding_star()
     free = free_parameters(model, ("s[1]", "s[2]", "s[3]", "s[4]", "phi[3]"), TOLERANCES)
@@ -67,12 +49,6 @@ def test_poses_lie_within_half_widths_of_home():
     assert (off.max(axis=0) > 145.0).all()
     assert turned.max() > 19.0
     np.testing.assert_allclose(poses_about_home(model, np.zeros((1, 3)))[0], model.home_pose, atol=1e-12)
-
-
-def test_poses_out_of_reach_are_named():
-    config = PosesConfig(n_poses=50, position_mm=450.0, angle_deg=20.0)
-    with pytest.raises(InputError, match=r"pose \d+: leg \d cannot reach it, found \d+"):
-        draw_poses(sliding_star(), config, np.random.default_rng(3))
 
 
 def test_guide_angles_in_radians_are_found_out(tmp_path):
