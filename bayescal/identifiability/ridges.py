@@ -65,19 +65,15 @@ def describe_ridges(
 
 
 def round_step(direction: Direction, sd: Array, kinds: Sequence[str], units: Units) -> Array:
-    """Return the move (n,) for a round step of a ridge's pivot, at most a tolerance, in inner units."""
+    """Return the move (n,), inner units, for a round step of a ridge's pivot, at most a tolerance."""
     pivot = direction.pivot
     assert pivot is not None
     factor = units.factor(kinds[pivot])
-    largest = sd[pivot] * min(1.0, np.abs(direction.vector[pivot]) / np.abs(direction.vector).max())
+    largest = sd[pivot] * min(1.0, np.abs(direction.vector[pivot]) / np.abs(direction.vector).max()) / factor
+    power = 10.0 ** np.floor(np.log10(largest))
+    step = float(max(nice for nice in NICE if nice * power <= largest * (1 + 1e-9)) * power)
     natural = direction.vector * sd
-    return np.asarray(natural / natural[pivot] * factor * round_below(largest / factor))
-
-
-def round_below(value: float) -> float:
-    """Return the largest of 1, 2, 5 times a power of ten not above a value."""
-    power = 10.0 ** np.floor(np.log10(value))
-    return float(max(nice for nice in NICE if nice * power <= value * (1 + 1e-9)) * power)
+    return np.asarray(natural / natural[pivot] * factor * step)
 
 
 # --- words -------------------------------------------------------------------------------------------------------
@@ -118,14 +114,8 @@ def describe_move(
 
 
 def _amount(unit: str, move: float, units: Units) -> str:
-    value = move / units.factor(unit)
-    text = f"{value:+.3g}".replace("-", "\u2212")
-    return text if unit == "1" else f"{text} {_name(unit, units)}"
-
-
-def _name(unit: str, units: Units) -> str:
-    name = units.name(unit)
-    return WRITTEN.get(name, name)
+    text, name = f"{move / units.factor(unit):+.3g}".replace("-", "\u2212"), units.name(unit)
+    return text if unit == "1" else f"{text} {WRITTEN.get(name, name)}"
 
 
 def _join(parts: list[str]) -> str:

@@ -34,7 +34,10 @@ NEAR = 0.95  # of the box: a pose beyond counts as at its boundary
 
 def compute_selections(inputs: SelectionInputs, run: Run) -> Results:
     """Return what an experiment found."""
-    chosen = run_tasks(inputs, run)
+    tasks = {f"{k} {task.label} {task.criterion} {task.n_poses}": task for k, task in enumerate(list_tasks(inputs))}
+    longest = dict(sorted(tasks.items(), key=lambda pair: -pair[1].n_poses))
+    found = run.map("selections", run_one, inputs, longest, (JudgedPoses,))
+    chosen = [found[name] for name in tasks]
     summary = {
         "name": inputs.config.name,
         "machine": inputs.design.machine.mechanism.name,
@@ -103,14 +106,6 @@ def check_problems(inputs: SelectionInputs) -> None:
         for criterion in map(label_class, choice.criteria):
             for n in {min(choice.n_poses), max(choice.n_poses)}:
                 SelectionProblem(candidates, inputs.criterion(criterion), n, inputs.measured)
-
-
-def run_tasks(inputs: SelectionInputs, run: Run) -> list[JudgedPoses]:
-    """Return the outcomes of all tasks, in their order."""
-    tasks = {f"{k} {task.label} {task.criterion} {task.n_poses}": task for k, task in enumerate(list_tasks(inputs))}
-    longest = dict(sorted(tasks.items(), key=lambda pair: -pair[1].n_poses))
-    found = run.map("selections", run_one, inputs, longest, (JudgedPoses,))
-    return [found[name] for name in tasks]
 
 
 def run_one(inputs: SelectionInputs, task: Task) -> JudgedPoses:
@@ -183,6 +178,7 @@ def judge_poses(
 def tabulate(inputs: SelectionInputs, chosen: list[JudgedPoses]) -> dict[str, pd.DataFrame]:
     """Return all tables of an experiment."""
     selections = tabulate_selections(chosen)
+    best = selections.groupby(KEY, sort=False)["value"].agg(["max", "mean", "std", "count"]).reset_index()
     errors = pd.DataFrame([_key(o.task) | o.accuracy for o in chosen if o.accuracy is not None])
     error_summary = pd.DataFrame()
     if not errors.empty:
@@ -193,7 +189,7 @@ def tabulate(inputs: SelectionInputs, chosen: list[JudgedPoses]) -> dict[str, pd
     return {
         **({} if classes.empty else {"classes": classes}),
         "selections": selections,
-        "selection_summary": summarise_selections(selections),
+        "selection_summary": best.rename(columns={"max": "best", "std": "sd", "count": "repeats"}),
         "poses": tabulate_poses(inputs, chosen),
         "traces": _tabulate_values([o for o in chosen if not o.task.is_histogram], "iteration"),
         "random_sets": _tabulate_values([o for o in chosen if o.task.is_histogram], "set"),
@@ -261,13 +257,6 @@ def name_ways(table: pd.DataFrame) -> pd.Series:
     one_label = len(found) == found["criterion"].nunique()
     names = table["criterion"] if one_label else table["label"] + ", " + table["criterion"]
     return names.mask(plain, table["label"])
-
-
-def summarise_selections(selections: pd.DataFrame) -> pd.DataFrame:
-    """Return the criterion's best, mean and standard deviation over repeats."""
-    groups = selections.groupby(KEY, sort=False)["value"]
-    table = groups.agg(["max", "mean", "std", "count"]).reset_index()
-    return table.rename(columns={"max": "best", "std": "sd", "count": "repeats"})
 
 
 def summarise_errors(errors: pd.DataFrame) -> pd.DataFrame:

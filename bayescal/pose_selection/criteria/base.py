@@ -113,6 +113,18 @@ class ObservabilityCriterion(Criterion):
         return identification_rows(seen, self.form)
 
 
+class BayesianCriterion(Criterion):
+    """A criterion that counts prior and noise."""
+
+    def rows(self, seen: SeenPoses) -> Array:
+        """Return the identification Jacobian in units of noise and tolerances, shape (P, k, L)."""
+        return seen.rows
+
+    def prior_rows(self, n_parameters: int) -> Array:
+        """Return the identity: in units of the tolerances the prior is a standard normal."""
+        return np.eye(n_parameters)
+
+
 class Scorer(ABC):
     """A set of candidates with what it is worth.
 

@@ -9,9 +9,8 @@ from typing import ClassVar
 import numpy as np
 
 from bayescal.numerics.geometry import Array
-from bayescal.pose_selection.criteria.base import Criterion, ObservabilityCriterion, Scorer
+from bayescal.pose_selection.criteria.base import BayesianCriterion, Criterion, ObservabilityCriterion, Scorer
 from bayescal.pose_selection.criteria.updates import UpdateScorer
-from bayescal.pose_selection.design import SeenPoses
 from bayescal.pose_selection.observability import singular_values
 
 
@@ -90,20 +89,12 @@ class O1(ObservabilityCriterion, LogDet):
 
 
 @dataclass(frozen=True, eq=False)
-class DOptimality(LogDet):
+class DOptimality(BayesianCriterion, LogDet):
     """½ log det(1 + Λ): what the poses tell of the parameters, in nats, prior and noise counted."""
 
     name: ClassVar[str] = "D"
     title: ClassVar[str] = "Information gained, nats"
     source: ClassVar[str] = "Lindley 1956; Chaloner and Verdinelli 1995: Bayesian D-optimality"
-
-    def rows(self, seen: SeenPoses) -> Array:
-        """Return the identification Jacobian in units of noise and tolerances, shape (P, k, L)."""
-        return seen.rows
-
-    def prior_rows(self, n_parameters: int) -> Array:
-        """Return the identity: in units of the tolerances the prior is a standard normal."""
-        return np.eye(n_parameters)
 
     def from_log_det(self, log_det: Array, n_poses: int, n_parameters: int) -> Array:
         """Return half of log det(1 + Λ)."""

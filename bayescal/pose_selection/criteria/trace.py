@@ -11,26 +11,17 @@ import numpy as np
 
 from bayescal.errors import InputError
 from bayescal.numerics.geometry import Array
-from bayescal.pose_selection.criteria.base import Criterion, Purpose, Scorer
+from bayescal.pose_selection.criteria.base import BayesianCriterion, Purpose, Scorer
 from bayescal.pose_selection.criteria.updates import UpdateScorer, solve_last
-from bayescal.pose_selection.design import SeenPoses
 
 
 @dataclass(frozen=True, eq=False)
-class BayesianTrace(Criterion):
+class BayesianTrace(BayesianCriterion):
     """Minus a weighted trace of the posterior covariance, tr(Q (1 + Λ)⁻¹)."""
 
     @abstractmethod
     def weight_root(self, n_parameters: int) -> Array:
         """Return W with Q = WᵀW, shape (q, L), in units of the tolerances."""
-
-    def rows(self, seen: SeenPoses) -> Array:
-        """Return the identification Jacobian in units of noise and tolerances, shape (P, k, L)."""
-        return seen.rows
-
-    def prior_rows(self, n_parameters: int) -> Array:
-        """Return the identity: in units of the tolerances the prior is a standard normal."""
-        return np.eye(n_parameters)
 
     def value(self, rows: Array, n_poses: int) -> Array:
         """Return minus the trace for stacked rows (..., R, L), shape (...)."""

@@ -71,6 +71,9 @@ def _build_sections(audit: AuditResults) -> tuple[Section, ...]:
     requirements = (*_if_any(tables.tabulate_requirements(audit)), figures.show_requirements(audit))
     changes = (*_if_any(tables.tabulate_changes(audit)), figures.show_changes(audit))
     helped = _fold("For each weak combination the best change", tables.tabulate_ridge_help(audit))
+    sets = _if_any(tables.tabulate_sets(audit))
+    steps = _fold("How the reduced set is found", tables.tabulate_selection(audit))
+    steps = steps or (Absent("No reduced set was looked for."),)
     profiles = (figures.show_profiles(audit), *_if_any(tables.tabulate_profiles(audit)))
     simulated = tuple(tables.tabulate_simulated(audit))
     left_out = Absent("Left out: the design asks for no simulated calibrations.")
@@ -79,7 +82,7 @@ def _build_sections(audit: AuditResults) -> tuple[Section, ...]:
         *((accuracy,) if accuracy is not None else ()),
         Section("Parameters: what will be known", _show_parameters(audit), "parameters", "Parameters"),
         Section("Undetermined combinations", (RIDGES if ridges else NO_RIDGES, *ridges), "ridges", "Ridges"),
-        Section("What to free", _show_selection(audit), "selection"),
+        Section("What to free", (Statement(FREEDOM), *sets, *steps), "selection"),
         Section("Requirements", requirements, "requirements"),
         *show_model_error(audit),
         *show_sets(audit),
@@ -103,12 +106,6 @@ def _show_parameters(audit: AuditResults) -> tuple[Block, ...]:
         Fold("Every parameter with the reason of its verdict", (tables.tabulate_parameters(audit),)),
         figures.show_spectrum(audit),
     )
-
-
-def _show_selection(audit: AuditResults) -> tuple[Block, ...]:
-    steps = _fold("How the reduced set is found", tables.tabulate_selection(audit))
-    absent = (Absent("No reduced set was looked for."),)
-    return (Statement(FREEDOM), *_if_any(tables.tabulate_sets(audit)), *(steps or absent))
 
 
 def _show_draws(audit: AuditResults) -> tuple[Block, ...]:

@@ -163,25 +163,23 @@ def tabulate_parameters(results: AuditResults) -> Table:
 
 def build_ridges(results: AuditResults) -> tuple[Card, ...]:
     """Return all groups of ridges, never seen ones first: one sentence for each kind, the other legs behind it."""
-    return tuple(_build_card(results, group) for group in results.groups)
-
-
-def _build_card(results: AuditResults, ridges: list[Ridge]) -> Card:
-    first, structural = ridges[0], ridges[0].kind == "structural"
-    legs = sorted(leg for leg in (split_name(r.pivot)[1] for r in ridges) if leg)
-    where = f"{results.member}{'s' if len(legs) > 1 else ''} {', '.join(map(str, legs))}" if legs else "machine"
-    level, words = EFFECTS[min((ridge.effect for ridge in ridges), key=list(EFFECTS).index)]
-    kind = Cell("never seen", "bad") if structural else Cell("weak", "warning")
-    facts = _describe_ridges(results, ridges)
-    if not structural and (best := choose_for_ridge(results, first.pivot)) is not None:
-        facts.append(
-            f"Best of the changes looked at: “{best[0].name}”, contraction {format_contraction(best[1])} on the "
-            f"{results.member} shown."
-        )
-    others = tuple(ridge.sentence for ridge in ridges[1:])
-    more = f"{len(others)} more of this kind"
-    symbol = split_name(first.pivot)[0]
-    return Card(symbol, where, (kind, Cell(words, level)), first.sentence, tuple(facts), more, others)
+    cards = []
+    for ridges in results.groups:
+        first, structural = ridges[0], ridges[0].kind == "structural"
+        legs = sorted(leg for leg in (split_name(r.pivot)[1] for r in ridges) if leg)
+        where = f"{results.member}{'s' if len(legs) > 1 else ''} {', '.join(map(str, legs))}" if legs else "machine"
+        level, words = EFFECTS[min((ridge.effect for ridge in ridges), key=list(EFFECTS).index)]
+        kind = Cell("never seen", "bad") if structural else Cell("weak", "warning")
+        facts = _describe_ridges(results, ridges)
+        if not structural and (best := choose_for_ridge(results, first.pivot)) is not None:
+            facts.append(
+                f"Best of the changes looked at: “{best[0].name}”, contraction {format_contraction(best[1])} on the "
+                f"{results.member} shown."
+            )
+        others = tuple(ridge.sentence for ridge in ridges[1:])
+        more, symbol = f"{len(others)} more of this kind", split_name(first.pivot)[0]
+        cards.append(Card(symbol, where, (kind, Cell(words, level)), first.sentence, tuple(facts), more, others))
+    return tuple(cards)
 
 
 def _describe_ridges(results: AuditResults, ridges: list[Ridge]) -> list[str]:
