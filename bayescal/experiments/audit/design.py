@@ -13,7 +13,7 @@ from bayescal.experiments.audit.audit import check_changes
 from bayescal.experiments.audit.machine import PlannedMachine
 from bayescal.experiments.audit.measured import Draws, MeasuredMachine, centre, describe_found, read_measured
 from bayescal.experiments.audit.planned import Planned, find_true_sizes
-from bayescal.experiments.audit.pose_sensors import build_instruments, find_channels, read_pose_sensors
+from bayescal.experiments.audit.pose_sensors import ON_TOOL, find_channels, read_pose_sensors
 from bayescal.experiments.audit.schema import AuditConfig, VariantConfig
 from bayescal.experiments.audit.sensor_sets import SensorChoice, list_choices
 from bayescal.experiments.frame.load import load_kind
@@ -27,7 +27,7 @@ from bayescal.experiments.shared.readings.workspace import build_workspace
 from bayescal.identifiability.profile import check_profiles
 from bayescal.identifiability.reading_rows import name_tool, typical_given
 from bayescal.identifiability.requirements import Requirement
-from bayescal.machines.readings import Legs, ReadingModel, place
+from bayescal.machines.readings import Legs, PoseInstrument, ReadingModel, place
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import Units
 
@@ -60,7 +60,7 @@ def read_design(config: AuditConfig, folder: Path) -> AuditDesign:
         return AuditDesign(config, {}, read_measured(config, folder))
     assert config.machine is not None
     path, sensors = folder / config.machine, read_pose_sensors(config, folder)
-    instruments = read_instruments(config.instruments, folder) | build_instruments(sensors)
+    instruments = read_instruments(config.instruments, folder) | {name: PoseInstrument(ON_TOOL) for name in sensors}
     models, symbols = dict[tuple[str | None, str], ReadingModel](), set[str]()
     for one in config.variants:
         with name_faults("" if one is config.variants[0] else f"variant {one.name!r}"):

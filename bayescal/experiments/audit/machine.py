@@ -60,34 +60,26 @@ class PlannedMachine:
             table, names = read_named(self.folder / section.file, known, expected)
             return PlannedPoses(names, read_quantities(table, model.coordinates), read_given(table, model.given))
         check_given(config.given, model)
-        rng, theta = np.random.default_rng([config.seed, 8]), self._expect()
+        rng, layout = np.random.default_rng([config.seed, 8]), model.layout
+        priors, fixed, _ = choose_priors(config, FreeConfig(), layout, self.symbols)
+        expects = fixed | {name: one.mean for name, one in priors.items()}
+        expected = [expects.get(name, value) for name, value in zip(layout.names, layout.nominal, strict=True)]
+        theta = np.array(expected)
         if section.configurations is not None:
-            moves = self._read_moves(section)
-            middle, given = find_middle(model, theta), draw_given(config.given, len(moves), rng)
-            return locate(model, theta, middle, moves, given)
+            path, commanded = self.folder / section.configurations, model.select(model.commanded)
+            lengths = [model.channels[k].unit == "mm" for k in commanded]
+            moves = read_matrix(path, len(lengths)) * np.where(lengths, section.unit_mm, 1.0)
+            with name_faults(path):
+                check_moves(moves)
+            if np.isfinite(limits := model.command_range).all():  # displacements are from the middle of the range
+                middle = limits.mean(axis=1)
+            else:  # or, without any, from home
+                home = model.read(theta, model.home_pose[None], {name: np.ones(1) for name in model.given})
+                middle = home[0, commanded]
+            return locate(model, theta, middle, moves, draw_given(config.given, len(moves), rng))
         assert section.count is not None
         given = draw_given(config.given, section.count, rng)
-        if section.plan != "workspace":
-            return plan_commands(model, theta, section, given, config.seed)
-        pose, _ = draw_standing(model, self.workspace.widen(factor), theta, given, section.count, rng)
-        return PlannedPoses(count_poses(section.count), pose, given)
-
-    def _expect(self) -> Array:
-        """Return the machine as expected, shape (D,)."""
-        layout = self.model.layout
-        priors, fixed, _ = choose_priors(self.config, FreeConfig(), layout, self.symbols)
-        expects = fixed | {name: one.mean for name, one in priors.items()}
-        return np.array([expects.get(name, value) for name, value in zip(layout.names, layout.nominal, strict=True)])
-
-    def _read_moves(self, section: PosesConfig) -> Array:
-        """Return displacements of the actuators (P, C) from a file, in the channels' units."""
-        assert section.configurations is not None
-        path, model = self.folder / section.configurations, self.model
-        units = [model.channels[k].unit for k in model.select(model.commanded)]
-        moves = read_matrix(path, len(units)) * np.where([unit == "mm" for unit in units], section.unit_mm, 1.0)
-        with name_faults(path):
-            check_moves(moves)
-        return np.asarray(moves)
+        return plan_random(model, theta, section, given, self.workspace.widen(factor), rng, config.seed)
 
     # --- variants ----------------------------------------------------------------------------------------------------
 
@@ -180,32 +172,31 @@ class PlannedMachine:
 # --- actuator positions ----------------------------------------------------------------------------------------------
 
 
-def plan_commands(model: ReadingModel, theta: Array, section: PosesConfig, given: Given, seed: int) -> PlannedPoses:
-    """Return poses of random actuator positions of a machine (D,).
+def plan_random(
+    model: ReadingModel,
+    theta: Array,
+    section: PosesConfig,
+    given: Given,
+    workspace: Workspace,
+    rng: np.random.Generator,
+    seed: int,
+) -> PlannedPoses:
+    """Return random poses of a workspace by a generator, or of random actuator positions of a machine (D,) by a seed.
 
     InputError where the actuators have no range, or there is a position at which the machine cannot stand.
     """
+    assert section.count is not None
+    if section.plan == "workspace":
+        pose, _ = draw_standing(model, workspace, theta, given, section.count, rng)
+        return PlannedPoses(count_poses(section.count), pose, dict(given))
     limits = model.command_range
     if not len(limits) or not np.isfinite(limits).all():
         raise InputError(f"poses.plan: found {section.plan!r}, but no range of the actuators, expected 'workspace'")
-    assert section.count is not None
     half = 0.5 * (limits[:, 1] - limits[:, 0]) if section.range_mm is None else section.range_mm
     rng = np.random.default_rng([seed, 1])
     shape = section.count, len(limits)
     shares = rng.integers(-1, 2, shape) if section.plan == "extremes" else rng.uniform(-1.0, 1.0, shape)
     return locate(model, theta, limits.mean(axis=1), np.asarray(half * shares), given)
-
-
-def find_middle(model: ReadingModel, theta: Array) -> Array:
-    """Return where displacements of the actuators are zero: in the middle of their range, or at home without any, (C,).
-
-    Of a machine (D,).
-    """
-    limits = model.command_range
-    if np.isfinite(limits).all():
-        return np.asarray(limits.mean(axis=1))
-    home = model.read(theta, model.home_pose[None], {name: np.ones(1) for name in model.given})
-    return np.asarray(home[0, model.select(model.commanded)])
 
 
 def locate(model: ReadingModel, theta: Array, middle: Array, moves: Array, given: Given) -> PlannedPoses:

@@ -21,14 +21,14 @@ from bayescal.density.calibration.model_error import FunctionsOfPose, Independen
 from bayescal.density.calibration.terms import Errors, ErrorTerm
 from bayescal.density.priors import NormalPrior, Prior
 from bayescal.errors import InputError
-from bayescal.experiments.audit.machine import plan_commands
-from bayescal.experiments.audit.planned import PlannedPoses, count_poses
+from bayescal.experiments.audit.machine import plan_random
+from bayescal.experiments.audit.planned import PlannedPoses
 from bayescal.experiments.audit.schema import AuditConfig, PosesConfig, VariantConfig
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.shared.measured import MeasuredReadings, measure_variants
 from bayescal.experiments.shared.readings.inputs import Variant
-from bayescal.experiments.shared.readings.workspace import Workspace, build_workspace, check_told, draw_standing
+from bayescal.experiments.shared.readings.workspace import Workspace, build_workspace, check_told
 from bayescal.experiments.shared.study_schema import VariantConfig as FittedConfig
 from bayescal.experiments.shared.study_schema import name_variant
 from bayescal.identifiability.reading_rows import typical_given
@@ -81,12 +81,10 @@ class MeasuredMachine:
         """Return random poses of a workspace so many times as wide, or of the actuators; InputError for a file."""
         if section.count is None:
             raise InputError("poses: found a file beside [data], expected a count")
-        posterior, rng, seed = self.found.posterior, np.random.default_rng([self.config.seed, 8]), self.config.seed
+        posterior, seed = self.found.posterior, self.config.seed
         given, theta = typical_given(posterior.likelihood.data.given, section.count), posterior.sampling.start
-        if section.plan != "workspace":
-            return plan_commands(self.model, theta, section, given, seed)
-        pose, _ = draw_standing(self.model, self.workspace.widen(factor), theta, given, section.count, rng)
-        return PlannedPoses(count_poses(section.count), pose, given)
+        workspace, rng = self.workspace.widen(factor), np.random.default_rng([seed, 8])
+        return plan_random(self.model, theta, section, given, workspace, rng, seed)
 
     def build(self, section: VariantConfig, planned: PlannedPoses) -> Variant:
         """Return the variant at poses, of others than those measured seen as well as these on average."""

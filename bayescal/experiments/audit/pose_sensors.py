@@ -15,10 +15,13 @@ from bayescal.errors import InputError
 from bayescal.experiments.audit.schema import AuditConfig
 from bayescal.experiments.shared.design import build_sensor
 from bayescal.experiments.shared.readings.schema import ChannelConfig
-from bayescal.machines.readings import Instrument, PoseInstrument, ReadingModel
+from bayescal.machines.readings import PoseInstrument, ReadingModel
 from bayescal.machines.sensors import Sensor
 from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array, matrix_from_rotation_vector
 
+NOWHERE = [0.0, 0.0, 0.0]
+ON_TOOL = PoseInstrument.Config(frame_mm=NOWHERE, frame_deg=NOWHERE, target_mm=NOWHERE)
+"""An instrument that sees poses of the tool in the base frame, its own frames at zero."""
 BLIND = 1e-12  # of the largest eigenvalue of a pose's information, below which it does not determine its coordinates
 
 
@@ -49,13 +52,6 @@ def read_pose_sensors(config: AuditConfig, folder: Path) -> dict[str, Sensor]:
     """Return the sensors of a config that have a kind, by name."""
     sections = {name: one for name, one in config.sensors.items() if not isinstance(one, ChannelConfig)}
     return {name: build_sensor(name, one, folder) for name, one in sections.items()}
-
-
-def build_instruments(sensors: Mapping[str, Sensor]) -> dict[str, Instrument]:
-    """Return an instrument for each sensor, that sees poses of the tool in the base frame, its own frames at zero."""
-    nowhere = [0.0, 0.0, 0.0]
-    config = PoseInstrument.Config(frame_mm=nowhere, frame_deg=nowhere, target_mm=nowhere)
-    return {name: PoseInstrument(config) for name in sensors}
 
 
 def find_channels(sensors: Mapping[str, Sensor], model: ReadingModel) -> dict[str, PoseSensor]:
