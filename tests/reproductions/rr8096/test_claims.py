@@ -171,16 +171,14 @@ def test_shift_at_the_base_grows_with_the_flexure(telescope):
     assert shift.value == pytest.approx(2.0 * run(geometry.parasitic_shift, telescope)[name].value)
 
 
-def test_circle(telescope, monkeypatch):
-    assert verdict_of(geometry.circle, telescope) == HOLDS
-    monkeypatch.setattr(geometry, "CIRCLE", 0.5)  # the ideal pivot's
-    assert verdict_of(geometry.circle, telescope) == FAILS
-
-
-def test_least_configurations(telescope, monkeypatch):
-    assert verdict_of(geometry.least_configurations, telescope) == HOLDS
-    monkeypatch.setattr(geometry, "PARAMETERS_PER_LEG", 9)
-    assert verdict_of(geometry.least_configurations, telescope) == FAILS
+@pytest.mark.parametrize(
+    ("function", "constant", "value"),
+    [(geometry.circle, "CIRCLE", 0.5), (geometry.least_configurations, "PARAMETERS_PER_LEG", 9)],  # of an ideal pivot
+)
+def test_what_is_counted_holds_as_printed(telescope, monkeypatch, function, constant, value):
+    assert verdict_of(function, telescope) == HOLDS
+    monkeypatch.setattr(geometry, constant, value)
+    assert verdict_of(function, telescope) == FAILS
 
 
 def test_derivative_factor(telescope, monkeypatch):
@@ -343,16 +341,17 @@ def test_initial_positions_accuracy(telescope, sharp, monkeypatch):
     assert verdict_of(identification.initial_positions_accuracy, moved) == FAILS
 
 
-@pytest.mark.parametrize(("u_x", "verdict"), [(0.15, HOLDS), (0.02, FAILS)])
-def test_directions_far(telescope, u_x, verdict):
-    evidence = with_offsets(telescope, {"six_pus/none": {"u_x": u_x}})
-    assert verdict_of(identification.directions_far, evidence) == verdict
-
-
-@pytest.mark.parametrize(("moved", "verdict"), [(0.05, HOLDS), (0.5, FAILS)])
-def test_same_parameters(telescope, moved, verdict):
-    evidence = with_offsets(telescope, {"six_pus/none": {"b_x": 2.0}, "six_pus/linear": {"b_x": 2.0 + moved}})
-    assert verdict_of(identification.same_parameters, evidence) == verdict
+@pytest.mark.parametrize(
+    ("function", "offsets", "verdict"),
+    [
+        (identification.directions_far, {"six_pus/none": {"u_x": 0.15}}, HOLDS),
+        (identification.directions_far, {"six_pus/none": {"u_x": 0.02}}, FAILS),
+        (identification.same_parameters, {"six_pus/none": {"b_x": 2.0}, "six_pus/linear": {"b_x": 2.05}}, HOLDS),
+        (identification.same_parameters, {"six_pus/none": {"b_x": 2.0}, "six_pus/linear": {"b_x": 2.5}}, FAILS),
+    ],
+)
+def test_claims_on_offsets(telescope, function, offsets, verdict):
+    assert verdict_of(function, with_offsets(telescope, offsets)) == verdict
 
 
 def test_direction_takes_kappa(telescope):

@@ -220,14 +220,3 @@ def test_rotation_is_the_printed_one():
 def test_coordinates_come_back():
     q = np.random.default_rng(0).uniform(-1.0, 1.0, (4, 5, 6))
     np.testing.assert_allclose(coordinates_from_pose(*pose_from_coordinates(q)), q, atol=1e-14)
-
-
-def test_rates_match_differences():
-    q = np.random.default_rng(1).uniform(-0.5, 0.5, (7, 6))
-    position, rotation = pose_from_coordinates(q)
-    rates = angle_rates(rotation)
-    for k in range(3):
-        step = 1e-6 * np.eye(3)[k]
-        ahead = coordinates_from_pose(position, matrix_from_rotation_vector(np.tile(step, (7, 1))) @ rotation)
-        behind = coordinates_from_pose(position, matrix_from_rotation_vector(np.tile(-step, (7, 1))) @ rotation)
-        np.testing.assert_allclose(rates[..., k], (ahead - behind)[:, 3:] / 2e-6, atol=1e-9)
