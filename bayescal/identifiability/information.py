@@ -45,8 +45,7 @@ class Information:
     def covariance(self) -> Array:
         """Posterior covariance in units of the tolerances, shape (n, n)."""
         values, vectors = self.spectrum()
-        result: Array = (vectors / (1.0 + values)) @ vectors.T
-        return result
+        return np.asarray((vectors / (1.0 + values)) @ vectors.T)
 
     @cached_property
     def contraction(self) -> Array:

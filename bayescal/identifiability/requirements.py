@@ -124,8 +124,7 @@ class Forecast:
         Of a covariance of parameters and functions together (`Information.join`) those that functions cause, too.
         """
         slope = self.slope if geometry.shape[-1] == self.slope.shape[-1] else self._whole
-        result: Array = slope @ geometry @ np.swapaxes(slope, -1, -2)
-        return result
+        return np.asarray(slope @ geometry @ np.swapaxes(slope, -1, -2))
 
     def effect(self, vector: Array) -> Array:
         """Return what a move along a direction (n,) does to the poses, shape (W, c)."""
@@ -148,11 +147,11 @@ class Forecast:
         identity, noise = np.eye(self._whole.shape[-1]), self.noise
         prior, after = self.covariance(identity), self.covariance(information.joint)
         geometry = self.covariance(information.covariance)
-        before, _, _ = self._probabilities(requirements, identity, rng)
-        later, everywhere, together = self._probabilities(requirements, root_of(information.joint).T, rng)
+        before, _, _ = self.find_probabilities(requirements, identity, rng)
+        later, everywhere, together = self.find_probabilities(requirements, root_of(information.joint).T, rng)
         errors = information.join(information.errors_of_reduced(free), free)
         reduced = self.covariance(errors)
-        chances, _, _ = self._probabilities(requirements, root_of(errors).T, rng)
+        chances, _, _ = self.find_probabilities(requirements, root_of(errors).T, rng)
         outlooks = []
         for k, one in enumerate(requirements):
             variance = one.variance(after + noise)
@@ -174,13 +173,7 @@ class Forecast:
             )
         return outlooks, together
 
-    def keep_all(
-        self, requirements: Sequence[Requirement], information: Information, rng: np.random.Generator
-    ) -> float:
-        """Return the probability that all requirements are kept after the calibration, to first order."""
-        return self._probabilities(requirements, root_of(information.joint).T, rng)[2]
-
-    def _probabilities(
+    def find_probabilities(
         self, requirements: Sequence[Requirement], root: Array, rng: np.random.Generator
     ) -> tuple[Array, Array, float]:
         """Return the shares of draws that keep each limit, of those that keep it at every pose, and that keep all."""
@@ -191,13 +184,6 @@ class Forecast:
             everywhere += [np.sum((one.take(error) <= one.limit).all(axis=1)) for one in requirements]
             together += int(kept.all(axis=0).sum())
         return good / DRAWS, everywhere / DRAWS, together / DRAWS
-
-    def share_of_limit(self, vector: Array, requirements: Sequence[Requirement]) -> tuple[float, str]:
-        """Return the largest share of a limit that a move along a direction takes, as required, and of which limit."""
-        effect = self.effect(vector)
-        shares = {r.name: r.sum_up(effect) / r.limit for r in requirements}
-        worst = max(shares, key=lambda name: shares[name])
-        return shares[worst], worst
 
 
 def forecast_tool(tool: Array, located: Array, errors: ErrorsInUse, alignment: Alignment | None = None) -> Forecast:

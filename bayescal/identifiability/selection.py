@@ -112,8 +112,7 @@ def _condition(matrix: Array, taken: np.ndarray) -> Array:
         return matrix
     across = matrix[:, taken]
     inner = matrix[np.ix_(taken, taken)] + np.eye(len(taken))
-    result: Array = matrix - across @ np.linalg.solve(inner, across.T)
-    return result
+    return np.asarray(matrix - across @ np.linalg.solve(inner, across.T))
 
 
 # --- what a reduced set errs by ---------------------------------------------------------------------------------------

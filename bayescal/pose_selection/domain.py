@@ -55,34 +55,28 @@ class PoseDomain(ABC):
     def margins(self, placed: PlacedPoses) -> Array:
         """Return what is left of each constraint, shape (P, m), in shares of its limit; negative where it is broken."""
 
-    @property
-    def theta(self) -> Array:
-        """The machine's parameters as expected, shape (D,)."""
-        return self.design.theta
-
     @cached_property
     def home(self) -> ForwardKinematics:
         """The expected machine's pose at the initial actuator positions."""
         check_home_pose(self.design.machine)
         start = self.design.machine.mechanism.initial_actuator_positions
-        return solve_forward_kinematics(self.design.machine, self.theta, start)
+        return solve_forward_kinematics(self.design.machine, self.design.theta, start)
 
     def allows(self, placed: PlacedPoses) -> np.ndarray:
         """Return which poses exist and keep the constraints, shape (P,)."""
         margins = self.margins(placed)
-        kept: np.ndarray = placed.found & np.all(margins >= -SLACK, axis=1)
-        return kept
+        return np.asarray(placed.found & np.all(margins >= -SLACK, axis=1))
 
     def at_moves(self, moves: Array) -> PlacedPoses:
         """Return poses at displacements (P, 6) from home, mm and rad."""
         position = self.home.position + moves[:, :3]
         rotation = matrix_from_rotation_vector(moves[:, 3:]) @ self.home.rotation
-        inverse = solve_inverse_kinematics(self.design.machine, self.theta, position, rotation, check=False)
+        inverse = solve_inverse_kinematics(self.design.machine, self.design.theta, position, rotation, check=False)
         return PlacedPoses(moves, position, rotation, inverse.actuators, inverse.converged)
 
     def at_actuators(self, actuators: Array) -> PlacedPoses:
         """Return poses at actuator positions (P, N), mm."""
-        pose = solve_forward_kinematics(self.design.machine, self.theta, actuators, check=False)
+        pose = solve_forward_kinematics(self.design.machine, self.design.theta, actuators, check=False)
         turned = pose.rotation @ self.home.rotation.T
         moves = np.concatenate([pose.position - self.home.position, rotation_vector_from_matrix(turned)], axis=-1)
         return PlacedPoses(moves, pose.position, pose.rotation, actuators, pose.converged)

@@ -10,7 +10,6 @@ import numpy as np
 from bayescal.errors import InputError
 from bayescal.numerics.geometry import Array
 from bayescal.pose_selection.criteria import Criterion, Scorer
-from bayescal.pose_selection.design import PlacedPoses
 from bayescal.pose_selection.domain import Candidates
 
 
@@ -71,12 +70,6 @@ class SelectionProblem:
         prior = self.criterion.prior_rows(self.n_parameters)
         if self.measured is None:
             return prior
-        seen = self.candidates.domain.design.see(self._place_measured(), "measured pose")
-        rows = self.criterion.rows(seen)
-        return np.concatenate([prior, rows.reshape(-1, self.n_parameters)])
-
-    def _place_measured(self) -> PlacedPoses:
-        assert self.measured is not None
         good = np.isfinite(self.measured).all(axis=1)
         placed = self.candidates.domain.at_actuators(np.where(good[:, None], self.measured, 0.0))
         good &= placed.found
@@ -85,7 +78,8 @@ class SelectionProblem:
                 f"measured pose {int(np.argmin(good)) + 1}: found actuator positions without a pose, "
                 "expected ones the machine can take"
             )
-        return placed
+        rows = self.criterion.rows(self.candidates.domain.design.see(placed, "measured pose"))
+        return np.concatenate([prior, rows.reshape(-1, self.n_parameters)])
 
     def scorer(self) -> Scorer:
         """Return a scorer for the candidates, its set empty."""

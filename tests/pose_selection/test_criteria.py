@@ -48,7 +48,7 @@ def test_jacobian_is_the_closures():
     domain = pose_problems.yu_domain()
     candidates = random_candidates(domain, 30, np.random.default_rng(1))
     placed, design = candidates.placed, domain.design
-    here = design.machine.linearise(domain.theta, placed.position, placed.rotation, placed.actuators)
+    here = design.machine.linearise(design.theta, placed.position, placed.rotation, placed.actuators)
     expected = -np.linalg.solve(here.pose, here.parameters)
     scale = np.abs(expected).max(axis=(0, 2), keepdims=True)
     np.testing.assert_allclose(candidates.seen.slope / scale, expected / scale, atol=1e-10)
@@ -170,7 +170,9 @@ def test_implicit_rows_are_the_closures():
     for leg in range(6):  # each leg's row knows its own parameters only
         assert not problem.blocks[:, leg, legs != leg + 1].any()
     seen, placed = problem.candidates.seen, problem.candidates.placed
-    by_pose = domain.design.machine.linearise(domain.theta, placed.position, placed.rotation, placed.actuators).pose
+    by_pose = domain.design.machine.linearise(
+        domain.design.theta, placed.position, placed.rotation, placed.actuators
+    ).pose
     np.testing.assert_allclose(by_pose @ seen.slope, -problem.blocks, atol=1e-9)
 
 

@@ -102,7 +102,8 @@ class Audit:
         requirements = self.inputs.requirements
         if not requirements or not np.isfinite(self.forecast.slope).all():
             return "unknown", float("nan"), ""
-        share, name = self.forecast.share_of_limit(direction.vector, requirements)
+        effect = self.forecast.effect(direction.vector)
+        share, name = max(((r.sum_up(effect) / r.limit, r.name) for r in requirements), key=lambda pair: pair[0])
         share *= NINETY_FIVE * float(np.sqrt(max(0.0, 1.0 - direction.contraction)))
         return ("harmless" if share < HARMLESS else "noticeable" if share < HARMFUL else "harmful"), share, name
 

@@ -23,7 +23,7 @@ from bayescal.experiments.audit.schema import SensorChoiceConfig
 from bayescal.experiments.shared.readings.inputs import Variant
 from bayescal.experiments.shared.readings.knowledge import differentiate
 from bayescal.experiments.shared.readings.workspace import SINGULAR
-from bayescal.identifiability.information import Information, information_of_rows, marginalise
+from bayescal.identifiability.information import Information, information_of_rows, marginalise, root_of
 from bayescal.identifiability.reading_rows import Slopes, name_tool, rms
 from bayescal.identifiability.requirements import ErrorsInUse, Forecast, Requirement, forecast_tool
 from bayescal.machines.readings import ReadingModel
@@ -197,7 +197,8 @@ class _Judge:
         seen = self.see(chosen)
         if seen.information is None or seen.forecast is None or not self.choice.requirements:
             return float("nan")
-        return seen.forecast.keep_all(self.choice.requirements, seen.information, rng)
+        root = root_of(seen.information.joint).T
+        return seen.forecast.find_probabilities(self.choice.requirements, root, rng)[2]
 
 
 def _leave_out(basis: Array, rows: Array) -> Array:

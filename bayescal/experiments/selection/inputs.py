@@ -187,5 +187,4 @@ def _domain(config: SelectionConfig, design: Design) -> PoseDomain:
 def _read_table(table: TableConfig, folder: Path, design: Design) -> Array:
     mechanism = design.machine.mechanism
     moves = read_moves(folder / table.configurations, table.unit_mm, mechanism.n_legs)
-    result: Array = mechanism.initial_actuator_positions + moves
-    return result
+    return np.asarray(mechanism.initial_actuator_positions + moves)

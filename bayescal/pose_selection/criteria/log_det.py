@@ -35,8 +35,7 @@ class LogDet(Criterion):
         """Return the derivative by the information, a multiple of its inverse, shape (L, L)."""
         root = np.linalg.inv(np.linalg.qr(rows, mode="r"))
         slope = self._slope(float(self.value(rows, n_poses)), rows.shape[-1])
-        result: Array = slope * root @ root.T
-        return result
+        return np.asarray(slope * root @ root.T)
 
     def scorer(self, blocks: Array, base: Array, n_base: int) -> Scorer:
         """Return a scorer by the matrix determinant lemma."""

@@ -41,8 +41,7 @@ class Spectral(ObservabilityCriterion):
         """Return the derivative by the information, shape (L, L), where the singular values are distinct."""
         _, values, right = np.linalg.svd(rows, full_matrices=False)
         slopes = self._slopes(values) / (2.0 * values)  # by the eigenvalues σ²
-        result: Array = right.T * slopes @ right
-        return result
+        return np.asarray(right.T * slopes @ right)
 
     def scorer(self, blocks: Array, base: Array, n_base: int) -> Scorer:
         """Return a scorer that judges by bounds."""

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
 from bayescal.experiments.frame.results import Results
@@ -188,12 +187,6 @@ class AuditResults:
             )
             for one in self.summary["what_if"]
         ]
-
-    def count_hidden(self) -> tuple[int, int]:
-        """Return how many independent combinations are learnt in part, and how many hardly or never."""
-        planned = self.tables["spectrum"]["planned"].to_numpy(dtype=float)
-        low, high = KNOWN_LIMITS
-        return int(np.sum((planned >= low) & (planned < high))), int(np.sum(planned < low))
 
 
 def _number(value: Any) -> float:

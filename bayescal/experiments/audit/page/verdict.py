@@ -9,7 +9,7 @@ from typing import Any
 import pandas as pd
 
 from bayescal.experiments.audit.page.model_error import state_model_error
-from bayescal.experiments.audit.page.results import AuditResults, Change, Requirement
+from bayescal.experiments.audit.page.results import KNOWN_LIMITS, AuditResults, Change, Requirement
 from bayescal.experiments.audit.page.wording import (
     count,
     format_probability,
@@ -89,7 +89,8 @@ def describe_determined(results: AuditResults) -> str:
     if known == results.summary["n_parameters"]:
         text = f"{poses[0].upper()}{poses[1:]} determine all {n}"
     structural = sum(ridge.kind == "structural" for ridge in results.ridges)
-    in_part, dead = results.count_hidden()
+    planned, (low, high) = results.tables["spectrum"]["planned"], KNOWN_LIMITS
+    in_part, dead = int(((planned >= low) & (planned < high)).sum()), int((planned < low).sum())
     these = "these" if results.is_measured else "the planned ones"
     parts: list[str] = []
     if structural:
