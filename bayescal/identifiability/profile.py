@@ -39,14 +39,12 @@ def check_profiles(free: Sequence[str], names: Sequence[str]) -> None:
             raise InputError(f"profile of {name!r}: not free here, expected one of {', '.join(free)}")
 
 
-def compute_profile(
-    posterior: CalibrationPosterior, name: str, zeta: Array, n_side: int = N_SIDE, reach: float = REACH
-) -> Profile:
+def compute_profile(posterior: CalibrationPosterior, name: str, zeta: Array, n_side: int = N_SIDE) -> Profile:
     """Return the profile of a free parameter about the machine expected, whose readings the data are.
 
     The posterior has normal priors, centred where the machine is expected; coordinates ``zeta`` (k,) of the errors
-    stay. On either side of the expected value there are n others, evenly spread as far as ``reach`` in tolerances: K is
-    2 n + 1. InputError for a name that is not free.
+    stay. On either side of the expected value there are n others, evenly spread as far as `REACH`: K is 2 n + 1.
+    InputError for a name that is not free.
     """
     check_profiles(posterior.sampling.names, [name])
     place, sampling = posterior.sampling.names.index(name), posterior.sampling
@@ -59,7 +57,7 @@ def compute_profile(
         common={one: members for one, members in posterior.common.items() if one != name},
     )
     moves, deviance = np.full((2 * n_side + 1, n), np.nan), np.full((2 * n_side + 1, 2), np.nan)
-    others, grid = np.delete(np.arange(n), place), reach * np.arange(-n_side, n_side + 1) / n_side
+    others, grid = np.delete(np.arange(n), place), REACH * np.arange(-n_side, n_side + 1) / n_side
     for sign in (1, -1):
         before: list[tuple[Array, Array]] = []
         for k in range(n_side, n_side + sign * (n_side + 1), sign):

@@ -84,9 +84,9 @@ def say_most(text: str) -> str:
     return say(text) if text.startswith("<") else f"at most {text}"
 
 
-def format_range(values: Sequence[float], write: Callable[[float], str], between: str = " to ") -> str:
+def format_range(values: Sequence[float], write: Callable[[float], str]) -> str:
     """Return ``least to most``, one where both read alike."""
-    return between.join(dict.fromkeys(write(x) for x in (min(values), max(values))))
+    return " to ".join(dict.fromkeys(write(x) for x in (min(values), max(values))))
 
 
 def format_sd(value: float) -> str:
