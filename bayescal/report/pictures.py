@@ -27,6 +27,7 @@ POINTS = 72.0  # an inch
 FINER = 2.2  # how much larger a PNG of twice the resolution is at most
 MOST_STACKED = 60_000  # bytes of a stacked figure as SVG
 COLOURS = 64
+HASHED = re.compile(r'( id="|href="#|url\(#)([a-z]+[0-9a-f]{10})(?=["\)])')  # ids of clips and marks in an SVG
 LEAST_SCALE = 0.8  # of a figure on a small screen, which scrolls; letters of 6.5 points are read then
 
 
@@ -157,6 +158,9 @@ def tidy_svg(text: str, tips: Mapping[str, list[str]]) -> str:
     inside = re.sub(r"\s*\n\s*", "\n", inside).replace("; ", ";").replace(": ", ":")
     used = set(re.findall(r'href="#([^"]+)"', inside)) | set(re.findall(r"url\(#([^)]+)\)", inside)) | set(tips)
     inside = re.sub(r' id="([^"]+)"', lambda found: found[0] if found[1] in used else "", inside)
+    # matplotlib names clips and marks by a hash of floats, whose last digits the layout does not repeat
+    numbers: dict[str, str] = {}
+    inside = re.sub(HASHED, lambda found: found[1] + numbers.setdefault(found[2], f"s{len(numbers)}"), inside)
     for name, texts in tips.items():
         inside = _insert_tips(inside, name, texts)
     return inside.replace("<defs>\n</defs>\n", "").strip()

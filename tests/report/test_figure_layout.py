@@ -155,3 +155,17 @@ def test_a_figure_of_another_size_has_a_renderer_of_that_size():
     assert canvas.get_renderer() is first
     figure.set_size_inches(3.0, 1.5)
     assert (canvas.get_renderer().width, canvas.get_renderer().height) == (300, 150)
+
+
+def test_a_layout_that_differs_in_its_last_digits_gives_the_same_bytes():
+    """Matplotlib names clips by a hash of their corners."""
+
+    def draw(off: float) -> Figure:
+        figure = Figure(figsize=(4.0 + off, 2.4))
+        axes = figure.subplots()
+        axes.plot([0.0, 1.0], [0.0, 1.0], "o")
+        return figure
+
+    first, second = (render_picture(lambda off=off: draw(off)) for off in (0.0, 1e-12))
+    assert "<svg" in first.markup
+    assert first.markup == second.markup
