@@ -74,6 +74,8 @@ def _summarise_plan(inputs: Planned) -> dict[str, Any]:
     }
     if config.data is not None:
         plan["poses"] = "measured"
+    if config.workspace:
+        plan["workspace"] = config.workspace if isinstance(config.workspace, dict) else config.workspace.model_dump()
     seen = {}
     if section.model is not None:
         seen = {"model": label_class(section.model), "deformation": label_class(section.deformation)}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import pandas as pd
@@ -497,14 +497,6 @@ def tabulate_audit(results: AuditResults) -> Table:
     gap = summary.get("structural_gap")
     rank = f"{summary['structural_rank']} of {summary['n_parameters']}"
     clear = "clear" if summary["structural_rank_is_clear"] else "NOT clear"
-    where, workspace = "none stated", summary["plan"].get("workspace")
-    if isinstance(workspace, dict):
-        position, rotation = (
-            " × ".join(f"±{format_plain(float(value))}" for value in workspace.get(key, []))
-            for key in ("position_mm", "rotation_deg")
-        )
-        n_poses = count(int(workspace.get("poses", 0)), "pose")
-        where = f"{position} mm, {rotation} deg, {workspace.get('shape', '')}, {n_poses}"
     directions = ", ".join(f"{summary[f'n_{kind}']} {kind}" for kind in ("structural", "practical", "informed"))
     rows = [
         ["Audit", summary["name"]],
@@ -512,6 +504,18 @@ def tabulate_audit(results: AuditResults) -> Table:
         ["Structural rank", f"{rank}, {clear}{f', gap {format_sd(gap)}' if gap is not None else ''}"],
         ["Learnt in all", f"{format_fixed(summary['total_nats'], 1)} nat"],
         ["Directions", directions],
-        ["Workspace", where],
+        ["Workspace", _describe_workspace(summary["plan"].get("workspace", {}))],
     ]
     return make_pairs("The audit.", rows)
+
+
+def _describe_workspace(stated: Mapping[str, Any]) -> str:
+    """Say where accuracy counts: half widths about home, or bounds of coordinates in the audit's units."""
+    if not stated:
+        return "none stated"
+    if "position_mm" not in stated:
+        return ", ".join(f"{name} {format_plain(low)} to {format_plain(high)}" for name, (low, high) in stated.items())
+    position, rotation = (
+        " × ".join(f"±{format_plain(one)}" for one in stated[k]) for k in ("position_mm", "rotation_deg")
+    )
+    return f"{position} mm, {rotation} deg, {stated['shape']}, {count(stated['poses'], 'pose')}"

@@ -76,8 +76,9 @@ def show_errors(study: StudyResults) -> Section | None:
     title = "Coverage: how many measurements lie inside their intervals, variant by variant"
     table = study.table("pose_errors")
     seen = [name for name in study.ranking if name in set(table["variant"])]
-    draw = partial(_draw_bounds, table, seen, assign_styles(study))
-    blocks: list[Block] = [*_illustrate_errors(study), Figure("bounds", BOUNDS, draw)]
+    blocks: list[Block] = [*_illustrate_errors(study)]
+    if seen:  # by the instrument, of variants that are ranked
+        blocks.append(Figure("bounds", BOUNDS, partial(_draw_bounds, table, seen, assign_styles(study))))
     blocks.append(Fold(title, (_tabulate_coverage(study),)))
     return Section("Pose errors", tuple(blocks), anchor="errors", short="Errors")
 

@@ -21,6 +21,7 @@ from bayescal.experiments.audit.page.figures import span_profile
 from bayescal.experiments.audit.page.results import AuditResults
 from bayescal.experiments.audit.page.tables import (
     build_ridges,
+    tabulate_audit,
     tabulate_changes,
     tabulate_requirements,
     tabulate_ridge_help,
@@ -549,3 +550,20 @@ def test_an_empty_sweep_is_no_fault():
     results = make_audit_results()
     results.tables["sweeps"] = results.tables["sweeps"].head(0)
     assert "sweeps" not in AuditResults.of(results).tables
+
+
+@pytest.mark.parametrize(
+    ("stated", "said"),
+    [
+        ({}, "none stated"),
+        (
+            {"position_mm": [7.0, 7.0, 6.5], "rotation_deg": [0.1, 0.1, 0.05], "shape": "box", "poses": 200},
+            "±7 × ±7 × ±6.5 mm, ±0.1 × ±0.1 × ±0.05 deg, box, 200 poses",
+        ),
+        ({"x": [-100.0, 300.0], "phi": [105.0, 165.0]}, "x −100 to 300, phi 105 to 165"),
+    ],
+    ids=["none", "about home", "coordinates"],
+)
+def test_the_workspace_is_shown_as_stated(stated, said):
+    table = tabulate_audit(make(lambda summary: summary["plan"].update(workspace=stated)))
+    assert {name.text: value.text for name, value in table.rows}["Workspace"] == said
