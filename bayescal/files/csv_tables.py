@@ -11,7 +11,6 @@ import math
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from io import StringIO
 from pathlib import Path
 
 import numpy as np
@@ -198,8 +197,13 @@ def read_by_leg(path: Path, columns: Sequence[str], n_legs: int) -> Array:
 
 def format_table(comments: Sequence[str], columns: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
     """Return the text of a CSV file with comment lines above the header; no spreadsheet takes a text for a formula."""
-    text = StringIO()
-    text.writelines(f"# {' '.join(comment.splitlines())}\n" for comment in comments)
-    guarded = ([guard_cell(one) if isinstance(one, str) else str(one) for one in row] for row in (columns, *rows))
-    csv.writer(text, lineterminator="\n").writerows(guarded)
-    return text.getvalue()
+    lines = [f"# {' '.join(comment.splitlines())}" for comment in comments]
+    lines += [",".join(map(_write_cell, row)) for row in (columns, *rows)]
+    return "\n".join(lines) + "\n"
+
+
+def _write_cell(value: object) -> str:
+    """Return a cell, quoted where a return is in it, too, which `csv.writer` leaves bare before a line's feed."""
+    text = guard_cell(value) if isinstance(value, str) else str(value)
+    quoted = text.replace('"', '""')
+    return f'"{quoted}"' if any(sign in text for sign in ',"\r\n') else text

@@ -77,12 +77,9 @@ class StudyInputs(ReadingInputs):
         from bayescal.experiments.shared.estimate import time_fit
         from bayescal.experiments.study.readings import ReadingSubject
 
-        config, subjects = (
-            self.config,
-            map(ReadingSubject, (one.posterior().anchored() for one in self.variants.values())),
-        )
+        config, posteriors = self.config, [one.posterior().anchored() for one in self.variants.values()]
         widths = 1.0 + WIDTHS * sum(factor != 1.0 for factor in config.sensitivity.factor)
-        each = [widths * time_fit(one, config.sampler, config.evidence) for one in subjects]
+        each = [widths * time_fit(ReadingSubject(one), config.sampler, config.evidence) for one in posteriors]
         return PAGE + ROW * len(self.verification) + max(max(each), sum(each) / workers)
 
     def outlook(self) -> list[str]:

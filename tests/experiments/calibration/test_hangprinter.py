@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.run import run_experiment
-from bayescal.experiments.study.inputs import StudyInputs, Task
+from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.inference.exploration import explore, weigh_proposal
 from bayescal.inference.schema import EvidenceConfig
 from bayescal.machines.read import read_reading_model
@@ -40,7 +40,7 @@ def author(model):
 def test_errors_that_make_up_for_each_other_are_proposed_as_they_are(seed):
     """Noise, τ and four functions explain the same residuals: the density of their sizes has shoulders."""
     _, config = load(FOLDER / "study.toml")
-    posterior = StudyInputs.load(config, FOLDER).subject(Task("buildup")).posterior
+    posterior = StudyInputs.load(config, FOLDER).variants["buildup"].posterior().anchored()
     found = explore(posterior, np.random.SeedSequence(seed))
     weighed = weigh_proposal(found, np.random.SeedSequence(10 + seed), EvidenceConfig(draws=4000))
     assert weighed.efficiency > 0.3  # 0.5; 0.01 to 0.3 from sixty effective draws of the sizes
