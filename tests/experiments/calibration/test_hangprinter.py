@@ -36,7 +36,7 @@ def author(model):
     return theta
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, *(pytest.param(k, marks=pytest.mark.runs) for k in (2, 3))])
 def test_errors_that_make_up_for_each_other_are_proposed_as_they_are(seed):
     """Noise, τ and four functions explain the same residuals: the density of their sizes has shoulders."""
     _, config = load(FOLDER / "study.toml")
