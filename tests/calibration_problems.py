@@ -11,7 +11,8 @@ from scipy.stats import chisquare
 from sliding_platforms import WORKSPACE, sliding_star
 
 from bayescal.density.calibration.functions import FunctionErrors, Travel
-from bayescal.density.calibration.likelihood import CalibrationLikelihood, CalibrationPosterior, JointFit
+from bayescal.density.calibration.joint_fit import JointFit
+from bayescal.density.calibration.likelihood import CalibrationLikelihood, CalibrationPosterior
 from bayescal.density.calibration.measurements import Measurements
 from bayescal.density.calibration.terms import Errors, ErrorTerm, ModelErrorTerm, NoiseFactor
 from bayescal.density.outliers import NORMAL, Contaminated, Outliers, StudentT

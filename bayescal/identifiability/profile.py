@@ -11,7 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bayescal.density.calibration.likelihood import CalibrationPosterior, JointFit
+from bayescal.density.calibration.joint_fit import JointFit
+from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.errors import InputError, NumericalError
 from bayescal.numerics.geometry import Array
 

@@ -13,7 +13,8 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from bayescal.density.calibration.likelihood import CalibrationPosterior, JointFit
+from bayescal.density.calibration.joint_fit import JointFit
+from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.density.calibration.measurements import Comparison, Measurements
 from bayescal.density.calibration.model_error import FunctionsOfPose, IndependentErrors, ThinFunctionsOfPose
 from bayescal.density.calibration.terms import Errors

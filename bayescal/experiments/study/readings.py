@@ -225,11 +225,8 @@ class ReadingSubject(Subject):
         """Return the fit with draws of its prior, what both predict, the data, and what is known of functions."""
         import xarray as xr
 
-        likelihood, arrays, channels = (
-            self.posterior.likelihood,
-            fit.evaluated,
-            self.posterior.likelihood.model.channels,
-        )
+        likelihood, arrays = self.posterior.likelihood, fit.evaluated
+        channels = likelihood.model.channels
         draws, density, rows = (self._thin(one) for one in (fit.draws, fit.log_density, arrays["log_likelihood"]))
         priors, data = self.posterior.all_priors().values(), likelihood.data
         log_prior = np.stack([prior.log_density(draws[..., k]) for k, prior in enumerate(priors)], axis=-1)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bayescal.density.calibration.likelihood import JointFit
+from bayescal.density.calibration.joint_fit import JointFit
 from bayescal.experiments.audit.design import load_audit, read_plans
 
 DESIGN = Path(__file__).parents[3] / "experiments" / "audit" / "telescope_six_pus_none.toml"
