@@ -19,6 +19,7 @@ from bayescal.errors import InputError, name_faults
 from bayescal.experiments.shared.outlook import join_outlooks, tell_outlook
 from bayescal.experiments.shared.reach import check_reach
 from bayescal.experiments.shared.readings.beside import Beside, read_beside
+from bayescal.experiments.shared.readings.columns import check_columns
 from bayescal.experiments.shared.readings.errors import build_terms, build_terms_of_model
 from bayescal.experiments.shared.readings.instruments import keep_files, read_instruments, read_model
 from bayescal.experiments.shared.readings.noise import build_noise, stated_noise
@@ -181,6 +182,7 @@ def _build(
     _check_moves(data)
     _check_commanded(readings.commanded[rows], whole, model)
     _check_noise(data, model)
+    check_columns(data, model, {channel: column for channel, column, _ in readings.columns})
     model.check_given(data.poses, data.given, [one for name in priors for one in common.get(name, (name,))])
     workspace = build_workspace(model, config.workspace, config.units)
     terms = (

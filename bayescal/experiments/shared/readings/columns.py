@@ -1,0 +1,92 @@
+"""Columns of measured readings that repeat one another: one sensor that was exported twice, or copied with a factor."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+import numpy as np
+
+from bayescal.density.calibration.measurements import Measurements
+from bayescal.errors import InputError
+from bayescal.machines.readings import ReadingModel
+from bayescal.numerics.geometry import Array
+from bayescal.report.numbers import format_significant
+
+MIN_ROWS: Final = 5  # fewer may lie on a line by chance
+MAX_SCATTER: Final = 0.02  # of the noise of a difference: two sensors scatter about each other by all of it
+MIN_DISTINCT: Final = 4  # values: columns of fewer are plans, not measurements
+MAX_NAMED: Final = 3
+
+
+def check_columns(data: Measurements, model: ReadingModel, columns: Mapping[str, str]) -> None:
+    """Raise InputError where a measured column is another one, or a + b times another one, in all rows.
+
+    Two sensors have noise of their own, so that what one reads scatters about any line through the other by the noise
+    of both. Commands may be equal, and so may values that are rounded to more than their noise.
+
+    Parameters
+    ----------
+    data : Measurements
+        Readings (P, K), their noise and which are commands.
+    model : ReadingModel
+        The machine with these K channels.
+    columns : mapping of str to str
+        Names of columns by names of channels, where these are known.
+    """
+    channels, values = model.channels, np.where(_find_measured(data, model), data.values, np.nan)
+    names = [columns.get(one.name, f"{one.stem}_{one.unit}") for one in channels]
+    fine = [_is_fine(values[:, k], data.sd[:, k], one.unit) for k, one in enumerate(channels)]
+    said, copies = list[str](), set[int]()
+    for k in np.flatnonzero(fine).tolist():
+        same = [j for j in range(k + 1, len(names)) if fine[j] and channels[j].unit == channels[k].unit]
+        for j in same if k not in copies else ():
+            line = _fit_line(data, values, k, j)
+            if line is not None and j not in copies:
+                copies.add(j)
+                said.append(_describe(names[k], names[j], *line))
+    if said:
+        more = f"; so are {len(said) - MAX_NAMED} more" if len(said) > MAX_NAMED else ""
+        raise InputError(f"data: {'; '.join(said[:MAX_NAMED])}{more}, expected readings of each sensor's own")
+
+
+def _find_measured(data: Measurements, model: ReadingModel) -> np.ndarray:
+    """Return which readings have noise and are no commands, (P, K)."""
+    measured = np.isfinite(data.values) & (data.sd > 0.0)
+    # tables of actuators hold commands more often than not, whether or not they say so
+    may_be_commands = np.array([one.name in model.commanded and not one.external for one in model.channels])
+    return measured & ~may_be_commands if data.commanded is None else measured & ~may_be_commands & ~data.commanded
+
+
+def _is_fine(values: Array, sd: Array, unit: str) -> bool:
+    """Whether readings are written with more digits than their noise leaves, and differ."""
+    there = np.isfinite(values)
+    if there.sum() < MIN_ROWS or len(np.unique(values[there])) < MIN_DISTINCT:
+        return False
+    shown, noise = (np.degrees(one[there]) if unit == "rad" else one[there] for one in (values, sd))
+    steps = shown / 10.0 ** np.ceil(np.log10(np.median(noise)))
+    return not np.allclose(steps, np.round(steps), rtol=0.0, atol=1e-6)
+
+
+def _fit_line(data: Measurements, values: Array, k: int, j: int) -> tuple[float, float] | None:
+    """Return slope and offset that make column j of column k, where that leaves a small part of their noise."""
+    there = np.isfinite(values[:, k]) & np.isfinite(values[:, j])
+    first, second = values[there, k], values[there, j]
+    if len(first) < MIN_ROWS or not np.ptp(first) or not np.ptp(second):
+        return None
+    if np.array_equal(first, second):
+        return 1.0, 0.0
+    slope = float(np.cov(first, second)[0, 1] / np.var(first, ddof=1))
+    left = (second - second.mean()) - slope * (first - first.mean())
+    shared = 0.0 if data.correlation is None else data.correlation[there, k, j]
+    own, other = slope * data.sd[there, k], data.sd[there, j]
+    noise = float(np.mean(own**2 + other**2 - 2.0 * shared * own * other))
+    alike = float(np.sum(left**2)) < MAX_SCATTER**2 * noise * (len(first) - 2)
+    return (slope, float(second.mean() - slope * first.mean())) if alike else None
+
+
+def _describe(name: str, copy: str, slope: float, offset: float) -> str:
+    if (slope, offset) == (1.0, 0.0):
+        return f"columns {copy} and {name} are the same in all rows"
+    line = f"{format_significant(offset, 4)} + {format_significant(slope, 6)} times {name}"
+    return f"column {copy} is {line} in all rows, without any noise"
