@@ -189,6 +189,10 @@ class Elimination[S: Sampling, E: Errors](ABC):
     def finer(self) -> Self | None:
         """Return the same density without what it leaves out for speed; None where that is nothing."""
 
+    def begin_at(self, sampling: S) -> Array:
+        """Return the geometry's coordinates (m,) from which searches begin: by default the machine as expected."""
+        return np.zeros(sampling.size)
+
     # --- straightening -------------------------------------------------------------------------------------------
 
     def groups(self, sampling: S, errors: E) -> list[np.ndarray]:
@@ -348,6 +352,11 @@ class Posterior[L: Elimination[Any, Any], S: Sampling, E: Errors]:
     def row_information(self, y: Array, row: int) -> Array:
         """Return what one row tells of the geometry at y beyond all others, shape (m, m); see `pointwise`."""
         return self.likelihood.inform_row(*self.around(y), self.errors, self.zeta(y), row)
+
+    @cached_property
+    def begin(self) -> Array:
+        """Coordinates from which searches begin, shape (n,): the machine as expected, or nearer to the data."""
+        return np.append(self.likelihood.begin_at(self.sampling), np.zeros(self.errors.n_parameters))
 
     def around(self, y: Array) -> tuple[Array, Array]:
         """Return θ (D,) and dθ/dy (D, m) at y, shape (n,)."""

@@ -45,6 +45,9 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
     lone: LoneRows | None = None
     straight: bool = True
     hidden: bool = True
+    begin: Array | None = (
+        None  # (D,): a machine near which that lies which explains the readings; None: the expected one
+    )
 
     def pick(self, which: np.ndarray) -> Self:
         """Return the density of the readings of some poses, in no fast form."""
@@ -61,6 +64,10 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
         """Return each parameter by itself, or as the machine's ridges are straight; see `Elimination.sampling`."""
         straighten = partial(self.model.straighten, hidden=self.hidden) if self.straight else None
         return build_sampling(self.layout, priors, fixed, common, straighten)
+
+    def begin_at(self, sampling: Sampling) -> Array:
+        """Return the coordinates (m,) from which searches begin; see `Elimination.begin_at`."""
+        return super().begin_at(sampling) if self.begin is None else sampling.adopt(self.begin[None])[0]
 
     def noise(self, errors: Errors, zeta: Array) -> tuple[Array, Array]:
         """Return f σ (B, P, K) and the root of the variances beside (B, 1 or P, K)."""
@@ -393,7 +400,7 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
     def _fit(self, sampling: Sampling, errors: Errors) -> tuple[Array, Array]:
         """Return coordinates (n,) and poses (P, q) of least squares, from the machine as expected."""
         zeta = np.zeros(errors.n_parameters)
-        y, pose = JointFit(self, sampling, errors, zeta).run(np.zeros(sampling.size), self.start)
+        y, pose = JointFit(self, sampling, errors, zeta).run(self.begin_at(sampling), self.start)
         return np.append(y, zeta), pose
 
     def anchored(self, sampling: Sampling, errors: Errors) -> Self:

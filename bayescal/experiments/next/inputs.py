@@ -217,8 +217,7 @@ def _check_located(measured: MeasuredReadings, workspace: Array) -> None:
     """Raise InputError where the machine's own channels do not determine its pose: its error then has no bound."""
     posterior = measured.posterior
     given = typical_given(posterior.likelihood.data.given, len(workspace))
-    expected = np.zeros(posterior.n_parameters)
-    seen = differentiate_poses(posterior, measured.half, expected, workspace, given).seen_by(measured.internal)
+    seen = differentiate_poses(posterior, measured.half, posterior.begin, workspace, given).seen_by(measured.internal)
     lost = ~np.isfinite(seen.tool).all(axis=(1, 2))
     if lost.any():
         names = posterior.likelihood.model.names

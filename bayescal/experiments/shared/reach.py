@@ -52,7 +52,7 @@ def check_reach(readings: Readings, calibrating: Readings | None = None) -> None
 def _find_lost(posterior: CalibrationPosterior) -> np.ndarray:
     """Return which rows the nominal machine has no pose of, (P,)."""
     with np.errstate(all="ignore"):
-        _, at = posterior.likelihood.explain(*posterior.at(np.zeros((1, posterior.n_parameters))))
+        _, at = posterior.likelihood.explain(*posterior.at(posterior.begin[None]))
     return np.asarray(~np.isfinite(at.error[0]).all(axis=1))
 
 
@@ -69,10 +69,8 @@ def _is_fitted(posterior: CalibrationPosterior) -> bool:
 def _name_channels(posterior: CalibrationPosterior, row: int) -> str:
     """Return which channels have no reading where a row's readings lead, and where that is."""
     likelihood = posterior.likelihood.pick(np.array([row]))
-    white = likelihood.whiten(
-        *likelihood.noise(posterior.errors, posterior.zeta(np.zeros((1, posterior.n_parameters))))
-    )
-    model, pose, theta = likelihood.model, likelihood.start[None].copy(), posterior.sampling.start[None]
+    white = likelihood.whiten(*likelihood.noise(posterior.errors, posterior.zeta(posterior.begin[None])))
+    model, pose, theta = likelihood.model, likelihood.start[None].copy(), posterior.theta(posterior.begin[None])
     given = {name: value[None] for name, value in likelihood.data.given.items()}
     best = pose
     with np.errstate(all="ignore"):

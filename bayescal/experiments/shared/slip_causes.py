@@ -457,7 +457,7 @@ def _find_frames(readings: Readings, pose: Array) -> dict[str, Array]:
     bare = whole if isinstance(whole, Placed) else Placed(whole, ())
     if not external.any() or not whole.places_tool:
         return {}
-    theta = readings.posterior.sampling.start
+    theta = readings.posterior.theta(readings.posterior.begin)
     own = theta[: bare.whole.layout.size]
     with np.errstate(all="ignore"):
         tool, by_pose, _ = bare._linearise_tool(own, pose)

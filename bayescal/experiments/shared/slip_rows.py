@@ -239,13 +239,18 @@ class Readings:
     def home(self) -> Array:
         """What the machine as expected reads at home, (K,)."""
         given = {name: value[:1] for name, value in self.posterior.likelihood.data.given.items()}
-        return self.model.read(self.posterior.sampling.start[None], self.model.home_pose[None], given)[0]
+        return self.model.read(self.posterior.theta(self.posterior.begin[None]), self.model.home_pose[None], given)[0]
 
     @property
     def time(self) -> Array:
         """When rows were measured, from 0 to 1 by their order, (P,)."""
         order = self.posterior.likelihood.data.order
         return np.asarray((order - order.min()) / max(float(np.ptp(order)), 1.0))
+
+    @property
+    def begin(self) -> Array:
+        """The machine (m,) about which rows are looked at first."""
+        return self.posterior.begin[: self.posterior.n_geometry]
 
     def with_table(self, table: Table) -> Readings:
         """Return them as if a table had been read."""
@@ -320,7 +325,7 @@ class Readings:
         zeta = np.zeros(self.posterior.errors.n_parameters)
         for part, _ in self.posterior.likelihood.data.split():
             some, common = (self if len(part) == n_rows else self.pick(part)), None
-            seen = some.see(some.table, np.zeros(self.posterior.n_geometry), None, n_starts)
+            seen = some.see(some.table, self.begin, None, n_starts)
             if seen is None or not seen.errors.shape[1]:  # no machine has any of them, or nothing is left over
                 return np.zeros((n_rows, 1, 1)), np.zeros((n_rows, 1)), np.zeros(n_rows, dtype=bool)
             if some is not self:  # the fewest columns are of all rows together

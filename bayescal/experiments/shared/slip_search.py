@@ -207,7 +207,7 @@ class _Search:
         """The readings about the machine as expected; None where they leave nothing over for a comparison."""
         if not (self.posterior.likelihood.n_spare > 0).any():
             return None
-        return self.readings.see(self.readings.table, np.zeros(self.m), None, STARTS)
+        return self.readings.see(self.readings.table, self.readings.begin, None, STARTS)
 
     @cached_property
     def base(self) -> _Fit | None:
@@ -358,7 +358,7 @@ class _Search:
             for start in range(0, len(places), TOGETHER):  # looked at one below the other
                 some = places[start : start + TOGETHER]
                 values, rows = (np.concatenate([getattr(tables[k], key) for k in some]) for key in ("values", "rows"))
-                table, y = replace(tables[some[0]], values=values, rows=rows), np.zeros(self.m)
+                table, y = replace(tables[some[0]], values=values, rows=rows), self.readings.begin
                 every = None if self.is_late else self.readings.see(table, y, here.pose, 2)
                 if every is not None:
                     seen |= zip(some, every.split([tables[k] for k in some]), strict=True)
@@ -384,7 +384,7 @@ class _Search:
             chosen = np.arange(n - 1) if step > 0 else np.arange(1, n)
             moved = values.copy()
             moved[np.ix_(chosen, own)] = values[np.ix_(chosen + step, own)]
-            seen = self.readings.see(Table(moved[chosen], chosen), np.zeros(self.m), here.pose, 3)
+            seen = self.readings.see(Table(moved[chosen], chosen), self.readings.begin, here.pose, 3)
             if seen is None:
                 continue
             mine, common = here.share(seen, self.zeta)
@@ -418,7 +418,7 @@ class _Search:
             moved = values.copy()
             moved[np.ix_(pair, own)] = values[np.ix_(pair[::-1], own)]
             table = Table(moved, np.arange(len(values)))
-            seen = self.readings.see(table, np.zeros(self.m), here.pose, 2)
+            seen = self.readings.see(table, self.readings.begin, here.pose, 2)
             if seen is None or not seen.stands.any():
                 continue
             text = f"rows {' and '.join(map(self.name_row, pair))} seem to have each other's {kinds}"
@@ -436,7 +436,7 @@ class _Search:
     def fit(self, cause: Cause, here: Sight) -> _Fit | None:
         """Return a cause about its own fit."""
         table, columns = cause.table or self.readings.table, cause.columns
-        y, zeta, start = np.zeros(self.m), self.zeta, here.pose
+        y, zeta, start = self.readings.begin, self.zeta, here.pose
         starts = (zeta,) if not cause.fault or self.base is None else (self.base.zeta, zeta)
         unknown = np.zeros(0 if columns is None else columns.shape[-1])
         weigher, last, misfit = None, -np.inf, np.inf

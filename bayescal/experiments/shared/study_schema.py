@@ -386,6 +386,8 @@ class StudyConfig(ExperimentConfig):
         for variant in self.variants:
             for symbol in variant.free or ():
                 prior = self.parameters.get(symbol.partition("[")[0])
+                if prior is None and any(symbol.startswith(f"{name}_") for name in self.instruments):
+                    continue  # perhaps one that is found from the data
                 if prior is None or isinstance(prior, FixedConfig):
                     found = "no prior" if prior is None else "a fixed value"
                     raise ValueError(

@@ -86,7 +86,7 @@ class StudyInputs(ReadingInputs):
         """Return what each variant's readings can determine, and in lines what is not used or not there."""
         stated = all(one.model.states_tool for one in self.variants.values())
         said = join_outlooks({name: one.tell_outlook() for name, one in self.variants.items()})
-        return [*said, *filter(None, (self.unused, self.missing, "" if stated else NO_TOOL))]
+        return [*said, *filter(None, (self.found, self.unused, self.missing, "" if stated else NO_TOOL))]
 
     @cached_property
     def slip(self) -> FoundSlip | None:

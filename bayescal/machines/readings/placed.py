@@ -13,10 +13,11 @@ rotation vector among the tool's numbers, or else `ReadingModel.rotation`.
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal, Self
 
 import numpy as np
 from pydantic import Field
@@ -34,6 +35,14 @@ from bayescal.machines.readings.base import (
     ReadingModel,
     Readings,
     hand_on,
+)
+from bayescal.machines.readings.closed_forms import (
+    fit_anchor,
+    fit_hand_eye,
+    fit_point_frame,
+    fit_turned_frame,
+    list_turns,
+    vector_of,
 )
 from bayescal.machines.readings.function import STEP, FunctionModel, Parameters, ReadingMachine
 from bayescal.numerics.analytic import norm, rotation_matrix, rotation_vector
@@ -83,34 +92,85 @@ class Instrument(ReadingMachine):
         del given
         return self.see(parameters, v[..., :3], rotation_matrix(v[..., 3:]))
 
+    # --- values that nobody states -------------------------------------------------------------------------------
+
+    @property
+    def unstated(self) -> tuple[str, ...]:
+        """Symbols of parameters that have no nominal values: NaN says that the data have to tell them."""
+        return tuple(one.symbol for one in self.parameters if not np.isfinite(one.nominal).all())
+
+    def settle(self, values: Mapping[str, Array]) -> Self:
+        """Return the same instrument with other nominal values (n,), by symbol."""
+        settled = copy(self)
+        settled.parameters = [
+            replace(one, nominal=tuple(map(float, values[one.symbol]))) if one.symbol in values else one
+            for one in self.parameters
+        ]
+        return settled
+
+    def propose(
+        self, stated: Mapping[str, Array], seen: Array, position: Array, rotation: Array
+    ) -> Sequence[Mapping[str, Array]]:
+        """Return initial values of parameters from which least squares find those that fit the readings best.
+
+        By default those that are stated, and every rotation vector of three values turned by right angles.
+
+        Parameters
+        ----------
+        stated : mapping of str to ndarray, shape (n,)
+            Nominal values by symbol; zero where none are stated.
+        seen : ndarray, shape (P, K)
+            Readings; NaN where there is none.
+        position, rotation : ndarray, shapes (P, 3) and (P, 3, 3)
+            Of the tool in the base frame as the machine's own channels have it, mm.
+
+        Returns
+        -------
+        sequence of mappings of str to ndarray
+            Values of some symbols each; the others stay as stated.
+        """
+        del seen, position, rotation
+        turned = [one.symbol for one in self.parameters if one.unit == "rad" and len(one.nominal) == 3]
+        return [{}, *({symbol: turn} for symbol in turned for turn in list_turns(stated[symbol]))]
+
+    def find_mirrored(self, seen: Array, position: Array, rotation: Array) -> bool:
+        """Return whether the readings fit a left-handed frame alone; False where the instrument has no frame."""
+        del seen, position, rotation
+        return False
+
+
+UNSTATED = (float("nan"),) * 3
+
 
 class PointConfig(Section):
     """A target on the tool that an instrument sees in its own frame."""
 
-    frame_mm: Vector
-    """Where the instrument's frame has its origin, base frame."""
-    frame_deg: Vector
-    """Rotation vector that turns the base's axes to the instrument's."""
-    target_mm: Vector | None = None
-    """Where the target sits on the tool, tool frame; at the tool's centre where nothing is said."""
+    frame_mm: Vector | None = None
+    """Where the instrument's frame has its origin, base frame; a study finds it where nothing is said."""
+    frame_deg: Vector | None = None
+    """Rotation vector that turns the base's axes to the instrument's; a study finds it where nothing is said."""
+    target_mm: Vector | Literal["found"] | None = None
+    """Where the target sits on the tool, tool frame; at the tool's centre where nothing is said. `"found"`: a study
+    finds it.
+    """
 
 
 class PoseConfig(PointConfig):
     """A frame on the tool whose pose an instrument sees in its own frame."""
 
-    target_deg: Vector = Field(default=[0.0, 0.0, 0.0])
-    """Rotation vector that turns the tool's axes to those of the frame that is seen."""
+    target_deg: Vector | Literal["found"] = Field(default=[0.0, 0.0, 0.0])
+    """Rotation vector that turns the tool's axes to those of the frame that is seen; `"found"`: a study finds it."""
 
 
 class DistanceConfig(Section):
     """A distance from a point that does not move to a point on the tool, as a ball bar or a draw-wire reads it."""
 
-    anchor_mm: Vector
-    """The point that does not move, base frame."""
-    target_mm: Vector | None = None
-    """The point on the tool, tool frame; the tool's centre where nothing is said."""
-    zero_mm: float = 0.0
-    """Distance at which it reads zero."""
+    anchor_mm: Vector | None = None
+    """The point that does not move, base frame; a study finds it where nothing is said."""
+    target_mm: Vector | Literal["found"] | None = None
+    """The point on the tool, tool frame; the tool's centre where nothing is said. `"found"`: a study finds it."""
+    zero_mm: float | Literal["found"] = 0.0
+    """Distance at which it reads zero; `"found"`: a study finds it."""
 
 
 class PointInstrument(Instrument):
@@ -128,6 +188,18 @@ class PointInstrument(Instrument):
         """Return where the target is in the instrument's frame."""
         own = np.swapaxes(rotation_matrix(parameters["frame_r"]), -1, -2)
         return turn(own, _find_target(parameters, position, rotation) - parameters["frame"])
+
+    def propose(
+        self, stated: Mapping[str, Array], seen: Array, position: Array, rotation: Array
+    ) -> Sequence[Mapping[str, Array]]:
+        """Return the frame that fits points best, by Kabsch's algorithm; see `Instrument.propose`."""
+        frame, _ = fit_point_frame(_find_target(stated, position, rotation), seen[:, :3])
+        return [{}, _list_frame("frame", *frame)]
+
+    def find_mirrored(self, seen: Array, position: Array, rotation: Array) -> bool:
+        """Return whether positions fit a left-handed frame alone; see `Instrument.find_mirrored`."""
+        del rotation
+        return fit_point_frame(position, seen[:, :3])[1]
 
 
 class PoseInstrument(PointInstrument):
@@ -149,6 +221,25 @@ class PoseInstrument(PointInstrument):
         both = np.broadcast_arrays(super().see(parameters, position, rotation), turned)
         return np.concatenate(both, axis=-1)
 
+    def propose(
+        self, stated: Mapping[str, Array], seen: Array, position: Array, rotation: Array
+    ) -> Sequence[Mapping[str, Array]]:
+        """Return both frames that fit poses best: of the seen axes alone, of points alone, and of A X = Z B."""
+        own, points = rotation_matrix(stated["target_r"]), _find_target(stated, position, rotation)
+        turned = rotation_matrix(seen[:, 3:])
+        found: list[Mapping[str, Array]] = [{}]
+        for place, axes in (
+            fit_point_frame(points, seen[:, :3])[0],
+            fit_turned_frame(points, rotation @ own, seen[:, :3], turned),
+        ):
+            # R_target = mean of Rᵀ R_frame R_seen
+            target = vector_of(np.nansum(np.swapaxes(rotation, 1, 2) @ axes @ turned, axis=0))
+            found += [_list_frame("frame", place, axes), _list_frame("frame", place, axes) | {"target_r": target}]
+        both = fit_hand_eye(position, rotation, seen[:, :3], turned)
+        if both is not None:
+            found.append(_list_frame("frame", *both[0]) | _list_frame("target", *both[1]))
+        return found
+
 
 class DistanceInstrument(Instrument):
     """A ball bar or a draw-wire: the distance from a fixed point to a point on the tool, less that where it is zero."""
@@ -158,7 +249,7 @@ class DistanceInstrument(Instrument):
     def __init__(self, config: DistanceConfig) -> None:
         """Lay out both points and the zero."""
         super().__init__(config)
-        zero = ParameterBlock("zero", (config.zero_mm,), per_leg=False)
+        zero = ParameterBlock("zero", (_state(config.zero_mm, UNSTATED[:1])[0],), per_leg=False)
         self.parameters = [*_points("anchor", config.anchor_mm), *_points("target", config.target_mm), zero]
         self.channels = [Channel("", "mm")]
 
@@ -167,14 +258,37 @@ class DistanceInstrument(Instrument):
         away = norm(_find_target(parameters, position, rotation) - parameters["anchor"])
         return (away - parameters["zero"])[..., None]
 
+    def propose(
+        self, stated: Mapping[str, Array], seen: Array, position: Array, rotation: Array
+    ) -> Sequence[Mapping[str, Array]]:
+        """Return the point and the zero whose distances fit best, by linear least squares of their squares."""
+        points, zero = _find_target(stated, position, rotation), float(stated["zero"][0])
+        found = [{"anchor": anchor} for anchor in fit_anchor(points, seen[:, 0] + zero, False)]
+        both = [{"anchor": one[:3], "zero": one[3:]} for one in fit_anchor(points, seen[:, 0], True)]
+        return [{}, *found, *both]
 
-def _points(symbol: str, value: list[float] | None) -> list[ParameterBlock]:
-    return [] if value is None else [ParameterBlock(symbol, tuple(value))]
+
+def _state(value: float | list[float] | Literal["found"] | None, unstated: tuple[float, ...]) -> tuple[float, ...]:
+    """Return stated values, or those that say that there are none."""
+    if value is None or value == "found":
+        return unstated
+    return tuple(value) if isinstance(value, list) else (float(value),)
 
 
-def _frame(symbol: str, position: list[float], degrees: list[float]) -> list[ParameterBlock]:
-    vector = tuple(float(one) for one in np.radians(degrees))
-    return [*_points(symbol, position), ParameterBlock(f"{symbol}_r", vector, "rad")]
+def _points(symbol: str, value: list[float] | Literal["found"] | None) -> list[ParameterBlock]:
+    return [] if value is None else [ParameterBlock(symbol, _state(value, UNSTATED))]
+
+
+def _frame(
+    symbol: str, position: list[float] | Literal["found"] | None, degrees: list[float] | Literal["found"] | None
+) -> list[ParameterBlock]:
+    vector = tuple(float(one) for one in np.radians(_state(degrees, UNSTATED)))
+    return [ParameterBlock(symbol, _state(position, UNSTATED)), ParameterBlock(f"{symbol}_r", vector, "rad")]
+
+
+def _list_frame(symbol: str, position: Array, axes: Array) -> dict[str, Array]:
+    """Return a frame at a position (3,) with axes (3, 3) by symbol."""
+    return {symbol: position, f"{symbol}_r": vector_of(axes)}
 
 
 def turn(rotation: Any, vector: Any) -> Any:
@@ -182,7 +296,7 @@ def turn(rotation: Any, vector: Any) -> Any:
     return (rotation @ vector[..., None])[..., 0]
 
 
-def _find_target(parameters: Parameters, position: Any, rotation: Any) -> Any:
+def _find_target(parameters: Mapping[str, Any], position: Any, rotation: Any) -> Any:
     """Return where the target is in the base frame, (..., 3)."""
     return position + turn(rotation, parameters["target"]) if "target" in parameters else position
 
@@ -425,6 +539,8 @@ def place(machine: ReadingModel, instruments: Mapping[str, Instrument]) -> Readi
     placed = []
     for name, one in instruments.items():
         with name_faults(f"instruments.{name}"):
+            for symbol in one.unstated:
+                raise InputError(f"{symbol}: found no value, expected one: only a study finds it from its data")
             if not machine.places_tool:
                 raise InputError(
                     f"sees where the tool is, machine {title!r} does not say it; expected tool_channels of its class, "

@@ -7,13 +7,14 @@ frame and the joints with it changes no measurement: six gauge freedoms a frame.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from bayescal.machines.parameters import ParameterBlock
 from bayescal.machines.readings.base import Channel
+from bayescal.machines.readings.closed_forms import fit_hand_eye, fit_point_frame, fit_turned_frame, vector_of
 from bayescal.machines.readings.function import Parameters
 from bayescal.machines.readings.placed import Instrument, turn
 from bayescal.numerics.analytic import rotation_matrix, rotation_vector
@@ -91,3 +92,38 @@ class Tracker(Instrument):
             at, way = place + turn(frame, tool), frame @ turned
             found += [at, rotation_vector(way)] if point is None else [at + turn(way, point)]
         return np.concatenate(np.broadcast_arrays(*found), axis=-1)
+
+    def propose(
+        self, stated: Mapping[str, Array], seen: Array, position: Array, rotation: Array
+    ) -> Sequence[Mapping[str, Array]]:
+        """Return frames of the stations that fit best beside the stated tool's, and those of A X = Z B."""
+        offset, own = (np.concatenate([stated[one] for one in some]) for some in self._frames[-1])
+        tool, turned = position + turn(rotation, offset), rotation @ matrix_from_rotation_vector(own)
+        ends = np.cumsum([6 if point is None else 3 for _, point in self._seen])
+        beside, both, parts = dict[str, Array](), dict[str, Array](), np.split(seen, ends[:-1], axis=1)
+        for station in sorted({station for station, _ in self._seen}):
+            points, places, axes = list[Array](), list[Array](), list[Array]()
+            for part, (one, point) in zip(parts, self._seen, strict=True):
+                if one != station:
+                    continue
+                points.append(tool if point is None else tool + turn(turned, point))
+                places.append(part[:, :3])
+                if point is None:
+                    axes.append(matrix_from_rotation_vector(np.nan_to_num(part[:, 3:])))
+                    axes[-1][~np.isfinite(part).all(axis=1)] = np.nan
+            if axes:  # poses: seen axes are those of the frame that turns the tool's
+                back, place = fit_turned_frame(places[0], axes[0], points[0], turned)[::-1]
+                frames = fit_hand_eye(position, rotation, places[0], axes[0])
+                if frames is not None:
+                    (origin, way), (moved, own_axes) = frames
+                    both |= self._name(station, -way.T @ origin, way.T) | self._name(-1, moved, own_axes)
+            else:
+                place, back = fit_point_frame(np.concatenate(places), np.concatenate(points))[0]
+            beside |= self._name(station, place, back)
+        return [{}, beside, {**beside, **both}]
+
+    def _name(self, k: int, position: Array, axes: Array) -> dict[str, Array]:
+        """Return values of a frame by symbol."""
+        moved, turned = self._frames[k]
+        values = zip((*moved, *turned), (*position, *vector_of(axes)), strict=True)
+        return {symbol: np.array([value]) for symbol, value in values}

@@ -409,7 +409,7 @@ def test_columns_that_one_variant_leaves_out_are_used(arm, call):
 
 
 REFUSED = {
-    "no frame": ("frame_deg = [0.0, 0.0, 120.0]\n", "", "instruments.station.frame_deg"),
+    "another frame": ("frame_deg = [0.0, 0.0, 120.0]\n", "frame_deg = [0.0, 0.0, 20.0]", "instruments.station: its"),
     "unknown kind": ('kind = "point"', 'kind = "points"', "instruments.station.kind"),
     "unknown key": ("anchor_mm", "anker_mm", "anker_mm"),
     "unknown class": ("laser.py:Laser", "laser.py:Maser", "Maser"),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +21,7 @@ from bayescal.experiments.shared.reach import check_reach
 from bayescal.experiments.shared.readings.beside import Beside, read_beside
 from bayescal.experiments.shared.readings.columns import check_columns
 from bayescal.experiments.shared.readings.errors import build_terms, build_terms_of_model
+from bayescal.experiments.shared.readings.found_frames import find_frames, settle_unstated
 from bayescal.experiments.shared.readings.instruments import keep_files, read_instruments, read_model
 from bayescal.experiments.shared.readings.noise import build_noise, stated_noise
 from bayescal.experiments.shared.readings.priors import choose_priors, widen
@@ -54,6 +55,7 @@ class Variant:
     # whether accuracy is the error that remains after base and tool were aligned over the workspace
     aligned: bool = False
     missing: str = ""
+    begin: Mapping[str, float] = field(default_factory=dict)  # values, by name, from which searches begin
 
     @property
     def name(self) -> str:
@@ -69,7 +71,12 @@ class Variant:
         """Return the posterior of some poses, those for calibration by default; ``factor`` widens all priors."""
         likelihood = self.likelihood(~self.verification if which is None else which)
         priors = self.priors if factor == 1.0 else {k: widen(one, factor) for k, one in self.priors.items()}
-        return Posterior(likelihood, priors, self.errors, self.fixed, self.common)
+        found: CalibrationPosterior = Posterior(likelihood, priors, self.errors, self.fixed, self.common)
+        if not self.begin:
+            return found
+        theta, names = found.sampling.start.copy(), self.model.layout.names
+        theta[[names.index(one) for one in self.begin]] = list(self.begin.values())
+        return replace(found, likelihood=replace(likelihood, begin=theta))
 
     def plain(self, which: np.ndarray | None = None) -> CalibrationPosterior:
         """Return the same with each parameter by itself for a coordinate, standard normal under the prior."""
@@ -84,7 +91,7 @@ class Variant:
         """Return in a line what its readings can determine, to first order about the nominal machine."""
         posterior = self.plain()
         data, q, m = posterior.likelihood.data, len(self.model.coordinates), posterior.n_geometry
-        y = np.zeros(posterior.n_parameters)
+        y = posterior.begin
         with np.errstate(all="ignore"):
             white, at = posterior.likelihood.explain(*posterior.at(y[None]))
             _, slope, by_parameters = posterior.likelihood.rows(*posterior.around(y), white, at.pose)
@@ -111,6 +118,7 @@ class ReadingInputs:
     unused: str = ""  # which columns of the tables no variant takes in, in a line; empty where it takes in all
     # which terms of the model error there cannot be, by variant, in a line; empty where there are all
     missing: str = ""
+    found: str = ""  # values of instruments that were found from the data, in a line
     seen: SeenLegs | None = None  # what an instrument measured of a platform on legs, where it is no table of readings
 
 
@@ -124,14 +132,16 @@ def read_inputs(config: StudyConfig, folder: Path, only: Collection[str] | None 
     """
     seen = None if config.by_tables else look(config, folder)
     config = config if seen is None else seen.measured.translate(config)
-    models = dict[str, ReadingModel]()
+    bare, models = dict[str, ReadingModel](), dict[str, ReadingModel]()
     instruments = read_instruments(config.instruments, folder) if seen is None else seen.measured.instruments
+    beside_them = {name: settle_unstated(one) for name, one in instruments.items()}
     for one in config.variants:
         file = folder / (one.machine or config.machine)
         with name_faults(f"variant {one.name!r}") if one.model else nullcontext():
             own = read_model(config, one, file, folder, None if seen is None else seen.matrix)
             own = own if seen is None or seen.measured.tracker is None else own.pick(own.select(own.commanded))
-            models[one.name] = place(own, instruments)
+            bare[one.name] = own
+            models[one.name] = place(own, beside_them)
         model = next(iter(models.values()))
         if models[one.name].names != model.names:
             first = config.variants[0].name
@@ -142,16 +152,22 @@ def read_inputs(config: StudyConfig, folder: Path, only: Collection[str] | None 
     given = list(dict.fromkeys(name for one in models.values() for name in one.given))
     readings = read_tables(config.tables, folder, model.channels, given) if seen is None else seen.measured.readings
     deviations = stated_noise(config.sensors, readings, model)
+    found = find_frames(config, next(iter(bare.values())), instruments, readings, deviations, symbols)
+    if found.wide:
+        config, models = found.free(config), {name: place(own, found.instruments) for name, own in bare.items()}
+        model = next(iter(models.values()))
     variants = {}
     for one in [one for one in config.variants if only is None or one.name in only]:
         with name_faults(f"variant {one.name!r}"):
             known = () if seen is None else seen.list_terms(models[one.name])
-            variants[one.name] = _build(config, one, models[one.name], readings, deviations, folder, symbols, known)
+            read = readings, deviations, folder, symbols, known, found.begin
+            variants[one.name] = _build(config, one, models[one.name], *read)
     beside = [read_beside(one, folder, model) for one in config.beside]
     unused = readings.tell_unused({name for one in variants.values() for name in one.model.names})
     missing = join_outlooks({name: one.missing for name, one in variants.items() if one.missing})
     name = getattr(model, "name", config.machine)
-    return ReadingInputs(config, name, variants, beside, *keep_files(config, folder), unused, "; ".join(missing), seen)
+    said = unused, "; ".join(missing), found.told
+    return ReadingInputs(config, name, variants, beside, *keep_files(config, folder), *said, seen)
 
 
 def _build(
@@ -163,6 +179,7 @@ def _build(
     folder: Path,
     symbols: Collection[str],
     known: Sequence[ErrorTerm],
+    begin: Mapping[str, float],
 ) -> Variant:
     rows = _choose_poses(section, model, readings)
     chosen = model.select(section.sensors if section.sensors is not None else config.sensors)
@@ -202,6 +219,7 @@ def _build(
         readings.verification[rows],
         np.zeros((data.n_poses, len(model.coordinates))),
         workspace,
+        begin=begin,
     )
     check_readings(data.n_poses, len(chosen), len(priors), len(model.coordinates))
     _check_machine(unplaced)

@@ -167,19 +167,23 @@ def find_starts(posterior: CalibrationPosterior, workspace: Workspace, seed: int
     InputError
         For a pose whose readings do not tell where the machine stands: too few, or of sensors that cannot.
     """
+    pose = search_starts(posterior, workspace, seed)
+    check_told(posterior, pose, workspace)
+    return pose
+
+
+def search_starts(posterior: CalibrationPosterior, workspace: Workspace, seed: int) -> Array:
+    """Return the same, whether readings tell where the machine stands or not."""
     likelihood = posterior.likelihood
     starts, n = workspace.starts(seed), likelihood.data.n_poses
-    white = likelihood.whiten(
-        *posterior.likelihood.noise(posterior.errors, posterior.zeta(np.zeros((1, posterior.n_parameters))))
-    )
+    theta = posterior.theta(posterior.begin)
+    white = likelihood.whiten(*posterior.likelihood.noise(posterior.errors, posterior.zeta(posterior.begin[None])))
 
     def search(rows: np.ndarray, some: Array) -> tuple[Array, Array]:
         """Return the best poses of some rows from some starts, and what they leave, r²."""
         from_all = np.repeat(some[:, None], len(rows), axis=1)
         with np.errstate(all="ignore"):
-            found, square = search_poses(
-                likelihood.pick(rows), posterior.sampling.start, white.at_poses(rows), from_all
-            )
+            found, square = search_poses(likelihood.pick(rows), theta, white.at_poses(rows), from_all)
         square = np.where(np.isnan(square), np.inf, square)
         best = square.argmin(axis=0)
         return found[best, np.arange(len(rows))], square[best, np.arange(len(rows))]
@@ -198,7 +202,6 @@ def find_starts(posterior: CalibrationPosterior, workspace: Workspace, seed: int
         left = every[square > FAR * least.max()] if usual else every
     if len(left):
         pose[left], _ = search(left, starts)
-    check_told(posterior, pose, workspace)
     return np.asarray(pose)
 
 
@@ -212,10 +215,8 @@ def check_told(posterior: CalibrationPosterior, pose: Array, workspace: Workspac
         )
     if not q:
         return
-    white = likelihood.whiten(
-        *posterior.likelihood.noise(posterior.errors, posterior.zeta(np.zeros((1, posterior.n_parameters))))
-    )
-    error, slope, _ = likelihood.linearise(posterior.sampling.start[None], pose[None], white)
+    white = likelihood.whiten(*posterior.likelihood.noise(posterior.errors, posterior.zeta(posterior.begin[None])))
+    error, slope, _ = likelihood.linearise(posterior.theta(posterior.begin[None]), pose[None], white)
     somewhere = np.flatnonzero(np.isfinite(error[0]).all(axis=1) & np.isfinite(slope[0]).all(axis=(1, 2)))
     values = np.linalg.svd(slope[0, somewhere] * workspace.half, compute_uv=False)
     for k in somewhere[values[:, -1] <= SINGULAR * values[:, 0]][:1]:

@@ -72,6 +72,8 @@ CLAIMS = (
 def state_data(study: StudyResults) -> list[Statement]:
     """Say that there is no tool, which readings are not used, that they are few, and how noise was found."""
     found = [] if study.summary.get("states_tool", True) else [Statement(knowledge_page.NO_TOOL, "warning", "Tool")]
+    if "found" in study.summary:
+        found.append(Statement(f"{study.summary['found']}.", lead="Frames"))
     if "unused" in study.summary:
         found.append(Statement(study.summary["unused"], "warning", "Data"))
     if "missing_terms" in study.summary:
