@@ -97,7 +97,9 @@ class Instrument(ReadingMachine):
     @property
     def unstated(self) -> tuple[str, ...]:
         """Symbols of parameters that have no nominal values: NaN says that the data have to tell them."""
-        return tuple(one.symbol for one in self.parameters if not np.isfinite(one.nominal).all())
+        blocks = getattr(self, "parameters", ())  # of a class that is still to be checked
+        blocks = [one for one in blocks if isinstance(one, ParameterBlock)] if isinstance(blocks, Sequence) else []
+        return tuple(one.symbol for one in blocks if not np.isfinite(one.nominal).all())
 
     def settle(self, values: Mapping[str, Array]) -> Self:
         """Return the same instrument with other nominal values (n,), by symbol."""

@@ -28,6 +28,7 @@ from bayescal.experiments.shared.readings.priors import choose_priors
 from bayescal.experiments.shared.readings.reading_tables import PoseReadings
 from bayescal.experiments.shared.readings.workspace import build_workspace, search_starts
 from bayescal.experiments.shared.study_schema import StudyConfig
+from bayescal.limits import FAR_AWAY
 from bayescal.machines.readings import FunctionModel, Instrument, Placed, ReadingModel, place
 from bayescal.numerics.geometry import Array, matrix_from_rotation_vector
 from bayescal.numerics.units import Units
@@ -350,8 +351,8 @@ class _Problem:
     def miss(self, x: Array) -> Array:
         """Return readings less what is expected of free values (F,), over what they may be off by, (R, K)."""
         read = self.model.read(self._whole(x), self.tool)
-        error = Comparison(self.model.channels).subtract(self.seen, read)
-        return np.where(np.isfinite(error), error, 0.0) / self.scale
+        error = Comparison(self.model.channels).subtract(self.seen, read) / self.scale
+        return np.where(np.isfinite(self.seen), np.nan_to_num(error, nan=FAR_AWAY, posinf=FAR_AWAY), 0.0)
 
     def slope(self, x: Array) -> Array:
         """Return its derivative, (R, K, F)."""
