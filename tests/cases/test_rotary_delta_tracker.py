@@ -1,4 +1,4 @@
-"""A rotary delta seen by a laser tracker in its own frame: the frame is found, stated or not, and accuracy is honest."""
+"""A rotary delta seen by a laser tracker in its own frame: the frame is found, stated or not."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def test_a_left_handed_frame_is_called_one(study, column):
     rows = pd.read_csv(table)
     rows[column] *= -1.0
     rows.to_csv(table, index=False)
-    with pytest.raises(InputError, match="instruments.tracker.*left-handed"):
+    with pytest.raises(InputError, match=r"instruments\.tracker.*left-handed"):
         read(study, "all")
 
 
@@ -110,7 +110,7 @@ def test_readings_that_fit_no_frame_are_refused(study):
     rows = pd.read_csv(table)
     rows["theta_3_deg"] *= -1.0
     rows.to_csv(table, index=False)
-    with pytest.raises(InputError, match="instruments.tracker.*with the best frame"):
+    with pytest.raises(InputError, match=r"instruments\.tracker.*with the best frame"):
         read(study, "all")
 
 
