@@ -31,7 +31,7 @@ NOTHING = "-"
 def weigh_twin(name: str, row: str, size: float, seed: int, folder: Path) -> dict[str, float]:
     """Return the weights of a twin's causes, its study in a folder."""
     machine, twin = draw_twin(name, row, size, seed)
-    write_tables(name, machine, twin.values, twin.held, folder)
+    write_tables(machine, twin.values, twin.held, folder)
     kind, config = load(folder / "study.toml")
     inputs = read_inputs(kind, config, folder)
     posterior = next(iter(inputs.variants.values())).posterior().anchored()

@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from benchmarks.truth.machines import STEP, Array, Simulated, difference
+from benchmarks.truth.simulated import STEP, Array, Simulated, difference
 
 type Error = Callable[[Array], Array]
 type Shape = Callable[[Simulated, Array, np.random.Generator], Error]

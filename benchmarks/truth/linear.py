@@ -22,8 +22,9 @@ import pandas as pd
 from scipy.linalg import cho_factor, cho_solve
 
 from benchmarks.truth.errors import MATRIX, NONE, ROWS
-from benchmarks.truth.machines import MACHINES, Array, Simulated, find_determined
+from benchmarks.truth.machines import MACHINES
 from benchmarks.truth.scores import begin_arguments, draw_twin, hold
+from benchmarks.truth.simulated import Array, Simulated, find_determined
 
 TAU, FUNCTIONS = 10e-3, 20e-3  # mm, scales of sizes; or one and two standard deviations of the actuators' noise
 STEPS, WARM, EVERY, EACH = 300, 0.2, 20, 25  # steps a size; share left out; draws of parameters at each that is kept

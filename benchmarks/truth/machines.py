@@ -1,144 +1,16 @@
-"""Machines that are simulated here: what they read at a pose, their tolerances and their workspace.
+"""Machines of `bayescal init` and of RR-8096, simulated once more, and a list of all.
 
-Nothing of this is bayescal's: legs, carriages, arm and cables are written down once more, in millimetres and radians.
-A machine reads s = h(θ, v): its actuators first, then what an instrument beside it sees. Rotation vectors state
-platforms' orientations; bodies' points are p + R b.
+Those of one function are in `functions.py`.
 """
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 
 import numpy as np
-from numpy.typing import NDArray
 
-type Array = NDArray[np.float64]
-
-ARCSEC = np.pi / 648_000.0
-STEP = 1e-4  # of a coordinate's or a tolerance's size, for differences
-NEWTON = 12
-TOLD = 0.1  # of a direction's prior variance, below which it is well determined
-
-
-def rotate(vector: Array, points: Array) -> Array:
-    """Return points (N, 3) turned by rotation vectors (P, 3), shape (P, N, 3): Rodrigues' formula."""
-    angle = np.linalg.norm(vector, axis=-1)[:, None, None]
-    axis = np.broadcast_to(vector[:, None, :], (len(vector), *points.shape))
-    across, twice = np.cross(axis, points), np.cross(axis, np.cross(axis, points))
-    safe = np.where(angle > 1e-12, angle, 1.0)
-    return (
-        points
-        + np.where(angle > 1e-12, np.sin(safe) / safe, 1.0) * across
-        + (np.where(angle > 1e-12, (1.0 - np.cos(safe)) / safe**2, 0.5) * twice)
-    )
-
-
-def difference(function, at: Array, steps: Array) -> Array:
-    """Return central differences of a function of (D,), its values' shape with D at the end."""
-    columns = []
-    for k, step in enumerate(steps):
-        move = np.zeros_like(at)
-        move[k] = step
-        columns.append((function(at + move) - function(at - move)) / (2.0 * step))
-    return np.stack(columns, axis=-1)
-
-
-class Simulated(ABC):
-    """A machine that reads m channels at poses of q coordinates, N of them actuators.
-
-    Attributes
-    ----------
-    names : list of str
-        Of the D parameters, as results name them.
-    nominal, sd : ndarray, shape (D,)
-        Drawing and tolerances.
-    noise : ndarray, shape (m,)
-        Stated standard deviations.
-    size : ndarray, shape (q,)
-        How far coordinates go to either side of ``home`` (q,).
-    lever : ndarray, shape (N,)
-        Of each actuator: by how many millimetres one unit of it moves the tool, roughly.
-    n_actuators : int
-    seen : list of int
-        Channels in which the instrument sees lengths.
-    true : ndarray, shape (D,), or None
-        The twin, once it is drawn.
-    """
-
-    names: list[str]
-    nominal: Array
-    sd: Array
-    noise: Array
-    home: Array
-    size: Array
-    lever: Array
-    n_actuators: int
-    seen: list[int]
-    true: Array | None = None
-
-    @abstractmethod
-    def read(self, theta: Array, v: Array) -> Array:
-        """Return the channels (P, m) of a machine (D,) at poses (P, q)."""
-
-    @abstractmethod
-    def draw_poses(self, theta: Array, n: int, rng: np.random.Generator) -> Array:
-        """Return n poses of the workspace of a machine (D,), shape (n, q)."""
-
-    def solve(self, theta: Array, wanted: Array) -> Array:
-        """Return poses (P, q) at which as many actuators of a machine (D,) read (P, q): by Newton's steps from home."""
-        v, n = np.tile(self.home, (len(wanted), 1)), self.n_actuators
-        start = self.read(theta, v)[:, :n]
-        for k in range(1, NEWTON + 1):  # the first steps go a part of the way
-            slope = difference(lambda move, v=v: self.read(theta, v + move)[:, :n], 0.0 * self.home, STEP * self.size)
-            there = start + min(k / 4.0, 1.0) * (wanted - start)
-            v = v + np.linalg.solve(slope, (there - self.read(theta, v)[:, :n])[..., None])[..., 0]
-        return v
-
-    def travel(self, v: Array) -> Array:
-        """Return how far a twin's actuators are from the drawing's home, shape (P, N), about one at the ends."""
-        true = self.nominal if self.true is None else self.true
-        moved = self.read(true, v) - self.read(self.nominal, self.home[None])
-        return moved[:, : self.n_actuators] / self.reach
-
-    @property
-    def reach(self) -> Array | float:
-        """Travel of the actuators to either side."""
-        return 1.0
-
-    def place(self, v: Array) -> Array:
-        """Return the pose's coordinates about home, about one at the ends, shape (P, q)."""
-        return (v - self.home) / self.size
-
-    def tilt(self, v: Array) -> Array:
-        """Return two coordinates whose squares joints feel, about one at the ends, shape (P, 2)."""
-        return self.place(v)[:, :2]
-
-    def add_noise(self, exact: Array, rng: np.random.Generator) -> Array:
-        """Return channels (P, m) with the stated noise."""
-        return exact + self.noise * rng.standard_normal(exact.shape)
-
-    def reduce(self, theta: Array, v: Array) -> tuple[Array, Array]:
-        """Return what no pose explains of white readings at poses (P, q): its directions (P, m, r), slopes (P, r, D).
-
-        Poses are unknown with flat priors; slopes are by parameters in units of their tolerances.
-        """
-        by_theta = difference(lambda one: self.read(one, v), theta, STEP * self.sd) * self.sd / self.noise[:, None]
-        flat = np.zeros(v.shape[1])
-        by_pose = difference(lambda move: self.read(theta, v + move), flat, STEP * self.size) / self.noise[:, None]
-        across = np.linalg.qr(by_pose, mode="complete")[0][:, :, v.shape[1] :]
-        return across, np.swapaxes(across, 1, 2) @ by_theta
-
-    def right_posterior(self, theta: Array, v: Array) -> Array:
-        """Return the covariance (D, D) of parameters over their tolerances, by the model without errors."""
-        rows = self.reduce(theta, v)[1].reshape(-1, theta.size)
-        return np.linalg.inv(rows.T @ rows + np.eye(theta.size))
-
-
-def find_determined(covariance: Array) -> Array:
-    """Return the directions (K, D) of which a covariance (D, D), in units of the tolerances, leaves little doubt."""
-    value, vector = np.linalg.eigh(covariance)
-    return vector.T[value < TOLD]
-
+from benchmarks.truth.functions import FUNCTIONS
+from benchmarks.truth.simulated import ARCSEC, NEWTON, Array, Simulated, rotate
 
 # --- platforms on six legs -------------------------------------------------------------------------------------------
 
@@ -300,7 +172,7 @@ def _build_telescope(free: dict[str, float]) -> Simulated:
     return machine
 
 
-# --- machines of one function ----------------------------------------------------------------------------------------
+# --- the linear delta ------------------------------------------------------------------------------------------------
 
 
 class Delta(Simulated):
@@ -340,92 +212,11 @@ class Delta(Simulated):
         return found
 
 
-class Arm(Simulated):
-    """Six turning joints by Denavit and Hartenberg's numbers; encoders, and a tracker that sees the tool's place."""
-
-    drawing = np.array(
-        [  # a, d, alpha, offset of each joint
-            *([150.0, 450.0, np.pi / 2, 0.0], [600.0, 0.0, 0.0, 0.0], [120.0, 0.0, np.pi / 2, 0.0]),
-            *([0.0, 640.0, -np.pi / 2, 0.0], [0.0, 0.0, np.pi / 2, 0.0], [40.0, 150.0, 0.0, 0.0]),
-        ]
-    )
-
-    def __init__(self) -> None:
-        self.names = [f"{symbol}[{k}]" for symbol in ("a", "d", "alpha", "o") for k in range(1, 7)]
-        self.nominal = self.drawing.T.ravel()
-        self.sd = np.repeat([0.3, 0.3, np.radians(0.03), np.radians(0.03)], 6)
-        self.noise = np.concatenate([np.full(6, 5e-6), np.full(3, 20e-3)])
-        self.home = np.array([0.0, 1.2, -0.4, 0.0, 0.6, 0.0])
-        self.size = np.array([1.2, 0.5, 0.6, 1.2, 0.8, 1.2])
-        self.lever, self.n_actuators, self.seen = np.array([1000.0, 1100.0, 800.0, 200.0, 200.0, 40.0]), 6, [6, 7, 8]
-
-    def read(self, theta: Array, v: Array) -> Array:
-        """Return encoders and the tool's place."""
-        along, up, twist, zero = theta.reshape(4, 6)
-        axes, place = np.broadcast_to(np.eye(3), (len(v), 3, 3)), np.zeros((len(v), 3))
-        for k in range(6):
-            cos, sin = np.cos(v[:, k]), np.sin(v[:, k])
-            x = axes[:, :, 0] * cos[:, None] + axes[:, :, 1] * sin[:, None]
-            y = axes[:, :, 1] * cos[:, None] - axes[:, :, 0] * sin[:, None]
-            z = axes[:, :, 2]
-            place = place + up[k] * z + along[k] * x
-            turned = y * np.cos(twist[k]) + z * np.sin(twist[k]), z * np.cos(twist[k]) - y * np.sin(twist[k])
-            axes = np.stack([x, *turned], axis=-1)
-        return np.concatenate([v - zero, place], axis=1)
-
-    def travel(self, v: Array) -> Array:
-        """Return joints' angles about home."""
-        return self.place(v)
-
-    def tilt(self, v: Array) -> Array:
-        """Return shoulder and elbow."""
-        return self.place(v)[:, 1:3]
-
-    def draw_poses(self, theta: Array, n: int, rng: np.random.Generator) -> Array:
-        """Return angles of the workspace."""
-        return self.home + self.size * rng.uniform(-1.0, 1.0, (n, 6))
-
-
-class Cables(Simulated):
-    """Eight cables from the corners of a frame to those of a platform; lengths, and a tracked pose."""
-
-    def __init__(self) -> None:
-        corner = np.array([[i, j, k] for k in (-1, 1) for i, j in ((-1, -1), (1, -1), (1, 1), (-1, 1))], float)
-        frame, box = corner * [600.0, 500.0, 400.0], corner * [80.0, 60.0, -50.0]  # crossed, as such robots are built
-        self.names = [f"{s}_{axis}[{k}]" for s in "ab" for axis in "xyz" for k in range(1, 9)]
-        self.names += [f"l0[{k}]" for k in range(1, 9)]
-        self.nominal = np.concatenate([frame.T.ravel(), box.T.ravel(), np.zeros(8)])
-        self.sd = np.repeat([0.3, 0.2, 0.5], [24, 24, 8])
-        self.noise = np.repeat([20e-3, 20e-3, 50e-6], [8, 3, 3])
-        self.home, self.size = np.zeros(6), np.repeat([200.0, 0.12], 3)
-        self.lever, self.n_actuators, self.seen = np.ones(8), 8, [8, 9, 10]
-
-    def read(self, theta: Array, v: Array) -> Array:
-        """Return cables and pose."""
-        frame, box = theta[:24].reshape(3, 8).T, theta[24:48].reshape(3, 8).T
-        ends = v[:, None, :3] + rotate(v[:, 3:], box)
-        return np.concatenate([np.linalg.norm(ends - frame, axis=-1) - theta[48:], v], axis=1)
-
-    @property
-    def reach(self) -> float:
-        """Travel of the cables to either side."""
-        return 300.0
-
-    def tilt(self, v: Array) -> Array:
-        """Return the rotation about x and y."""
-        return self.place(v)[:, 3:5]
-
-    def draw_poses(self, theta: Array, n: int, rng: np.random.Generator) -> Array:
-        """Return poses of the workspace."""
-        return self.home + self.size * rng.uniform(-1.0, 1.0, (n, 6))
-
-
 MACHINES = {
     "hexapod": build_hexapod,
     "carriages": build_carriages,
     "telescope": build_telescope,
     "telescope_all": build_telescope_all,
     "delta": Delta,
-    "arm": Arm,
-    "cables": Cables,
+    **FUNCTIONS,
 }

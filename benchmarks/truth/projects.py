@@ -7,22 +7,33 @@ likewise. With ``tau`` the model error is stated to be random errors from pose t
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
+import tempfile
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
-from bayescal.experiments.frame.load import load, read_inputs
-from bayescal.experiments.study.readings import fit_variant
+from bayescal.calibrated.predict import predict_poses
+from bayescal.experiments.frame.identity import describe_provenance, identify
+from bayescal.experiments.frame.load import load
+from bayescal.experiments.frame.results import write_results
+from bayescal.experiments.frame.run import compute_experiment
+from bayescal.experiments.shared.calibrating import load_calibrated
+from bayescal.experiments.shared.study_schema import stem_of
+from bayescal.experiments.shared.trees import read_draws
 from bayescal.projects.start import start_project
-from benchmarks.truth.machines import Array, Platform, Simulated
+from benchmarks.truth.functions import Function
+from benchmarks.truth.machines import Platform
+from benchmarks.truth.simulated import Array, Simulated
 
 INIT = {"hexapod": ("hexapod", "poses"), "carriages": ("carriages", "poses"), "delta": ("own", None)}
-DEFAULTS = ("init", "tau", "floor")
+DEFAULTS = ("init", "tau", "floor", "independent", "none")
 EFFORT = """[sampler]
 ensembles = 4
 walkers = 48
@@ -33,10 +44,17 @@ steps = 16
 draws = 1000
 max_draws = 1000
 target_error = 1.0
+
+[sensitivity]
+factor = [1.0]
 """
+EXACT = "exact"
+"""Name of a variant without model error."""
 STATED = {
     "tau": '[model_error]\nterms = ["independent"]\nscale_um = 10.0\n',
     "floor": "[model_error]\nat_least_um = 10.0\n",
+    "independent": '[model_error]\nterms = ["independent"]\n',
+    "none": "[model_error]\nterms = []\n",
 }
 TELESCOPE = """name = "telescope"
 
@@ -55,7 +73,7 @@ initial_actuator_position_mm = 10.0
 actuator_range_mm = 1.3
 """
 OWN = """kind = "study"
-name = "twin"
+name = "{name}"
 title = "A twin"
 seed = 1
 machine = "machine.toml"
@@ -65,7 +83,7 @@ status = "simulated"
 text = "benchmarks/truth"
 
 [[data]]
-file = "data/readings.csv"
+file = "data/readings.csv"{commanded}
 
 [sensors]
 {sensors}
@@ -75,33 +93,11 @@ file = "data/readings.csv"
 
 [[variants]]
 name = "all"
-title = "Everything free"
+title = "Everything free"{fixed}
 """
-CLASSES = {
-    "arm": (
-        "arm.py:Arm",
-        "encoder = { noise_rad = 5e-6 }\ntracker_x = { noise_um = 20.0 }\ntracker_y = { noise_um = 20.0 }\n"
-        "tracker_z = { noise_um = 20.0 }",
-        {"a": 0.3, "d": 0.3, "alpha": 0.03, "o": 0.03},
-    ),
-    "cables": (
-        "cables.py:Cables",
-        "cable = { noise_um = 20.0 }\n"
-        + "\n".join(f"tracker_{axis} = {{ noise_um = 20.0 }}" for axis in "xyz")
-        + "\n"
-        + "\n".join(f"tracker_r{axis} = {{ noise_rad = 5e-5 }}" for axis in "xyz"),
-        {**dict.fromkeys(("a_x", "a_y", "a_z"), 0.3), **dict.fromkeys(("b_x", "b_y", "b_z"), 0.2), "l0": 0.5},
-    ),
-}
-COLUMNS = {
-    "delta": ["s_1_mm", "s_2_mm", "s_3_mm", "cam_x_mm", "cam_y_mm", "height_mm"],
-    "arm": [*(f"encoder_{k}_rad" for k in range(1, 7)), *(f"tracker_{axis}_mm" for axis in "xyz")],
-    "cables": [
-        *(f"cable_{k}_mm" for k in range(1, 9)),
-        *(f"tracker_{axis}_mm" for axis in "xyz"),
-        *(f"tracker_r{axis}_rad" for axis in "xyz"),
-    ],
-}
+DELTA = ["s_1_mm", "s_2_mm", "s_3_mm", "cam_x_mm", "cam_y_mm", "height_mm"]
+NOISE = {"mm": ("noise_um", 1e3), "rad": ("noise_rad", 1.0)}
+"""By unit of a channel, how a study states its noise, and times what; of others in their own."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,23 +110,37 @@ class Calibrated:
         Of the posterior, in the simulator's order of parameters, mm and radians, or of what was named.
     held : ndarray of bool
         Which held-back readings lie within their 90 % predictive intervals, noise included.
-    problems : list of str
-        Why it calls itself not converged.
+    tool, sd : ndarray, shape (H, m)
+        Where the tool is at the held-back poses by the actuators' readings, as `bayescal predict` says, and its
+        standard deviations.
+    gain : float
+        Log-evidence of the study's model error over that of no model error, nat; NaN where it was not asked for.
+    problems : str
+        Why it calls itself not converged; empty where it did.
     seconds : float
         Processor time.
     """
 
     draws: Array
     held: np.ndarray
-    problems: list[str]
+    tool: Array
+    sd: Array
+    gain: float
+    problems: str
     seconds: float
 
 
-def write_project(name: str, machine: Simulated, default: str, folder: Path) -> None:
-    """Write machine and study into a folder, as `bayescal init` would, without tables that matter."""
+def write_project(
+    name: str, machine: Simulated, default: str, folder: Path, effort: str = EFFORT, beside: bool = False
+) -> None:
+    """Write machine and study into a folder, as `bayescal init` would, without tables that matter.
+
+    ``effort`` are the sections of the sampler; none for the package's own. With ``beside`` a variant without model
+    error stands beside the first one.
+    """
     shutil.rmtree(folder, ignore_errors=True)
-    if name in CLASSES:
-        _write_class(name, folder)
+    if isinstance(machine, Function):
+        _write_function(name, machine, folder)
     elif name in INIT:
         start_project(folder, *INIT[name])
     else:
@@ -142,11 +152,16 @@ def write_project(name: str, machine: Simulated, default: str, folder: Path) -> 
         text = re.sub(r'\[\[variants\]\]\nname = "one_rod".*?(?=\n\[)', "", text, flags=re.DOTALL)
     if name.startswith("telescope"):
         text = _free(text, machine)
-    text = "\n".join(part for part in re.split(r"\n(?=\[)", text) if not _says(part, "sampler", "evidence"))
+    text = "\n".join(
+        part for part in re.split(r"\n(?=\[)", text) if not _says(part, "sampler", "evidence", "sensitivity")
+    )
     if default in STATED:
         parts = [part for part in re.split(r"\n(?=\[)", text) if not _says(part, "model_error")]
         text = "\n".join([*parts, STATED[default]])
-    path.write_text(f"{text}\n{EFFORT}")
+    if beside:
+        first = next(part for part in re.split(r"\n(?=\[)", text) if part.startswith("[[variants]]"))
+        text += "\n" + re.sub(r'name = ".*"', f'name = "{EXACT}"\nmodel_error = []', first, count=1)
+    path.write_text(f"{text}\n{effort}")
 
 
 def _says(part: str, *sections: str) -> bool:
@@ -158,25 +173,40 @@ def _free(text: str, machine: Platform) -> str:
     said = "".join(f'{symbol} = {{ prior = "normal", sd = {sd} }}\n' for symbol, sd in machine.tolerances.items())
     text = re.sub(r"\[parameters\]\n.*?(?=\n\[)", f"[parameters]\n{said}", text, flags=re.DOTALL)
     text = re.sub(r"actuator_noise_um = \S+", "actuator_noise_um = 1.0", text)
-    return re.sub(r"free = \[.*?\]", f"free = {list(machine.tolerances)}".replace("'", '"'), text)
+    return re.sub(r"free = \[.*?\]", f"free = {quote(list(machine.tolerances))}", text)
 
 
-def _write_class(name: str, folder: Path) -> None:
-    reference, sensors, tolerances = CLASSES[name]
+def _write_function(name: str, machine: Function, folder: Path) -> None:
+    """Write the class that a user has, and a study of what its simulator declares."""
     folder.mkdir(parents=True)
-    shutil.copyfile(Path(__file__).with_name(f"{name}.py"), folder / f"{name}.py")
-    (folder / "machine.toml").write_text(f'kind = "{reference}"\nname = "{name}"\ntitle = "{name}"\n')
-    said = "\n".join(f'{symbol} = {{ prior = "normal", sd = {sd} }}' for symbol, sd in tolerances.items())
-    (folder / "study.toml").write_text(OWN.format(sensors=sensors, parameters=said))
+    shutil.copyfile(Path(__file__).parent / "classes" / f"{name}.py", folder / f"{name}.py")
+    kind = f"{name}.py:{type(machine).__name__}"
+    (folder / "machine.toml").write_text(f'kind = "{kind}"\nname = "{name}"\ntitle = "{name}"\n')
+    sensors = [(sensor, *NOISE.get(one.unit, ("noise", 1.0)), one) for sensor, one in machine.sensors.items()]
+    symbols = [(symbol, np.degrees(one.sd) if one.unit == "rad" else one.sd) for symbol, one in machine.symbols.items()]
+    text = OWN.format(
+        name=name,
+        commanded=f"\ncommanded = {quote(machine.commanded)}" if machine.commanded else "",
+        sensors="\n".join(f"{sensor} = {{ {key} = {times * one.noise:.9g} }}" for sensor, key, times, one in sensors),
+        parameters="\n".join(f'{symbol} = {{ prior = "normal", sd = {sd:.9g} }}' for symbol, sd in symbols),
+        fixed=f"\nfixed = {quote(machine.fixed)}" if machine.fixed else "",
+    )
+    (folder / "study.toml").write_text(text)
 
 
-def write_tables(name: str, machine: Simulated, values: Array, held: np.ndarray, folder: Path) -> None:
+def quote(names: Sequence[str]) -> str:
+    """Return names as a list of a config."""
+    return f"[{', '.join(f'"{name}"' for name in names)}]"
+
+
+def write_tables(machine: Simulated, values: Array, held: np.ndarray, folder: Path) -> None:
     """Write what was measured: channels (P, m), some rows (P,) held back."""
     use = np.where(held, "verification", "calibration")
     rows = [f"R{k + 1:03d},{one}" for k, one in enumerate(use)]
     (folder / "data").mkdir(exist_ok=True)
     if not isinstance(machine, Platform):
-        _write(folder / "data" / "readings.csv", ["pose", "use", *COLUMNS[name]], rows, values)
+        columns = machine.columns if isinstance(machine, Function) else DELTA
+        _write(folder / "data" / "readings.csv", ["pose", "use", *columns], rows, values)
         return
     actuators = [f"rho_{leg}_mm" for leg in range(1, 7)]
     _write(folder / "data" / "actuators.csv", ["pose", "use", *actuators], rows, values[:, :6])
@@ -194,17 +224,43 @@ def _write(path: Path, header: list[str], rows: list[str], values: Array) -> Non
     path.write_text("\n".join([",".join(header), *lines]) + "\n")
 
 
-def calibrate(machine: Simulated, folder: Path, seed: int, names: Sequence[str] = ()) -> Calibrated:
-    """Return what a study finds of its tables, computed in this process; draws of other unknowns if they are named."""
+def compute(folder: Path, seed: int, out: Path) -> None:
+    """Write what the study of a folder finds of its tables into a new folder, all but its page."""
+    experiment, config = load(folder / "study.toml")
+    config = config.model_copy(update={"seed": seed})
+    identity = identify(config, folder, experiment.files(config, folder))
+    found = compute_experiment(config, folder)
+    out.mkdir()
+    provenance = describe_provenance(config, identity)
+    write_results(replace(found, provenance=provenance), out, experiment.tables_in, experiment.digits)
+
+
+def calibrate(machine: Simulated, folder: Path, seed: int, commands: Array, names: Sequence[str] = ()) -> Calibrated:
+    """Return what a study finds of its tables, computed in this process; draws of other unknowns if they are named.
+
+    ``commands`` (H, N) are what actuators read at the held-back poses.
+    """
     began = time.process_time()
-    kind, config = load(folder / "study.toml")
-    inputs = read_inputs(kind, config.model_copy(update={"seed": seed}), folder)
-    fit = fit_variant(inputs, config.variants[0].name)
-    seconds = time.process_time() - began
-    order = [fit.names.index(name) for name in names or machine.names]
-    if isinstance(machine, Platform):
-        found = fit.poses.select(inputs.verification)
-        held = ((found.low <= found.error) & (found.error <= found.high)).ravel()
-    else:
-        held = np.concatenate([one.predictions.inside for one in fit.held])
-    return Calibrated(fit.draws.reshape(-1, fit.draws.shape[-1])[:, order], held, fit.list_problems(), seconds)
+    with tempfile.TemporaryDirectory() as scratch:
+        out = Path(scratch) / "results"
+        compute(folder, seed, out)
+        seconds = time.process_time() - began
+        variants = json.loads((out / "summary.json").read_text())["variants"]
+        first = next(iter(variants))
+        gain = variants[first]["log_evidence"] - variants[EXACT]["log_evidence"] if EXACT in variants else np.nan
+        drawn = read_draws(out / "posterior" / f"{stem_of(first)}.nc")
+        held = read_held(out / "tables", first, isinstance(machine, Platform))
+        place = predict_poses(load_calibrated(out, first, force=True, trust=True), commands)
+    draws = np.stack([drawn[name] for name in names or machine.names], axis=1)
+    return Calibrated(draws, held, place.tool, place.sd, gain, variants[first]["problems"], seconds)
+
+
+def read_held(tables: Path, variant: str, by_pose: bool) -> np.ndarray:
+    """Return which held-back readings lie within their intervals: components of poses, or each by the others."""
+    found = pd.read_csv(tables / ("pose_errors.csv" if by_pose else "predictions.csv"))
+    found = found[found["variant"] == variant]
+    if not by_pose:
+        return found["inside"].to_numpy()
+    found = found[found["use"] == "verification"]
+    low, error, high = (found.filter(regex=f"^r?[xyz]_{what}_").to_numpy() for what in ("low", "error", "high"))
+    return ((low <= error) & (error <= high)).ravel()

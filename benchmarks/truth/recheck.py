@@ -43,15 +43,12 @@ from bayescal.calibrated.recheck.statistics import (
 )
 from bayescal.density.calibration.measurements import Measurements
 from bayescal.errors import InputError
-from bayescal.experiments.frame.identity import describe_provenance, identify
-from bayescal.experiments.frame.load import load
-from bayescal.experiments.frame.results import write_results
-from bayescal.experiments.frame.run import compute_experiment
 from bayescal.experiments.shared.calibrating import load_calibrated
 from benchmarks.truth.errors import NONE, SHAPES
-from benchmarks.truth.machines import MACHINES, Array, Platform, Simulated
-from benchmarks.truth.projects import write_project, write_tables
+from benchmarks.truth.machines import MACHINES, Platform
+from benchmarks.truth.projects import compute, write_project, write_tables
 from benchmarks.truth.scores import Twin, draw_twin
+from benchmarks.truth.simulated import Array, Simulated
 
 SUSPECT = {"delta": "s0", "arm": "o"}
 """Symbols whose entries may have moved; of platforms the legs' lengths."""
@@ -144,7 +141,10 @@ def calibrate(name: str, row: str, size: float, seed: int, folder: Path) -> Case
     results = folder / f"{name}_{row}_{size:g}_{seed}"
     if not results.exists():
         with tempfile.TemporaryDirectory(dir=folder) as there:
-            _compute(name, machine, twin, seed, Path(there) / "twin", Path(there) / "results")
+            project = Path(there) / "twin"
+            write_project(name, machine, "init", project)
+            write_tables(machine, twin.values, twin.held, project)
+            compute(project, seed, Path(there) / "results")
             (Path(there) / "results").rename(results)
     calibrated = load_calibrated(results, force=True, trust=True)
     suspects = choose_suspects(calibrated, [SUSPECT[name]] if name in SUSPECT else [])
@@ -152,18 +152,6 @@ def calibrate(name: str, row: str, size: float, seed: int, folder: Path) -> Case
     if isinstance(machine, Platform):
         expected = expect_pose(calibrated, np.diag(machine.noise[machine.n_actuators :] ** 2))
     return Case(machine, twin, calibrated, suspects, expected)
-
-
-def _compute(name: str, machine: Simulated, twin: Twin, seed: int, project: Path, results: Path) -> None:
-    """Write what a study by default finds of a twin, all but its page."""
-    write_project(name, machine, "init", project)
-    write_tables(name, machine, twin.values, twin.held, project)
-    experiment, config = load(project / "study.toml")
-    config = config.model_copy(update={"seed": seed})
-    identity = identify(config, project, experiment.files(config, project))
-    found = compute_experiment(config, project)
-    results.mkdir()
-    write_results(replace(found, provenance=describe_provenance(config, identity)), results)
 
 
 def judge_twin(case: Case, times: int, seed: int) -> Iterator[dict[str, object]]:
