@@ -1,7 +1,8 @@
 """Tables of how often intervals hold the truth, on machines that err by what no model states.
 
     python -m benchmarks.truth ROW... --machine hexapod [--sizes 1] [--twins 40] [--seed 1] [--limit 0]
-                                      [--default init|tau|floor|both] [--out benchmarks/truth/hexapod.csv]
+                                      [--default init|tau|floor|both] [--columns NAME]
+                                      [--out benchmarks/truth/hexapod.csv]
 
 Rows are named in `errors.py`; none are all that the machine can have, or those that it is judged by. With --out lines
 are written into the table, in the columns `before` of τ alone, `after` of what `bayescal init` writes, or `floor` of
@@ -32,6 +33,7 @@ def main() -> None:
     parser = begin_arguments(__doc__.splitlines()[0], 1)
     parser.add_argument("--default", choices=(*DEFAULTS, "both"), default="init")
     parser.add_argument("--limit", type=float, default=0.0, help="CPU seconds a twin, 0 for any number")
+    parser.add_argument("--columns", help="what columns of the table begin with, if not as said above")
     arguments = parser.parse_args()
     if unknown := set(arguments.rows) - set(ROWS):
         parser.error(f"found rows {sorted(unknown)}, expected some of {', '.join(ROWS)}")
@@ -43,7 +45,8 @@ def main() -> None:
                 said = ", ".join(f"{key} {value:g}" for key, value in found.items())
                 print(f"{name} {row} ×{size:g}, {default}: {said}", flush=True)
                 if arguments.out is not None:
-                    write(arguments.out, (name, row, size), arguments.seed, PREFIX.get(default, default), found)
+                    prefix = arguments.columns or PREFIX.get(default, default)
+                    write(arguments.out, (name, row, size), arguments.seed, prefix, found)
 
 
 def compare(arguments: argparse.Namespace, row: str, size: float) -> dict[str, dict[str, float]]:
