@@ -7,7 +7,7 @@ import shutil
 import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from html import escape
 from io import StringIO
@@ -237,6 +237,7 @@ class StudyResult(LoadedResults):
         from matplotlib.figure import Figure
 
         table = self.parameters[self.parameters["variant"] == self._check(variant)]
+        table = table[table["mode"] == 1] if "mode" in table else table  # the most probable of several solutions
         table = table[np.isfinite(table["prior_sd"])]
         middle = (table["mean"] - table["nominal"]) / table["prior_sd"]
         ends = [((table[end] - table["mean"]) / table["prior_sd"]).abs() for end in ("q05", "q95")]
@@ -261,6 +262,11 @@ class VariantResult:
 
     study: StudyResult
     name: str
+    mode: int | None = None  # which of several solutions, from 1; see `take_mode`
+
+    def take_mode(self, mode: int) -> VariantResult:
+        """Return the same variant whose machine is one of several solutions; 1 is the most probable."""
+        return replace(self, mode=mode)
 
     @property
     def posterior(self) -> xr.DataTree:
@@ -275,10 +281,14 @@ class VariantResult:
 
     @cached_property
     def machine(self) -> CalibratedMachine:
-        """The calibrated machine; InputError where its posterior did not converge, unless taken by force."""
+        """The calibrated machine; InputError where its posterior did not converge, unless taken by force.
+
+        Of several solutions one has to be taken first (`take_mode`).
+        """
         from bayescal.experiments.shared.calibrating import load_calibrated
 
-        return load_calibrated(self.study.folder, self.name, trust=self.study.trust, force=self.study.force)
+        study = self.study
+        return load_calibrated(study.folder, self.name, trust=study.trust, force=study.force, mode=self.mode)
 
     def predict(self, commands: Table) -> pd.DataFrame:
         """Return where machine and tool are at commands, with standard deviations and covariances.

@@ -53,6 +53,7 @@ class SourceConfig(Section):
     variant: str
     data: str
     problems: list[str]
+    solution: str = ""
 
 
 class ErrorsConfig(Section):
@@ -132,7 +133,7 @@ def _format_calibrated(calibrated: CalibratedMachine, machine: Mapping[str, Any]
         "kind": "calibrated_machine",
         **machine,
         **{key: name for key, name in beside.items() if getattr(calibrated, key) is not None},
-        "source": vars(source),
+        "source": {key: value for key, value in vars(source).items() if value != ""},
         "errors": {
             "noise": sd,
             "model_error": np.sqrt(errors.model_variance),
@@ -263,7 +264,7 @@ def read_exported(folder: Path) -> CalibratedMachine:
         covariance,
         draws,
         _read_errors(config.errors, folder, model, theta),
-        Source(source.experiment, source.variant, source.data, tuple(source.problems)),
+        Source(source.experiment, source.variant, source.data, tuple(source.problems), source.solution),
         measured,
         given,
         _read_workspace(config, path, model),

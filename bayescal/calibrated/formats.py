@@ -85,6 +85,7 @@ def _describe(calibrated: CalibratedMachine) -> dict[str, Any]:
             "data": source.data,
             "converged": not source.problems,
             "problems": list(source.problems),
+            **({"solution": source.solution} if source.solution else {}),
         },
         **(_describe_legs(model.machine) if isinstance(model, Legs) else {}),
         "commanded": list(model.commanded),

@@ -142,15 +142,19 @@ class Source:
     variant: str
     data: str  # what its data are, in words
     problems: tuple[str, ...] = ()  # what speaks against its convergence; none of what is exported without force
+    solution: str = ""  # which of several solutions: ``mode 1 of 2, probability 0.6``; empty of a single one
 
     @property
     def stem(self) -> str:
         """Name of a directory for the machine."""
-        return f"{name_file(self.experiment)}-{name_file(self.variant)}"
+        number = f"-mode{self.solution.split()[1]}" if self.solution else ""
+        return f"{name_file(self.experiment)}-{name_file(self.variant)}{number}"
 
     def describe(self) -> list[str]:
         """Return lines for the head of a file."""
-        lines = [f"Calibrated machine: experiment {self.experiment}, variant {self.variant}", f"Data: {self.data}"]
+        which = f", {self.solution}" if self.solution else ""
+        first = f"Calibrated machine: experiment {self.experiment}, variant {self.variant}{which}"
+        lines = [first, f"Data: {self.data}"]
         if self.problems:
             lines.append(f"NOT CONVERGED, written by force: {'; '.join(self.problems)}")
         return lines

@@ -47,12 +47,13 @@ class MachineOptions:
         typer.Option("--force", help="Take a posterior that did not converge, and files that were changed."),
     ] = False
     trust: Trust = False
+    mode: Annotated[int | None, typer.Option(min=1, help="Which of several solutions; 1 is the most probable.")] = None
 
     def load(self, results: Path) -> CalibratedMachine:
         """Return the machine; see `load_calibrated`."""
         from bayescal.experiments.shared.calibrating import load_calibrated
 
-        return load_calibrated(results, self.variant, self.experiment, self.force)
+        return load_calibrated(results, self.variant, self.experiment, self.force, mode=self.mode)
 
 
 @app.command(epilog="Example: bayescal export results/m2_hexapod --format urdf --out machines/m2")

@@ -37,6 +37,7 @@ from bayescal.inference.exploration import explore
 from bayescal.inference.mode import find_modes
 from bayescal.inference.sampling import sample_posterior
 from bayescal.inference.schema import DrawsConfig, count_walkers
+from bayescal.inference.solutions import find_solutions
 from bayescal.machines.readings import ReadingModel
 from bayescal.numerics.geometry import Array
 
@@ -213,7 +214,9 @@ def draw(task: tuple[MeasuredReadings, DrawsConfig, int, int]) -> Draws:
     problems = drawn.diagnostics.list_problems()
     if not all(mode.converged for mode in exploration.modes):
         problems.append("the mode search did not converge")
-    return Draws(*_take(found, drawn.y.reshape(-1, target.n_parameters)), drawn.diagnostics, problems)
+    label = find_solutions(drawn.y, exploration.modes, target.n_geometry).label
+    y = drawn.y[label == 0]  # of the most probable solution: a mean over several is no machine
+    return Draws(*_take(found, y), drawn.diagnostics, problems)
 
 
 def _take(found: MeasuredReadings, y: Array) -> tuple[Array, Array]:

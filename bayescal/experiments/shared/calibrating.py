@@ -35,7 +35,9 @@ class Calibrating(ABC):
     tables_of_machine: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod
-    def calibrate(self, results: Results, variant: str | None, experiment: Path | None) -> CalibratedMachine:
+    def calibrate(
+        self, results: Results, variant: str | None, experiment: Path | None, mode: int | None
+    ) -> CalibratedMachine:
         """Return the machine of a variant, of the best where none is named.
 
         Parameters
@@ -44,11 +46,14 @@ class Calibrating(ABC):
         variant : str or None
         experiment : Path or None
             The config of the results, for those that do not hold the nominal machine.
+        mode : int or None
+            Which of several solutions, from 1.
 
         Raises
         ------
         InputError
-            Where there is no such variant, or something is missing.
+            Where there is no such variant or solution, where there are several and none is named, or something is
+            missing.
         """
 
 
@@ -58,6 +63,7 @@ def load_calibrated(
     experiment: Path | str | None = None,
     force: bool = False,
     trust: bool = False,
+    mode: int | None = None,
 ) -> CalibratedMachine:
     """Return the calibrated machine of a results directory, or of one that `bayescal export` wrote.
 
@@ -72,12 +78,14 @@ def load_calibrated(
         Take a posterior that did not converge, too, and files that are not as they were written.
     trust : bool
         Run the code of classes that are the machine's own, which results keep, though nobody has trusted it.
+    mode : int, optional
+        Which of several solutions of a posterior, from 1, the most probable one; needed where there are several.
 
     Raises
     ------
     InputError
-        For results without a machine or such a variant, for a posterior that did not converge, and for code that nobody
-        has trusted.
+        For results without a machine or such a variant, for several solutions of which none is named, for a posterior
+        that did not converge, and for code that nobody has trusted.
 
     Examples
     --------
@@ -91,8 +99,10 @@ def load_calibrated(
             found = read_exported(path)
             if variant not in (None, found.source.variant):
                 raise InputError(f"{path}: found an exported variant {found.source.variant!r}, expected {variant!r}")
+            if mode is not None:
+                raise InputError(f"{path}: --mode: found {mode}, expected none: an exported machine is one solution")
         else:
-            found = _calibrate(path, variant, None if experiment is None else Path(experiment))
+            found = _calibrate(path, variant, None if experiment is None else Path(experiment), mode)
     if found.source.problems and not force:
         problems = "; ".join(found.source.problems)
         raise InputError(
@@ -102,7 +112,7 @@ def load_calibrated(
     return found
 
 
-def _calibrate(path: Path, variant: str | None, experiment: Path | None) -> CalibratedMachine:
+def _calibrate(path: Path, variant: str | None, experiment: Path | None, mode: int | None) -> CalibratedMachine:
     from bayescal.experiments.frame.results import PROVENANCE_FILE, read_results
 
     name = read_json(path / PROVENANCE_FILE).get("kind")
@@ -111,7 +121,7 @@ def _calibrate(path: Path, variant: str | None, experiment: Path | None) -> Cali
         raise InputError(
             f"{path}: found results of kind {name!r}, which hold no calibrated machine, expected those of a study"
         )
-    return kind.calibrate(read_results(path, kind.tables_of_machine), variant, experiment)
+    return kind.calibrate(read_results(path, kind.tables_of_machine), variant, experiment, mode)
 
 
 # --- for those kinds -----------------------------------------------------------------------------------------------

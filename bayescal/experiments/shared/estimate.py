@@ -43,6 +43,7 @@ from bayescal.inference.overdispersed import (
 )
 from bayescal.inference.sampling import sample_posterior
 from bayescal.inference.schema import EvidenceConfig, SamplerConfig, count_walkers
+from bayescal.inference.solutions import Solutions, find_solutions
 from bayescal.inference.stages import expect
 from bayescal.inference.target import Fittable, Target
 from bayescal.inference.tempered import estimate_by_tempering
@@ -99,17 +100,33 @@ class Check:
 
 
 @dataclass(frozen=True, eq=False)
+class Moments:
+    """Mean, standard deviation and the ends of the central 90 % of draws, in own units, (n,) each."""
+
+    mean: Array
+    sd: Array
+    q05: Array
+    q95: Array
+
+    @classmethod
+    def of(cls, draws: Array) -> Self:
+        """Return those of draws (S, n)."""
+        low, high = np.quantile(draws, (0.05, 0.95), axis=0)
+        return cls(draws.mean(axis=0), draws.std(axis=0), low, high)
+
+
+@dataclass(frozen=True, eq=False)
 class Estimate:
     """What was found of a posterior of n coordinates."""
 
     y: Array  # with draws, (E, S, n): some draws of each ensemble, in sampling coordinates and in own units
     draws: Array
     log_density: Array  # (E, S): theirs, in the proposal's coordinates
-    mean: Array  # with sd, q05 and q95, (n,): of all draws, in own units
+    mean: Array  # with sd, q05 and q95, (n,): of all draws of the most probable solution, in own units
     sd: Array
     q05: Array
     q95: Array
-    modes: Array  # (M, n): in sampling coordinates, the best first
+    modes: Array  # (K, n): in sampling coordinates, those of the most probable solution first, the best of each first
     modes_converged: bool
     acceptance: Array  # (E,)
     diagnostics: Diagnostics
@@ -122,16 +139,27 @@ class Estimate:
     tails: Tails  # what the draws have of the mass where the proposal seldom leads
     check: Check | None  # where the config asks for it
     correction: Correction | None  # what led to a density that leaves less out: draws and evidences are its own
+    solutions: Solutions  # which of the draws (E, S) belongs to which of M separate ones
+    others: tuple[Moments, ...]  # of the draws of those but the first, as far as they are shown
 
     @property
     def kept(self) -> Array:
         """Some draws in sampling coordinates, chains laid end to end, shape (T, n)."""
         return self.y.reshape(-1, self.y.shape[-1])
 
+    def kept_of(self, solution: int) -> Array:
+        """Those of one solution; 0 is the most probable one."""
+        return self.kept[self.solutions.label.ravel() == solution]
+
     @property
     def mode(self) -> Array:
-        """The best mode, shape (n,)."""
+        """The best mode of the most probable solution, shape (n,)."""
         return np.asarray(self.modes[0])
+
+    def mode_of(self, solution: int) -> Array:
+        """Return that of another one, or the middle of its draws where the search found no mode of its own."""
+        mine = self.modes[self.solutions.of_modes == solution]
+        return np.asarray(mine[0] if len(mine) else np.median(self.kept_of(solution), axis=0))
 
     @property
     def log_evidence(self) -> float:
@@ -336,16 +364,15 @@ def _estimate(
     n, flat = posterior.n_parameters, sample.straight.reshape(-1, sample.straight.shape[-1])
     proposed = found.proposal.log_density(flat).reshape(sample.log_density.shape)
     places = choose_draws(len(sample.log_density), sample.log_density[0].size, KEPT_READINGS)
-    low, high = np.quantile(sample.natural, (0.05, 0.95), axis=(0, 1, 2))
+    solutions = find_solutions(sample.y, found.modes, posterior.n_geometry)
+    first = np.argsort(solutions.of_modes, kind="stable")
+    moments, *others = (Moments.of(sample.natural[solutions.label == k]) for k in range(max(solutions.n_shown, 1)))
     estimate = Estimate(
         y=sample.y.reshape(-1, n)[places],
         draws=sample.natural.reshape(-1, n)[places],
         log_density=sample.log_density.reshape(-1)[places],
-        mean=sample.natural.mean(axis=(0, 1, 2)),
-        sd=sample.natural.std(axis=(0, 1, 2)),
-        q05=low,
-        q95=high,
-        modes=np.stack([mode.y for mode in found.modes]),
+        **vars(moments),
+        modes=np.stack([mode.y for mode in found.modes])[first],
         modes_converged=all(mode.converged for mode in found.modes),
         acceptance=sample.acceptance,
         diagnostics=sample.diagnostics,
@@ -357,6 +384,8 @@ def _estimate(
         tails=tails,
         check=None if check is None else shift_evidence(check, correction),
         correction=correction,
+        solutions=replace(solutions, label=solutions.label.reshape(-1)[places], of_modes=solutions.of_modes[first]),
+        others=tuple(others),
     )
     return estimate, found
 

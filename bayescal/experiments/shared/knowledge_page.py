@@ -14,7 +14,13 @@ from bayescal.report.symbols import Asked, format_place, name_unit, shown_in
 if TYPE_CHECKING:
     import pandas as pd
 
-VERDICT_LEVELS: dict[str, Level] = {"identifiable": "good", "weak": "warning", "not": "bad", "noise": "plain"}
+VERDICT_LEVELS: dict[str, Level] = {
+    "identifiable": "good",
+    "weak": "warning",
+    "not": "bad",
+    "noise": "plain",
+    "several": "warning",
+}
 """How good the news of a parameter's verdict is."""
 NO_TOOL = (
     "The machine's class states no tool: its coordinates are reported instead. State tool_channels (names and units), "

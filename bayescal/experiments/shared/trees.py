@@ -25,11 +25,12 @@ if TYPE_CHECKING:
 NAME = "readings"
 FUNCTIONS = "functions"
 """Group of what is known of errors that are functions of the pose."""
+MODE = "mode"
+"""Variable of ``sample_stats``: to which of several solutions a draw belongs, from 1."""
 SAVED_DRAWS = 2000
 KEPT_NUMBERS = 2**23
 """Of all draws together that one array keeps: with thousands of poses fewer draws, never too few to say anything."""
 LEAST_DRAWS = 200
-
 
 type Variables = Mapping[str, tuple[tuple[str, ...], Array, str, str]]
 """By name: dimensions, values, unit, and what it is."""
@@ -58,10 +59,15 @@ def spread(n: int, n_wanted: int) -> Array:
     return np.linspace(0, n - 1, min(n_wanted, n)).astype(int)
 
 
-def read_functions(path: Path) -> tuple[KnownFunctions, list[str]] | None:
+def name_functions(mode: int) -> str:
+    """Return the group of what is known of such errors in a solution, from 1."""
+    return FUNCTIONS if mode == 1 else f"{FUNCTIONS}_{mode}"
+
+
+def read_functions(path: Path, mode: int = 1) -> tuple[KnownFunctions, list[str]] | None:
     """Return what is known of such errors, and names of the parameters beside, of a tree's file; None without any."""
     try:
-        return read_known(path, FUNCTIONS)
+        return read_known(path, name_functions(mode))
     except (OSError, ValueError, KeyError):  # none is there
         return None
 
@@ -111,8 +117,11 @@ def make_dataset(
     return xr.Dataset(made, {**counted, **(coords or {})})
 
 
-def read_draws(path: Path) -> dict[str, Array]:
-    """Return the draws of each parameter of a tree's file by its name, shapes (S,), chains laid end to end."""
+def read_draws(path: Path, mode: int | None = None) -> dict[str, Array]:
+    """Return the draws of each parameter of a tree's file by its name, shapes (S,), chains laid end to end.
+
+    Those of one of its solutions, counted from 1, where one is named.
+    """
     values: dict[str, Array] = {}
     try:
         for symbol, found in read_netcdf(path, "posterior").data_vars.items():
@@ -120,6 +129,9 @@ def read_draws(path: Path) -> dict[str, Array]:
             own = [str(dim) for dim in found.dims if dim not in ("chain", "draw")]
             names = [f"{symbol}[{one}]" for one in found[own[0]].values] if own else [str(symbol)]
             values |= dict(zip(names, flat.T, strict=True))
+        if mode is not None:
+            label = read_netcdf(path, "sample_stats")[MODE].to_numpy().ravel()
+            values = {name: x[label == mode] for name, x in values.items()}
     except (OSError, ValueError, KeyError) as error:
         raise InputError(f"{path}: cannot be read as a posterior ({' '.join(str(error).split())})") from error
     return values

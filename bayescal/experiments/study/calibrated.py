@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -141,11 +141,12 @@ def _relate(variant: Variant, channel: str) -> dict[str, float]:
 
 
 def calibrate_machine(
-    results: Results, config: StudyConfig, variant: str | None, experiment: Path | None
+    results: Results, config: StudyConfig, variant: str | None, experiment: Path | None, mode: int | None
 ) -> CalibratedMachine:
     """Return the machine of a variant of a study's results; see `Calibrating.calibrate`."""
     assert results.folder is not None
     chosen = _choose(results, config, variant)
+    solution = _choose_solution(results, chosen.name, mode)
     kept = results.folder / KEPT
     if experiment is None and not ("machine_folder" in results.summary and kept.is_dir()):
         raise InputError(
@@ -174,12 +175,13 @@ def calibrate_machine(
             covariance = read_matrix_covariance(kept / MATRIX_COVARIANCE, len(model.commanded))
     config, chosen = leave_instruments(state_noise(config), chosen, model)
     fit = results.summary["variants"][chosen.name]
-    theta, draws = _read_posterior(results, config, chosen, model)
+    theta, draws = _read_posterior(results, config, chosen, model, solution)
     commands, given = _read_commands(kept, chosen.name, model)
-    errors, noise = _build_errors(results, chosen.name, model), _find_noise(results, config, chosen.name, model)
+    errors = _build_errors(results, chosen.name, model)
+    noise = _find_noise(results, config, chosen.name, model, solution)
     problems = () if fit["converged"] else tuple(str(fit["problems"] or "not converged").split("; "))
-    source = Source(config.name, chosen.name, name_origin(config.origin.model_dump()), problems)
-    functions = _read_functions(results, chosen.name)
+    source = Source(config.name, chosen.name, name_origin(config.origin.model_dump()), problems, solution.say())
+    functions = _read_functions(results, chosen.name, solution)
     if isinstance(model, Legs):  # a mechanism on legs is one whatever calibrated it
         machine, size = model.machine, model.machine.layout.size
         covariance = covariance if machine.deformation.uses_matrix else None
@@ -205,14 +207,53 @@ def calibrate_machine(
     return replace(found, noise=noise, functions=_change(functions, found))
 
 
-def _read_functions(results: Results, variant: str) -> tuple[KnownFunctions, Array] | None:
+@dataclass(frozen=True)
+class _Solution:
+    """Which of a posterior's solutions is taken, from 1."""
+
+    number: int = 1
+    n: int = 1  # of those that are shown
+    probability: float = 1.0
+    has_others: bool = False  # whether draws belong to several, small ones among them
+
+    @property
+    def of_draws(self) -> int | None:
+        """What draws are told apart by; None where all are of one solution."""
+        return self.number if self.has_others else None
+
+    def say(self) -> str:
+        """Return which solution it is in words; empty where there is one."""
+        return f"mode {self.number} of {self.n}, probability {self.probability:.3f}" if self.n > 1 else ""
+
+
+def _choose_solution(results: Results, variant: str, mode: int | None) -> _Solution:
+    """Return the solution that is wanted; InputError where there are several and none is named."""
+    row = results.summary["variants"][variant]
+    probability = [float(one["probability"]) for one in row.get("modes", [])] or [1.0]
+    if mode is None and len(probability) > 1:
+        modes = ", ".join(f"mode {k} with {100 * p:.1f} %" for k, p in enumerate(probability, start=1))
+        raise InputError(
+            f"{results.folder}: variant {variant!r}: found {len(probability)} machines that explain the data "
+            f"({modes}), expected one of them: --mode 1"
+        )
+    number = 1 if mode is None else mode
+    if not 1 <= number <= len(probability):
+        raise InputError(
+            f"{results.folder}: --mode: found {number}, expected 1 to {len(probability)}"
+            if len(probability) > 1
+            else f"{results.folder}: --mode: found {number}, expected none: variant {variant!r} has one solution"
+        )
+    return _Solution(number, len(probability), probability[number - 1], "modes" in row or "other_modes" in row)
+
+
+def _read_functions(results: Results, variant: str, solution: _Solution) -> tuple[KnownFunctions, Array] | None:
     """Return what a posterior knows of errors that are functions, and draws (S, n) of the parameters beside."""
     assert results.folder is not None
     path = results.folder / f"posterior/{stem_of(variant)}.nc"
-    found = read_functions(path) if path.is_file() else None
+    found = read_functions(path, solution.number) if path.is_file() else None
     if found is None:
         return None
-    draws = read_draws(path)
+    draws = read_draws(path, solution.of_draws)
     return found[0], np.stack([draws[name] for name in found[1]], axis=1)
 
 
@@ -225,9 +266,9 @@ def _change(known: tuple[KnownFunctions, Array] | None, calibrated: CalibratedMa
     return functions.changed(np.linalg.lstsq(from_mean, to)[0].T)
 
 
-def _find_noise(results: Results, config: StudyConfig, variant: str, model: ReadingModel) -> Array:
+def _find_noise(results: Results, config: StudyConfig, variant: str, model: ReadingModel, solution: _Solution) -> Array:
     """Return the noise of each channel, stated and as found since, root mean square, (K,); NaN where none is stated."""
-    mine = _read_parameters(results, variant)
+    mine = _read_parameters(results, variant, solution)
     square = (mine["mean"] ** 2 + mine["sd"] ** 2).to_dict()
     groups = group_channels(config, model)
     factor = np.array([square.get(f"noise_factor({group})", 1.0) for group in groups])
@@ -235,10 +276,11 @@ def _find_noise(results: Results, config: StudyConfig, variant: str, model: Read
     return np.sqrt(noise_of_channels(config.sensors, model) ** 2 * factor + tau)
 
 
-def _read_parameters(results: Results, variant: str) -> pd.DataFrame:
+def _read_parameters(results: Results, variant: str, solution: _Solution) -> pd.DataFrame:
     """Return a variant's posterior of its parameters, with its model error if it has any, by their names."""
     rows = results.table("parameters")
-    return rows[rows["variant"] == variant].set_index("parameter")
+    rows = rows[rows["variant"] == variant]
+    return (rows[rows["mode"] == solution.number] if solution.n > 1 else rows).set_index("parameter")
 
 
 def _choose(results: Results, config: StudyConfig, name: str | None) -> VariantConfig:
@@ -252,7 +294,7 @@ def _choose(results: Results, config: StudyConfig, name: str | None) -> VariantC
 
 
 def _read_posterior(
-    results: Results, config: StudyConfig, variant: VariantConfig, model: ReadingModel
+    results: Results, config: StudyConfig, variant: VariantConfig, model: ReadingModel, solution: _Solution
 ) -> tuple[Array, Array | None]:
     """Return the posterior's mean as a parameter vector (D,) and its draws (S, D); None where the results have none."""
     layout = model.layout
@@ -263,7 +305,7 @@ def _read_posterior(
     assert results.folder is not None
     path, mean = (
         results.folder / f"posterior/{stem_of(variant.name)}.nc",
-        _read_parameters(results, variant.name)["mean"],
+        _read_parameters(results, variant.name, solution)["mean"],
     )
 
     def place(values: Any, theta: Array) -> Array:
@@ -277,7 +319,7 @@ def _read_posterior(
     expected = place(mean, start.copy())
     if not path.is_file():
         return expected, None
-    found = read_draws(path)
+    found = read_draws(path, solution.of_draws)
     return expected, place(found, np.tile(start, (len(next(iter(found.values()))), 1)))
 
 

@@ -99,12 +99,14 @@ class Study(MachineExperiment[StudyConfig, StudyInputs], Measuring, Calibrating)
             inputs = StudyInputs.load(config, path.parent, names)
         return inputs.measure([one.name for one in config.variants if one.name in names], with_model_error)
 
-    def calibrate(self, results: Results, variant: str | None, experiment: Path | None) -> CalibratedMachine:
+    def calibrate(
+        self, results: Results, variant: str | None, experiment: Path | None, mode: int | None
+    ) -> CalibratedMachine:
         """Return the machine of a variant of the study."""
         config = self.config_of(results) if experiment is None else load_same(results, experiment, self.schema)
         from bayescal.experiments.study.calibrated import calibrate_machine
 
-        return calibrate_machine(results, config, variant, experiment)
+        return calibrate_machine(results, config, variant, experiment, mode)
 
     def show_comparison(self, table: pd.DataFrame, console: Console) -> None:
         """Print variants of several studies ranked together."""

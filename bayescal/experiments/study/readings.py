@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, cast
 
@@ -36,12 +36,22 @@ from bayescal.experiments.shared.readings.knowledge import (
 )
 from bayescal.experiments.shared.search_memory import PRIOR_READINGS
 from bayescal.experiments.shared.soundness import ChiSquare, fit_rows
-from bayescal.experiments.shared.trees import FUNCTIONS, NAME, limit_draws, make_dataset, split_parameters, spread
+from bayescal.experiments.shared.trees import (
+    MODE,
+    NAME,
+    Variables,
+    limit_draws,
+    make_dataset,
+    name_functions,
+    split_parameters,
+    spread,
+)
 from bayescal.experiments.study.calibrated import ERRORS, tabulate_errors
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.tables import (
     describe_errors,
     describe_legs,
+    describe_solutions,
     find_seen,
     join_tables,
     tabulate_comparison,
@@ -126,7 +136,8 @@ def fit_variant(inputs: ReadingInputs, name: str) -> ReadingFit:
     subject = ReadingSubject(variant.posterior().anchored())
     posterior = subject.posterior
     fit = fit_posterior(subject, config.seed, name, config.sampler, config.evidence)
-    y, some = fit.kept, fit.kept[spread(len(fit.kept), ERROR_DRAWS)]
+    y = fit.kept_of(0)  # a mean over several solutions is no machine
+    some = y[spread(len(y), ERROR_DRAWS)]
     rng, own = (np.random.default_rng([config.seed, k, zlib.crc32(name.encode())]) for k in (9, 10))
     errors = tabulate_functions(name, posterior, y, rng)
     with np.errstate(all="ignore"):
@@ -134,12 +145,12 @@ def fit_variant(inputs: ReadingInputs, name: str) -> ReadingFit:
     errors[ERRORS] = tabulate_errors(config, variant, posterior, some, drawn)
     terms = config.leg_error.of(variant.config.model_error)
     errors |= tabulate_model_error(name, variant.data, variant.verification, posterior, some, drawn, terms, own)
-    known = KnownFunctions.find(posterior, y)
+    known = [KnownFunctions.find(posterior, fit.kept_of(k)) for k in range(1 + len(fit.others))]
     packed = fit.pack(subject.build_tree(fit, name, known), ONLY_SAVED)
     with stage("held-back poses"):
-        held = [hold_back(inputs, (name, 0), (posterior, y))] if variant.verification.any() else []
+        held = [hold_back(inputs, (name, 0), (posterior, fit.kept))] if variant.verification.any() else []
     with stage("accuracy"):
-        knowledge = assess(config, variant, posterior, y.mean(axis=0), learn_posterior(variant, posterior, y, known))
+        knowledge = assess(config, variant, posterior, y.mean(axis=0), learn_posterior(variant, posterior, y, known[0]))
         poses = _predict_poses(variant, posterior, y, own)
         tables = {
             "parameters": tabulate_parameters(variant, fit, knowledge.verdicts),
@@ -221,8 +232,11 @@ class ReadingSubject(Subject):
         prior[:m], prior_slope[:m, :m] = own.sampling.prior_residual(mode[:m], theta), own.sampling.prior_slope(change)
         return fit_rows(white, slope, prior, prior_slope, int(own.likelihood.n_spare.sum()))[1]
 
-    def build_tree(self, fit: Fit, variant: str, functions: KnownFunctions | None) -> xr.DataTree:
-        """Return the fit with draws of its prior, what both predict, the data, and what is known of functions."""
+    def build_tree(self, fit: Fit, variant: str, functions: Sequence[KnownFunctions | None]) -> xr.DataTree:
+        """Return the fit with draws of its prior, what both predict, the data, and what is known of functions.
+
+        The latter of each solution; to which of several a draw belongs is a variable of its own, from 1.
+        """
         import xarray as xr
 
         likelihood, arrays = self.posterior.likelihood, fit.evaluated
@@ -237,12 +251,14 @@ class ReadingSubject(Subject):
             made = make_dataset({NAME: (("row", "channel"), values, unit, meaning)}, places, drawn)
             return made.assign_coords(unit=("channel", [one.unit for one in channels]))
 
+        stats: Variables = {"lp": ((), density, "nat", "log-density in the proposal's coordinates")}
+        if len(fit.solutions.probability) > 1:
+            label = 1 + self._thin(fit.solutions.label)
+            stats = {**stats, MODE: ((), label, "1", "to which of several solutions a draw belongs, from 1")}
         of_rows = {NAME: (("chain", "draw", "row"), rows, "nat", "log-density of all readings of a row")}
         found = {
             "posterior": split_parameters(fit.names, draws, fit.units),
-            "sample_stats": make_dataset(
-                {"lp": ((), density, "nat", "log-density in the proposal's coordinates")}, drawn=True
-            ),
+            "sample_stats": make_dataset(stats, drawn=True),
             "log_likelihood": make_dataset(of_rows, {"row": places["row"]}),
             "log_prior": split_parameters(fit.names, log_prior, ["nat"] * len(fit.names)),
             "prior": split_parameters(fit.names, arrays["prior"][None], fit.units),
@@ -250,10 +266,11 @@ class ReadingSubject(Subject):
             "posterior_predictive": keep(arrays["replicated"], PREDICTED, True),
             "prior_predictive": keep(arrays["prior_replicated"][None], PREDICTED, True),
         }
-        if functions is not None:
-            names = {"channel": list(functions.names), "sort": list(functions.sorts)}
-            names["parameter"] = list(self.posterior.sampling.names)
-            found[FUNCTIONS] = make_dataset(functions.list_arrays(), names)
+        for k, known in enumerate(functions, start=1):
+            if known is not None:
+                names = {"channel": list(known.names), "sort": list(known.sorts)}
+                names["parameter"] = list(self.posterior.sampling.names)
+                found[name_functions(k)] = make_dataset(known.list_arrays(), names)
         tree = xr.DataTree.from_dict(found)
         tree.attrs = {"variant": variant}
         return tree
@@ -378,6 +395,7 @@ def describe_readings(
         known[variant.name] |= {"calibration": None, "verification": None}
         if fit.poses is not None:
             known[variant.name] |= describe_errors(variant, fit.poses)[1]
+        known[variant.name] |= describe_solutions(fit)
     summary = {
         **describe_legs(inputs),
         "member": next(iter(inputs.variants.values())).model.member,

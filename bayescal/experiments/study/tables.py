@@ -13,7 +13,7 @@ from scipy.special import logsumexp
 from bayescal.config.classes import label_class
 from bayescal.density.calibration.model_error import IndependentErrors
 from bayescal.density.prediction import Prediction
-from bayescal.experiments.shared.estimate import Fit
+from bayescal.experiments.shared.estimate import Fit, Moments
 from bayescal.experiments.shared.joints import tabulate_joints
 from bayescal.experiments.shared.origin import name_origin
 from bayescal.experiments.shared.readings.inputs import ReadingInputs, Variant
@@ -40,6 +40,8 @@ COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
 USES = ("calibration", "verification")
 NOISE = "noise"
 """Verdict on a parameter that is not one of the machine's."""
+SEVERAL, DIFFERENT = "several", 3.0
+"""Verdict on a parameter in which solutions differ, and from how many of their standard deviations on they do."""
 
 
 # --- variants and their parameters -----------------------------------------------------------------------------------
@@ -57,32 +59,69 @@ def compute_contraction(sd: Array, prior_sd: Array) -> Array:
 
 
 def tabulate_parameters(variant: Variant, fit: Fit, verdicts: Sequence[str]) -> pd.DataFrame:
-    """Return a posterior's rows of ``parameters.csv``, with a verdict on each parameter of the machine."""
+    """Return a posterior's rows of ``parameters.csv``, with a verdict on each parameter of the machine.
+
+    Of several solutions each has its rows, the most probable first, and parameters in which they differ have no
+    contraction.
+    """
     posterior = variant.posterior()
     errors, n = posterior.errors, posterior.errors.n_parameters
     medians = zip(errors.units, errors.natural(np.zeros(n)), strict=True)
     nominal = [*variant.model.layout.nominal[posterior.sampling.free]]
     nominal += [float(x) if unit == "1" else 0.0 for unit, x in medians]
-    return pd.DataFrame(
+    found: list[Moments] = [Moments(fit.mean, fit.sd, fit.q05, fit.q95), *fit.others]
+    differ = find_differing(found)
+    tables = [
+        pd.DataFrame(
+            {
+                "variant": variant.name,
+                "parameter": fit.names,
+                "unit": fit.units,
+                "nominal": nominal,
+                "prior_sd": fit.prior_sd,
+                **vars(one),
+                "contraction": np.where(differ, np.nan, compute_contraction(one.sd, fit.prior_sd)),
+                "prior_sensitivity": fit.power_scaling[:, 0],
+                "likelihood_sensitivity": fit.power_scaling[:, 1],
+                "verdict": np.where(differ, SEVERAL, np.array([*verdicts, *[NOISE] * n], dtype=object)),
+                "rhat": fit.diagnostics.rhat,
+                "ess_bulk": fit.diagnostics.ess_bulk,
+                "ess_tail": fit.diagnostics.ess_tail,
+            }
+        )
+        for one in found
+    ]
+    if len(tables) > 1:
+        both = zip(fit.solutions.probability, fit.solutions.standard_error, strict=True)
+        for k, (table, (p, se)) in enumerate(zip(tables, both, strict=False), start=1):
+            table["mode"], table["probability"], table["probability_se"] = k, p, se
+    return pd.concat(tables, ignore_index=True)
+
+
+def find_differing(found: Sequence[Moments]) -> np.ndarray:
+    """Return in which parameters solutions differ, shape (n,)."""
+    mean, sd = np.stack([one.mean for one in found]), np.stack([one.sd for one in found]).max(axis=0)
+    return np.asarray(np.ptp(mean, axis=0) > DIFFERENT * sd)
+
+
+def describe_solutions(fit: Fit) -> dict[str, Any]:
+    """Return the solutions of a posterior that has several, the most probable first, as the summary has them.
+
+    Small ones count together.
+    """
+    p, se = fit.solutions.probability, fit.solutions.standard_error
+    found = [Moments(fit.mean, fit.sd, fit.q05, fit.q95), *fit.others]
+    places = np.flatnonzero(find_differing(found))
+    modes = [
         {
-            "variant": variant.name,
-            "parameter": fit.names,
-            "unit": fit.units,
-            "nominal": nominal,
-            "prior_sd": fit.prior_sd,
-            "mean": fit.mean,
-            "sd": fit.sd,
-            "q05": fit.q05,
-            "q95": fit.q95,
-            "contraction": compute_contraction(fit.sd, fit.prior_sd),
-            "prior_sensitivity": fit.power_scaling[:, 0],
-            "likelihood_sensitivity": fit.power_scaling[:, 1],
-            "verdict": [*verdicts, *[NOISE] * n],
-            "rhat": fit.diagnostics.rhat,
-            "ess_bulk": fit.diagnostics.ess_bulk,
-            "ess_tail": fit.diagnostics.ess_tail,
+            "probability": float(p[k]),
+            "standard_error": float(se[k]),
+            "parameters": {fit.names[j]: [float(one.mean[j]), float(one.sd[j]), fit.units[j]] for j in places},
         }
-    )
+        for k, one in enumerate(found)
+    ]
+    small = float(p[len(found) :].sum())
+    return ({"modes": modes} if fit.others else {}) | ({"other_modes": small} if small else {})
 
 
 def rank_variants(rows: Mapping[str, Mapping[str, Any]]) -> list[list[str]]:

@@ -12,6 +12,7 @@ from rich.console import Console
 from bayescal.experiments.frame.terminal import Shown, print_table, print_text
 from bayescal.experiments.shared.headline import describe_candidate, order_candidates, say_named_first, state_rivals
 from bayescal.experiments.shared.origin import name_origin
+from bayescal.experiments.study.page.solutions import say_solutions
 from bayescal.report.numbers import MICROMETRES, NOTHING, format_estimate, format_fixed
 
 if TYPE_CHECKING:
@@ -75,6 +76,8 @@ def show_ranking(summary: Mapping[str, Any], console: Console) -> None:
                 format_estimate(fit[f"log_evidence{by}"], fit[f"log_evidence{by}_se"], 3) for by in ("", "_tempered")
             )
             print_text(console, f"checked {name}: log-evidence {own}, by tempering {check}")
+        if several := say_solutions(fit):
+            print_text(console, f"{name}: {several}")
         if fit["problems"]:
             print_text(console, f"NOT CONVERGED {name}: {fit['problems']}")
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from bayescal.errors import NumericalError
+from bayescal.errors import InputError, NumericalError
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.shared.estimate import Estimate, estimate_posterior
@@ -40,7 +40,8 @@ def compute_table(inputs: TableInputs, run: Run) -> Results:
     if problems and not inputs.config.force:
         found = f"variant {inputs.variant.name!r} did not converge ({'; '.join(problems)})"
         raise NumericalError(f"{found}, expected one that did; --force takes it all the same")
-    table = find_table(inputs, estimate.kept, estimate.mode)
+    solution = _choose_solution(inputs, estimate)
+    table = find_table(inputs, estimate.kept_of(solution), estimate.mode_of(solution))
     actuators = inputs.actuators.channels
     text = format_polynomial(table.polynomial, inputs.actuators.names, [one.unit for one in actuators])
     summary = summarise(inputs, table, problems)
@@ -53,6 +54,18 @@ def _estimate(inputs: TableInputs) -> Estimate:
     config = inputs.study.config
     posterior = inputs.variant.posterior().anchored()
     return estimate_posterior(posterior, config.seed, inputs.variant.name, config.sampler, config.evidence)
+
+
+def _choose_solution(inputs: TableInputs, estimate: Estimate) -> int:
+    """Return which solution the table is of, from 0; InputError where there are several and none is named."""
+    n, wanted = 1 + len(estimate.others), inputs.config.mode
+    if (wanted is None and n > 1) or (wanted or 1) > n:
+        shares = ", ".join(f"{100 * p:.1f} %" for p in estimate.solutions.probability[:n])
+        raise InputError(
+            f"variant {inputs.variant.name!r}: mode: found {wanted or 'none'}, expected 1 to {n} of the posterior's "
+            f"solutions ({shares})"
+        )
+    return (wanted or 1) - 1
 
 
 def find_table(inputs: TableInputs, draws: np.ndarray, mode: np.ndarray) -> Found:

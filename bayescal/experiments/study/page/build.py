@@ -17,6 +17,7 @@ from bayescal.experiments.study.page.parameters import show_frames, show_paramet
 from bayescal.experiments.study.page.ranking import show_ranking
 from bayescal.experiments.study.page.results import StudyResults
 from bayescal.experiments.study.page.ridges import show_ridges
+from bayescal.experiments.study.page.solutions import show_solutions
 from bayescal.experiments.study.page.soundness import has_warnings, list_failures
 from bayescal.experiments.study.page.verdict import state_headline, state_verdict
 from bayescal.report.blocks import Page, Section
@@ -44,6 +45,7 @@ BLOCKS: tuple[PageBlock, ...] = (
     show_accuracy,
     show_held_back,
     show_outliers,
+    show_solutions,
     show_parameters,
     show_machine,
     show_flexure,

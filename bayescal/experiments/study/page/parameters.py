@@ -44,7 +44,12 @@ CONTRACTION = (
     "Contraction is the share of the prior variance that the data removed, 1 − (sd / tolerance)²: at 0 nothing is "
     "learnt, at 0.75 the uncertainty is halved, at 1 the parameter is known."
 )
-VERDICTS = {"identifiable": "uncertainty at least halved", "weak": "not halved", "not": "not determined"}
+VERDICTS = {
+    "identifiable": "uncertainty at least halved",
+    "weak": "not halved",
+    "not": "not determined",
+    "several": "several values",
+}
 PUBLISHED = (
     "Published values differ from the posteriors by construction: they come from least squares with all poses "
     "weighted alike, without tolerances and without model error, on the data of the publication. The posteriors "
@@ -79,7 +84,9 @@ def show_parameters(study: StudyResults) -> Section:
 def state_undetermined(study: StudyResults) -> list[Statement]:
     """Say of which parameters the data do not halve the uncertainty."""
     rows = [row for row in study.rows("parameters", study.chosen) if row["verdict"] != NOISE]
-    weak = [str(row["parameter"]) for row in rows if row["verdict"] != "identifiable"]
+    weak = [str(row["parameter"]) for row in rows if row["verdict"] not in ("identifiable", "several")]
+    if not weak and any(row["verdict"] == "several" for row in rows):
+        return []  # what is said of the solutions says it
     if not weak:
         return [Statement("The uncertainty of every free parameter is at least halved.", "good", "Parameters")]
     it = "it is" if len(weak) == 1 else "they are"

@@ -18,7 +18,7 @@ from bayescal.errors import InputError
 from bayescal.experiments.frame.results import NUMBER, SUMMARY_FILE, Kinds, Results, Row, check_keys, list_rows
 from bayescal.experiments.shared.headline import Candidate, choose_best, group_candidates, label_title, list_candidates
 from bayescal.experiments.shared.study_schema import stem_of
-from bayescal.experiments.shared.trees import name_file
+from bayescal.experiments.shared.trees import MODE, name_file
 from bayescal.report.blocks import Column
 from bayescal.report.numbers import MICROMETRES, format_pair, join_words
 from bayescal.report.symbols import (
@@ -39,6 +39,8 @@ INDEPENDENT, TOGETHER = "independent", "together"
 TERMS = (INDEPENDENT, "linear", "own", "smooth", "drift")
 """Of a model error; all but the first are systematic, and together they have a size, too."""
 USES = ("calibration", "verification")
+SOLUTIONS = "solutions"
+"""Rows of ``parameters`` of variants with several solutions, of all of these; ``parameters`` keeps the first."""
 NOISE = "noise"
 """Verdict on parameters that are none of the machine's."""
 MANY = 8  # names beyond which the others are counted
@@ -138,6 +140,7 @@ class StudyResults:
     # for each variant whose posterior file is there, the draws (S,) of each parameter
     draws: dict[str, dict[str, Array]] = field(default_factory=dict)
     n_chains: int = 1  # of the draws, in which they are laid end to end
+    modes: dict[str, np.ndarray] = field(default_factory=dict)  # to which of several solutions they belong, from 1
 
     @classmethod
     def of(cls, results: Results) -> Self:
@@ -156,6 +159,9 @@ class StudyResults:
         if "claims" in tables and "publication" not in results.summary:
             wanted = "found nothing, expected the one whose claims are tested"
             raise InputError(f"{folder / SUMMARY_FILE}: publication: {wanted}")
+        every = tables["parameters"]
+        if "mode" in every:  # NaN of variants with a single solution
+            tables |= {"parameters": every[~(every["mode"] > 1)], SOLUTIONS: every[every["mode"].notna()]}
         found = cls(results.summary, results.config, tables)
         if results.folder is None:
             return found
@@ -165,7 +171,13 @@ class StudyResults:
             found,
             draws={name: {one: x.ravel() for one, x in own.items()} for name, own in chains.items()},
             n_chains=next((len(x) for own in chains.values() for x in own.values()), 1),
+            modes={name: one for name in chains if (one := _read_modes(folder, name)) is not None},
         )
+
+    def draws_of_machine(self, variant: str) -> dict[str, Array]:
+        """Return the draws of each parameter, of the first solution where there are several."""
+        draws = self.draws[variant]
+        return {name: x[self.modes[variant] == 1] for name, x in draws.items()} if variant in self.modes else draws
 
     # --- tables --------------------------------------------------------------------------------------------------
 
@@ -442,13 +454,24 @@ class StudyResults:
         return table.assign(symbol=[symbol for symbol, _ in split], leg=[leg for _, leg in split])
 
 
+def _find_posterior(folder: Path, variant: str) -> Path:
+    own = folder / "posterior" / f"{stem_of(variant)}.nc"
+    return own if own.is_file() else folder / name_file(variant)
+
+
+def _read_modes(folder: Path, variant: str) -> np.ndarray | None:
+    """Return to which solution each draw (S,) belongs, from 1; None where there is one."""
+    with h5py.File(_find_posterior(folder, variant), "r") as file:
+        stats = file.get("sample_stats")
+        return np.asarray(stats[MODE]).ravel() if stats is not None and MODE in stats else None
+
+
 def _read_draws(folder: Path, variant: str) -> dict[str, Array] | None:
     """Return the draws (E, S) of each parameter by chains, from the posterior group of a variant's ArviZ file.
 
     None without the file. Letters that no file may have stand in its name as others.
     """
-    own = folder / "posterior" / f"{stem_of(variant)}.nc"
-    path = own if own.is_file() else folder / name_file(variant)
+    path = _find_posterior(folder, variant)
     if not path.is_file():
         return None
     draws: dict[str, Array] = {}

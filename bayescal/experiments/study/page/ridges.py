@@ -43,7 +43,7 @@ def show_ridges(study: StudyResults) -> Section | None:
     rows = []
     for name in study.ranking:
         if name in study.draws:
-            pairs = rank_pairs(study.draws[name])[:SHOWN_PAIRS]
+            pairs = rank_pairs(study.draws_of_machine(name))[:SHOWN_PAIRS]
             texts = [
                 f"{study.name_parameter(a)}, {study.name_parameter(b)}: {format_fixed(r, 3, sign=True)}"
                 for a, b, r in pairs
@@ -75,7 +75,7 @@ def state_ridges(study: StudyResults) -> list[Statement]:
     best = study.best_name
     if best not in study.draws:
         return []
-    pairs = rank_pairs(study.draws[best])
+    pairs = rank_pairs(study.draws_of_machine(best))
     if not pairs:
         return []
     strong = [p for p in pairs if abs(p[2]) > 0.9]
@@ -97,7 +97,7 @@ def state_ridges(study: StudyResults) -> list[Statement]:
 
 def _state_combinations(study: StudyResults, variant: str) -> list[Statement]:
     """Say how many combinations of parameters keep their tolerance: ridges of three and more show in no pair."""
-    draws, rows = study.draws[variant], study.rows("parameters", variant)
+    draws, rows = study.draws_of_machine(variant), study.rows("parameters", variant)
     prior = {row["parameter"]: row["prior_sd"] for row in rows if row["verdict"] != NOISE}
     names = [name for name in draws if name in prior]
     if len(names) < 2:
@@ -119,7 +119,7 @@ def _illustrate(study: StudyResults) -> Figure:
     best, name, nothing = study.best_name, "ridges", NO_PAIRS.format(study.member)
     if best not in study.draws:
         return Figure(name, nothing, None, study.say_missing())
-    draws = {name: x for name, x in study.draws[best].items() if not FRAME.fullmatch(name)}
+    draws = {name: x for name, x in study.draws_of_machine(best).items() if not FRAME.fullmatch(name)}
     leg, pairs = choose_leg(rank_pairs(draws))
     if not pairs:
         return Figure(name, nothing, None, f"no {study.member} has two parameters")

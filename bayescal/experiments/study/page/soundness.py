@@ -14,6 +14,7 @@ from scipy import stats
 from bayescal.experiments.shared.slips import state_slip
 from bayescal.experiments.shared.soundness import ChiSquare, format_chance
 from bayescal.experiments.study.page.results import NOISE, StudyResults, get_number
+from bayescal.experiments.study.page.solutions import state_solutions
 from bayescal.limits import AGREEMENT, ESS_BULK_LIMIT, RHAT_LIMIT
 from bayescal.report.blocks import Level, Statement
 from bayescal.report.numbers import format_fixed, format_percent, format_significant, join_words
@@ -39,6 +40,7 @@ def state_soundness(study: StudyResults) -> list[Statement]:
     """Return what contradicts the stated noise and tolerances; nothing where nothing does."""
     return [
         *state_slip(study.summary),
+        *state_solutions(study),
         *_state_targets(study),
         *_state_misfit(study),
         *_state_tolerances(study),

@@ -28,6 +28,7 @@ from bayescal.experiments.study.page.functions import state_functions
 from bayescal.experiments.study.page.model_error import LEAD, state_terms
 from bayescal.experiments.study.page.parameters import state_undetermined
 from bayescal.experiments.study.page.results import StudyResults, get_number
+from bayescal.experiments.study.page.solutions import say_headline
 from bayescal.experiments.study.page.soundness import (
     has_warnings,
     name_or_count,
@@ -62,7 +63,7 @@ def state_headline(study: StudyResults) -> str:
     label = f"{study.label_model(model)} {describe_deformation(deformation)}" if named else ""
     choice = say_choice(study.candidates(), label, has_warnings(study))
     required = f"{say_requirements({})}; to judge them run an audit of this study"
-    return write_headline([f"{choice}; {_say_uncertainty(study)}", required])
+    return write_headline([f"{choice}; {_say_uncertainty(study)}", say_headline(study), required])
 
 
 def _say_uncertainty(study: StudyResults) -> str:
