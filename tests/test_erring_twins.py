@@ -173,6 +173,17 @@ def test_twins_that_take_too_long_are_told(truth):
     work(0.0)
 
 
+def test_twins_of_a_table_are_not_computed_again(truth, tmp_path, monkeypatch):
+    seeds, score = [], truth.scores.Score(*[0.9] * 6, 5, 0, 1.5)
+    monkeypatch.setattr(truth.scores, "judge", lambda *known: seeds.append(known[4]) or score)
+    for twins in (2, 3):
+        found = list(truth.scores.judge_twins("cell", "none", 0.0, "init", twins, 1, keep=tmp_path / "twins.csv"))
+        assert found == [score] * twins
+    assert seeds == [1000, 1001, 1002]
+    list(truth.scores.judge_twins("cell", "none", 0.0, "tau", 1, 1, keep=tmp_path / "twins.csv"))
+    assert len(seeds) == 4  # of another default
+
+
 def test_directions_are_those_of_dense_elimination(truth, rng):
     machine = truth.machines.Delta()
     theta = machine.nominal + machine.sd * rng.standard_normal(machine.nominal.size)

@@ -2,12 +2,13 @@
 
     python -m benchmarks.truth ROW... --machine hexapod [--sizes 1] [--twins 40] [--seed 1] [--limit 0]
                                       [--default init|tau|floor|both] [--columns NAME]
-                                      [--out benchmarks/truth/hexapod.csv]
+                                      [--keep TWINS.csv] [--out benchmarks/truth/hexapod.csv]
 
 Rows are named in `errors.py`; none are all that the machine can have, or those that it is judged by. With --out lines
 are written into the table, in the columns `before` of τ alone, `after` of what `bayescal init` writes, or `floor` of
 that with 10 µm stated; other lines and columns stay. `both` takes the same twins for the first two, and tells by the
-median over these how many times the processor time of τ alone the default takes.
+median over these how many times the processor time of τ alone the default takes. With --keep a row of many twins can
+be computed in several goes.
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ def main() -> None:
     parser = begin_arguments(__doc__.splitlines()[0], 1)
     parser.add_argument("--default", choices=(*DEFAULTS, "both"), default="init")
     parser.add_argument("--limit", type=float, default=0.0, help="CPU seconds a twin, 0 for any number")
+    parser.add_argument("--keep", type=Path, help="table of twins, which are taken from there the next time")
     parser.add_argument("--columns", help="what columns of the table begin with, if not as said above")
     arguments = parser.parse_args()
     if unknown := set(arguments.rows) - set(ROWS):
@@ -53,7 +55,8 @@ def compare(arguments: argparse.Namespace, row: str, size: float) -> dict[str, d
     """Return what was found of a row by each default that is asked for; of both on the same twins, one by one."""
     asked = ("tau", "init") if arguments.default == "both" else (arguments.default,)
     which = arguments.machine, row, size
-    twins = (judge_twins(*which, one, arguments.twins, arguments.seed, arguments.limit) for one in asked)
+    how = arguments.twins, arguments.seed, arguments.limit, arguments.keep
+    twins = (judge_twins(*which, one, *how) for one in asked)
     scores = dict(zip(asked, zip(*zip(*twins, strict=True), strict=True), strict=True))
     found = {default: summarise(list(own)) for default, own in scores.items()}
     if len(asked) > 1:
@@ -66,6 +69,7 @@ def write(path: Path, line: tuple[str, str, float], seed: int, prefix: str, foun
     """Write one line into a table, beside what stands there."""
     table = pd.read_csv(path).set_index(KEYS) if path.exists() else pd.DataFrame(columns=KEYS).set_index(KEYS)
     table.index = pd.MultiIndex.from_tuples(table.index.to_list(), names=KEYS)
+    table = table.sort_index()
     values = {f"{prefix}_{key}": value for key, value in {"seed": seed, **found}.items()}
     for key, value in values.items():
         if key not in table:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from bayescal.errors import NumericalError
 from benchmarks.truth.errors import COUPLING, MATRIX, NONE, ROWS, Error, distort
@@ -21,6 +22,7 @@ from benchmarks.truth.simulated import Array, Simulated, find_determined
 
 INTERVAL = 0.05, 0.95
 WITHIN = 1.6449  # standard deviations to either side that hold 90 %
+KEYS = ["machine", "row", "size", "default", "seed"]
 BEATEN = 3.0  # nats by which the default beats the right model
 
 
@@ -153,14 +155,29 @@ def hold(draws: Array, truth: Array) -> float:
 
 
 def judge_twins(
-    name: str, row: str, size: float, default: str, twins: int, seed: int, limit: float = 0.0
+    name: str, row: str, size: float, default: str, twins: int, seed: int, limit: float = 0.0, keep: Path | None = None
 ) -> Iterator[Score]:
-    """Yield the scores of twins one by one."""
+    """Yield the scores of twins one by one; those that a table keeps are taken from there, others written into it."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "twin"
         write_project(name, MACHINES[name](), default, path, beside=row == NONE and default == "init")
         for k in range(twins):
-            yield judge(name, row, size, path, 1000 * seed + k, limit)
+            key = (name, row, size, default, 1000 * seed + k)
+            score = find_score(key, keep)
+            if score is None:
+                score = judge(name, row, size, path, key[-1], limit)
+                if keep is not None:
+                    line = pd.DataFrame([dict(zip(KEYS, key, strict=True)) | vars(score)])
+                    line.to_csv(keep, mode="a", header=not keep.exists(), index=False)
+            yield score
+
+
+def find_score(key: tuple[str, str, float, str, int], keep: Path | None) -> Score | None:
+    """Return the score of a twin that a table has; None where it has none."""
+    if keep is None or not keep.exists():
+        return None
+    known = pd.read_csv(keep).set_index(KEYS)
+    return Score(**known.loc[[key]].iloc[-1]) if key in known.index else None
 
 
 def summarise(scores: list[Score]) -> dict[str, float]:
@@ -177,6 +194,7 @@ def summarise(scores: list[Score]) -> dict[str, float]:
     found["beaten"] = round(100.0 * float(np.mean(gains > BEATEN)), 1) if len(gains) else np.nan
     found["gain"] = round(float(np.median(gains)), 2) if len(gains) else np.nan
     found["n_directions"] = round(float(np.mean([one.n_directions for one in scores])), 1)
-    found["unconverged"] = sum(one.problems for one in scores)
-    found["cpu_s"] = round(float(np.mean([one.seconds for one in scores if one is not FAILED] or [np.nan])), 2)
+    found["unconverged"] = int(sum(one.problems for one in scores))
+    seconds = [one.seconds for one in scores if np.isfinite(one.seconds)]
+    found["cpu_s"] = round(float(np.mean(seconds)), 2) if seconds else np.nan
     return found
