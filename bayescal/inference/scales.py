@@ -63,6 +63,11 @@ def find_scales_mode(log_density: LogDensity, start: Array) -> Array:
     return np.asarray(found.x)
 
 
+def measure_volume(log_density: LogDensity, mode: Array) -> float:
+    """Return Laplace's log-volume about a mode (n,), in that of the standard normal prior."""
+    return 0.5 * float(np.linalg.slogdet(_find_covariance(log_density, mode))[1]) if len(mode) else 0.0
+
+
 def sample_scales(log_density: LogDensity, mode: Array, n_draws: int, n_kept: int, rng: np.random.Generator) -> Scales:
     """Return evidence and draws of scales, from draws of a proposal about their mode.
 

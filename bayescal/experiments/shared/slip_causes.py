@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from bayescal.data.instruments.read_poses import FIXED, ROLL_PITCH_YAW, name_angles
-from bayescal.experiments.shared.slip_rows import VAGUE, Readings, Table
+from bayescal.experiments.shared.slip_rows import NARROWER, VAGUE, WIDER, Readings, Table
 from bayescal.experiments.shared.slips import CHANNEL, FRAME, LEGS, POSES, ROWS, UNIT
 from bayescal.machines.readings import Channel
 from bayescal.machines.readings.placed import Placed
@@ -30,6 +30,8 @@ from bayescal.numerics.geometry import (
 from bayescal.report.numbers import format_significant, join_words
 
 NOISE, TOLERANCE, DRIFT, MODEL = "noise", "tolerance", "drift", "model error"
+WIDE = "wide tolerance"
+"""No fault: intervals are wider than they need be."""
 LENGTHS = {
     "1000 times too large (µm for mm)": 1e-3,
     "in metres, 1000 times too small": 1e3,
@@ -89,13 +91,16 @@ class Cause:
     scaled: int | None = (
         None  # channel whose readings r are (1 - u) r but for the columns' unknown u: a change of density
     )
-    wider: tuple[int, ...] = ()  # parameters whose tolerance is too tight, by their places
+    toleranced: tuple[int, ...] = ()  # parameters whose tolerance is another one, by their places
+    factors: tuple[float, ...] = ()  # on that tolerance
     noise: tuple[int, ...] = ()  # channels whose noise is another one, by one of the factors
     blind: int | None = None  # channel that may read anything
     without: tuple[int, ...] = ()  # rows
     # from the sizes of its columns' unknowns (k,), or from its factor (1,), to words; of a channel that may read
     # anything from what the others say that it reads, (P,)
     say: Callable[[Array], str] | None = None
+    # of several ways to choose causes of a kind (one parameter, all of one letter, ...): each is as probable
+    scope: str = ""
 
 
 def list_tables(readings: Readings) -> Iterator[Cause]:
@@ -337,9 +342,12 @@ def _group(channels: Sequence[Channel]) -> dict[str, tuple[int, ...]]:
 
 
 def _list_noises(channels: Sequence[Channel]) -> Iterator[Cause]:
-    single = {one.name: (k,) for k, one in enumerate(channels)}
-    for name, places in (_group(channels) | single).items():
-        yield Cause(NOISE, "", noise=places, say=partial(_say_noise, name))
+    groups = _group(channels)
+    for k, one in enumerate(channels):
+        groups.setdefault(one.name, (k,))
+    for name, places in groups.items():
+        scope = "one" if len(places) == 1 else "all" if len(places) == len(channels) else "some"
+        yield Cause(NOISE, "", noise=places, say=partial(_say_noise, name), scope=scope)
 
 
 def _say_noise(name: str, size: Array) -> str:
@@ -349,18 +357,34 @@ def _say_noise(name: str, size: Array) -> str:
 
 
 def _list_tolerances(names: Sequence[str]) -> Iterator[Cause]:
-    symbols: dict[str, tuple[int, ...]] = {}
+    """Yield tolerances of single parameters, of those of one letter, of letters of one body, and of all."""
+    symbols: dict[str, list[int]] = {}
     for k, name in enumerate(names):
-        symbol = name.partition("[")[0]
-        symbols[symbol] = (*symbols.get(symbol, ()), k)
-    single = {name: (k,) for k, name in enumerate(names)}
-    for name, places in (single | {one: of for one, of in symbols.items() if len(of) > 1}).items():
-        which = name if len(places) == 1 else f"all {name}"
-        yield Cause(TOLERANCE, "", wider=places, say=partial(_say_tolerance, which))
+        symbols.setdefault(name.partition("[")[0], []).append(k)
+    bodies: dict[str, list[str]] = {}
+    for symbol in symbols:
+        bodies.setdefault(symbol.partition("_")[0], []).append(symbol)
+    groups = {(k,): ("one", names[k]) for k in range(len(names))}
+    for symbol, places in symbols.items():
+        groups.setdefault(tuple(places), ("letter", f"all {symbol}"))
+    for body in bodies.values():
+        for n, scope in ((2, "two letters"), (len(body), "body")):
+            for some in combinations(body, n):
+                every = tuple(k for one in some for k in symbols[one])
+                groups.setdefault(every, (scope, f"all {join_words(list(some))}"))
+    groups.setdefault(tuple(range(len(names))), ("all", "all parameters"))
+    for places, (scope, which) in groups.items():
+        say = partial(_say_tolerance, which)
+        yield Cause(TOLERANCE, "", toleranced=places, factors=WIDER, say=say, scope=scope)
+        if len(places) > 1:  # a single one is as drawn now and then
+            yield Cause(WIDE, "", toleranced=places, factors=NARROWER, say=say, scope=scope)
 
 
 def _say_tolerance(which: str, size: Array) -> str:
-    return f"the tolerance of {which} is about {size[0]:.0f} times too tight: widen its prior"
+    times = format_significant(float(max(size[0], 1.0 / size[0])), 2)
+    if size[0] < 1.0:
+        return f"the tolerance of {which} is about {times} times too wide: narrow its prior"
+    return f"the tolerance of {which} is about {times} times too tight: widen its prior"
 
 
 def _list_couplings(readings: Readings) -> Iterator[Cause]:

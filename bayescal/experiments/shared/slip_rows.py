@@ -8,13 +8,16 @@ G the slope by the parameters in their tolerances, B (P, K, k) what a cause does
 the data say: the density is maximal over τ, and pays for having been asked at so many. A parameter whose tolerance is f
 times too tight is a column of G once more, τ² = f² - 1. A noise is a factor on C, a row that does not belong is left
 out, and what was read otherwise is another table: all are weighed by the same log-density of the readings.
+
+The errors' sizes ζ are integrated for each cause by itself (Laplace, `integrate_sizes`): errors that a cause explains
+give way to it, and a cause that leaves their sizes open gains the room that data which need them take from their prior.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import product
 
 import numpy as np
@@ -22,16 +25,20 @@ from scipy.linalg import cholesky, solve_triangular
 
 from bayescal.density.calibration.likelihood import CalibrationLikelihood, CalibrationPosterior
 from bayescal.density.calibration.poses import search_poses
+from bayescal.density.components import MOST_ROWS, assemble, factorise
 from bayescal.density.low_rank import gather_columns
 from bayescal.density.sessions import LinearRows, ReadingRows
 from bayescal.errors import BayescalError
+from bayescal.inference.scales import find_scales_mode, measure_volume
 from bayescal.machines.readings import Channel, ReadingModel
 from bayescal.numerics.geometry import Array
 
 SIZES = np.geomspace(1.0, 1e5, 11)
 """τ in units of a column's rms of one stated noise."""
-WIDER = np.array([2.0, 3.0, 5.0, 8.0, 12.0, 20.0, 40.0, 100.0])
-"""Factors on a tolerance."""
+WIDER = (2.0, 3.0, 5.0, 8.0, 12.0, 20.0, 40.0, 100.0)
+"""Factors on a tolerance that is too tight."""
+NARROWER = (0.02, 0.04, 0.07, 0.1, 0.14, 0.2, 0.3, 0.5)
+"""The same of one that is too wide."""
 VAGUE = 1e5
 LOST = float(np.log(1e3))  # nats per reading of a row that is left out
 OUTLYING = 10.0
@@ -74,6 +81,9 @@ class Sight:
     n_spare: np.ndarray  # (Q,): readings more than a pose takes
     pose: Array
     log_volume: float
+    # from ζ (n,) to what errors common to all rows add to the covariance of all of them, (Q R, Q R); none where they are
+    # many rows, of which columns are fewer
+    dense: Callable[[Array], Array] | None = None
     kept: dict[str, tuple[object, Array]] = field(default_factory=dict)
 
     @property
@@ -137,8 +147,29 @@ class Sight:
         usual = float(np.median(constant[self.stands])) if self.stands.any() else 0.0
         constant = np.where(self.lost, usual - LOST * every.shape[1], constant)
         known = self.slope.shape[-1] + common.shape[-1]
-        counted = int(self.n_spare[self.stands].sum()), int(self.n_spare[self.lost].sum())
-        return White(white, constant, known, self.log_volume, *counted)
+        return White(white, constant, known, self.log_volume, *self._count())
+
+    def whiten_together(self, zeta: Array, factor: Array | float = 1.0, columns: Array | None = None) -> White:
+        """Return the same of all rows together, (1, Q R, m + c + 1), where that costs less."""
+        n, r = self.errors.shape
+        if self.dense is None:
+            return self.whiten(zeta, factor, columns)
+        shown = np.zeros((n, r, 0)) if columns is None else self.linear.left @ columns[self.rows]
+        every = np.concatenate([-self.slope, shown, self.errors[..., None]], axis=-1)
+        every = np.where(self.stands[:, None, None], every, 0.0).reshape(n * r, -1)
+        own = np.where(self.stands[:, None, None], self.linear.covariance(zeta, factor), np.eye(r))
+        root = factorise(assemble(own[None], self.dense(zeta)[None], np.ones((1, 1)))[0])
+        white = solve_triangular(root, every, lower=True, check_finite=False)
+        given = np.where(self.stands, self.linear.constant, 0.0)
+        usual = float(np.median(given[self.stands])) if self.stands.any() else 0.0
+        given = np.where(self.lost, usual - LOST * r, given)
+        constant = np.array([given.sum() - np.log(np.diag(root)).sum()])
+        size = np.sqrt(np.sum(every[:, :-1] ** 2, axis=0) / max(int(np.count_nonzero(every[:, -1])), 1))
+        return White(white[None], constant, self.slope.shape[-1], self.log_volume, *self._count(), size)
+
+    def _count(self) -> tuple[int, int]:
+        """Return how many readings more than poses take there are, and of them those of rows without a pose."""
+        return int(self.n_spare[self.stands].sum()), int(self.n_spare[self.lost].sum())
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,6 +182,7 @@ class White:
     log_volume: float
     n_spare: int  # readings more than poses take
     n_lost: int  # the same of rows that have no pose: they are zero
+    size: Array | None = None  # (m + N + c,): rms of the columns in noise as stated; by default of the white ones
 
     @cached_property
     def total(self) -> Array:
@@ -194,21 +226,41 @@ class White:
         gram = flat.T @ flat
         inner = np.linalg.solve(np.eye(self.known) + gram[: self.known, : self.known], gram[: self.known])
         left = gram - gram[:, : self.known] @ inner
-        size = np.sqrt(np.diag(gram)[:-1] / max(int(np.count_nonzero(flat[:, -1])), 1))
+        size = self.size
+        if size is None:
+            size = np.sqrt(np.diag(gram)[:-1] / max(int(np.count_nonzero(flat[:, -1])), 1))
         return left[:-1, :-1], left[:-1, -1], np.where(size > 0.0, 1.0 / np.maximum(size, 1e-300), 0.0)
 
-    def gain(self, columns: np.ndarray, wider: bool = False, most: float = np.inf) -> tuple[float, float]:
-        """Return by how much columns raise the log-density, and their τ, at most so large, or a tolerance's factor."""
-        square, side, scale = self.reduced
-        scale = np.ones(len(columns)) if wider else scale[columns]
+    def gain(self, columns: np.ndarray, most: float = np.inf) -> tuple[float, float]:
+        """Return by how much columns raise the log-density, and their τ, at most so large."""
+        scale = self.reduced[2][columns]
+        sizes = SIZES[: max(int(np.count_nonzero(SIZES * scale.max(initial=0.0) <= most)), 1)]
+        gains = self._gain(columns, scale, sizes**2)
+        best = int(np.argmax(gains))
+        return float(gains[best] - np.log(len(sizes))), float(sizes[best])
+
+    def gain_by_factor(self, parameters: np.ndarray, factors: Sequence[float]) -> tuple[float, float]:
+        """Return by how much another factor on the tolerances of parameters raises the log-density, and the best one.
+
+        A tolerance f times as large is its parameter's column once more, of the variance f² - 1, which may be negative.
+        """
+        gains = self._gain(parameters, np.ones(len(parameters)), np.array(factors) ** 2 - 1.0)
+        best = int(np.argmax(gains))
+        return float(gains[best] - np.log(len(factors))), float(factors[best])
+
+    def _gain(self, columns: np.ndarray, scale: Array, variance: Array) -> Array:
+        """Return by how much columns of some scale (k,) and each of some variances (T,) raise the log-density, (T,)."""
+        square, side, _ = self.reduced
         values, axes = np.linalg.eigh(scale[:, None] * square[np.ix_(columns, columns)] * scale)
         values, along = np.maximum(values, 0.0), axes.T @ (scale * side[columns])
-        sizes = np.sqrt(WIDER**2 - 1.0) if wider else SIZES
-        sizes = sizes[: max(int(np.count_nonzero(sizes * scale.max(initial=0.0) <= most)), 1)]
-        variance = sizes[:, None] ** 2
-        gains = 0.5 * np.sum(variance * along**2 / (1.0 + variance * values) - np.log1p(variance * values), axis=1)
-        best = int(np.argmax(gains))
-        return float(gains[best] - np.log(len(sizes))), float((WIDER if wider else SIZES)[best])
+        some = variance[:, None]
+        return np.asarray(0.5 * np.sum(some * along**2 / (1.0 + some * values) - np.log1p(some * values), axis=1))
+
+    def scale_tolerances(self, parameters: np.ndarray, factor: float) -> White:
+        """Return the same rows by parameters in tolerances so many times as large."""
+        rows = self.rows.copy()
+        rows[..., parameters] *= factor
+        return replace(self, rows=rows)
 
 
 @dataclass(frozen=True, eq=False)
@@ -286,7 +338,9 @@ class Readings:
         stands = np.isfinite(linear.errors).all(axis=1) & np.isfinite(slope).all(axis=(1, 2))
         stands &= np.isfinite(linear.constant)
         n_spare, errors = likelihood.n_spare, linear.errors - slope @ y
-        return Sight(table.rows, linear, slope, errors, stands & (n_spare > 0), n_spare, pose, table.log_volume)
+        stands &= n_spare > 0
+        dense = _find_dense(posterior, linear.left, stands)
+        return Sight(table.rows, linear, slope, errors, stands, n_spare, pose, table.log_volume, dense)
 
     def measure_rows(self, n_starts: int = 0) -> Array:
         """Return how far rows lie from any machine within the tolerances, in noise and errors as stated, (P,).
@@ -375,6 +429,23 @@ class Readings:
         return np.asarray(found[best, np.arange(len(best))])
 
 
+def _find_dense(posterior: CalibrationPosterior, left: Array, stands: np.ndarray) -> Callable[[Array], Array] | None:
+    """Return what takes ζ (n,) to the covariance that errors common to all rows add; None where columns are fewer."""
+    errors, likelihood, n_rows = posterior.errors, posterior.likelihood, left.shape[0] * left.shape[1]
+    if n_rows > MOST_ROWS or not errors.has_columns:
+        return None
+    acts = errors.list_acts(likelihood.data, likelihood.error_gain)
+    if not acts or sum(one.shape[-1] for one in acts) < n_rows / 2:
+        return None
+
+    @cache
+    def parts() -> Array:
+        shown = [np.where(stands[:, None, None], left @ one, 0.0).reshape(n_rows, -1) for one in acts]
+        return np.stack([one @ one.T for one in shown])
+
+    return lambda zeta: np.tensordot(errors.amplitudes(zeta[None])[0] ** 2, parts(), 1)
+
+
 def _solve(moves: Array, rest: Array, used: np.ndarray) -> Array:
     """Return what explains some of the rows best, (n,), for slopes (P, R, n), errors (P, R) and prior N(0, 1)."""
     if len(used) < len(moves):
@@ -408,3 +479,16 @@ def profile(weigh: Weigh, starts: Sequence[Array], levels: bool = True, turns: b
             moved[k] += step
             attempt(moved)
     return zeta
+
+
+def integrate_sizes(weigh: Weigh, start: Array) -> tuple[float, Array]:
+    """Return the log-density with the errors' coordinates ζ (n,) integrated over their prior, and the best ones.
+
+    By Laplace's approximation about the optimum that a search from a start leads to.
+    """
+
+    def log_density(zeta: Array) -> float:
+        return weigh(zeta) - 0.5 * float(zeta @ zeta)
+
+    mode = find_scales_mode(log_density, start)
+    return log_density(mode) + measure_volume(log_density, mode), mode

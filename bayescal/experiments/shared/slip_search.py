@@ -1,8 +1,9 @@
 """One search for what may have happened to readings, whatever the machine: causes compete by the same log-density.
 
 All causes are weighed about the machine as expected first, with a factor on all noise for what the first order leaves;
-the best of each kind are fitted, machine and cause together, and weighed again about their own fit. Each kind of cause
-is as probable as every other one a priori, and so is each cause within its kind.
+the best of each kind are fitted, machine and cause together, and weighed again about their own fit, the sizes of the
+model error integrated for each by itself: what they are without a cause is no part of it. Each kind of cause is as
+probable as every other one a priori, so is each way to choose of it (single ones, groups, all), and each cause within.
 
 A check names the best cause, whatever it is. Elsewhere the data as they are have to be far from every machine within
 the tolerances, the cause has to be a slip, and to bring them several times nearer: tolerances, noise and drifts
@@ -12,6 +13,7 @@ compete, and what they explain as well is no slip.
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -21,8 +23,19 @@ import numpy as np
 
 from bayescal.density.calibration.model_error import FunctionsOfPose
 from bayescal.density.sorts import DRIFT
-from bayescal.experiments.shared.slip_causes import FACTORS, MODEL, Cause, list_effects, list_tables
-from bayescal.experiments.shared.slip_rows import LOST, OUTLYING, STARTS, Readings, Sight, Table, White, profile
+from bayescal.errors import NumericalError
+from bayescal.experiments.shared.slip_causes import FACTORS, MODEL, WIDE, Cause, list_effects, list_tables
+from bayescal.experiments.shared.slip_rows import (
+    LOST,
+    OUTLYING,
+    STARTS,
+    Readings,
+    Sight,
+    Table,
+    White,
+    integrate_sizes,
+    profile,
+)
 from bayescal.experiments.shared.slips import CHANNEL, FRAME, LEGS, POSES, ROWS, UNIT, FoundSlip
 from bayescal.numerics.geometry import Array
 from bayescal.report.numbers import join_words
@@ -42,6 +55,8 @@ SLOPS = np.array([1.0, 2.5, 10.0, 100.0, 1e3, 1e4])
 BESIDE = 2  # how many factors on either side of the best one are tried as errors change
 USUAL_FACTOR = 1.5  # sd of the logarithm of a factor on the noise
 FINAL, EACH = 8, 3  # causes that are fitted: of all, and of each kind
+INTEGRATED = 6  # fitted causes, the best ones, whose errors' sizes are integrated
+QUIET = -2.0  # coordinate of a model error's size at which it explains next to nothing
 FITS_WELL, HOPELESS = 1.2, 8.0  # rms of a cause that leaves little, and nats a row below it of what is not fitted then
 FITS = 3  # steps of a fit
 TOGETHER = 100  # tables that are looked at at once
@@ -175,14 +190,18 @@ def _leave_out_outliers(readings: Readings) -> Readings:
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """A cause about its own fit: log-density, rms in noise and errors as stated, words, errors' coordinates (n,)."""
+    """A cause about its own fit: log-density, rms in noise and errors as stated, words, errors' coordinates (n,).
+
+    The log-density is the largest over the errors, or integrated over them, their prior included; ``beside`` is what it
+    has for rows that the cause's table lacks.
+    """
 
     value: float
     misfit: float
     text: str
     zeta: Array
-    seen: Sight
-    weigh: Callable[[Array], float]
+    weigher: _Weigher
+    beside: float
 
 
 @dataclass(eq=False)
@@ -246,8 +265,13 @@ class _Search:
         if not self.fits:
             rough += tables
         chosen = self._choose([one for one in rough if one[0].fault not in self.denied])
-        counts = {fault: sum(one[0].fault == fault for one in rough) for fault in {one[0].fault for one in rough}}
-        as_is, bound, fitted = UNFIT if base is None else base.value, -np.inf, list[tuple[Cause, _Fit]]()
+        counts = Counter((one.fault, one.scope) for one, _ in rough)
+        ways = Counter(fault for fault, _ in counts)
+
+        def cost(cause: Cause) -> float:
+            return float(np.log(ways[cause.fault] * counts[cause.fault, cause.scope]))
+
+        bound, fitted = -np.inf, list[tuple[Cause, _Fit]]()
         for cause, promise in chosen:
             if self.is_late:
                 break
@@ -256,18 +280,17 @@ class _Search:
             found = self.fit(cause, here)
             if found is not None:
                 fitted.append((cause, found))
-                if base is not None:
-                    as_is = max(as_is, base.weigh(found.zeta))
                 bound = max(bound, promise - HOPELESS * len(self.some)) if found.misfit < FITS_WELL else bound
-        weighed = [
-            Weighed(cause, one.value - as_is - float(np.log(counts[cause.fault])), one.text, one.misfit)
-            for cause, one in fitted
-        ]
+        fitted.sort(key=lambda one: cost(one[0]) - one[1].value)
+        best = [(cause, self.integrate(one)) for cause, one in fitted[:INTEGRATED]]
+        as_is = self._integrate_base([one.zeta for _, one in best])
+        weighed = [Weighed(cause, one.value - as_is - cost(cause), one.text, one.misfit) for cause, one in best]
         weighed.sort(key=lambda one: -one.gain)
         unnoticed = [cause.text for cause, value in tables if self.fits and value > -UNSEEN]
         return Search(self.misfit, self._name(weighed), weighed, len(effects) + len(tables), self.is_late, unnoticed)
 
     def _name(self, weighed: list[Weighed]) -> Named | None:
+        weighed = [one for one in weighed if one.cause.fault != WIDE]
         if not weighed or weighed[0].gain <= (SURE_OF_MODEL if weighed[0].cause.fault == MODEL else SURE):
             return None
         best = [one for one in weighed if one.gain > SURE]
@@ -296,30 +319,42 @@ class _Search:
         Where the readings fit as they are, about that fit; elsewhere about the machine as expected.
         """
         assert self.here is not None
-        here, zeta, slops = self.here, self.zeta, SLOPS
+        here, states = self.here, [(self.zeta, slop) for slop in SLOPS]
         if self.fits and self.base is not None:
-            here, zeta, slops = self.base.seen, self.base.zeta, SLOPS[:1]
+            here = self.base.weigher.seen
+            states = [(zeta, 1.0) for zeta in (self.base.zeta, self._silence(self.base.zeta))]
         widths = [0 if one.columns is None else one.columns.shape[-1] for one in causes]
         ends = np.cumsum([0, *widths])
         p, k = self.readings.values.shape
         every = np.concatenate([np.zeros((p, k, 0)), *(one.columns for one in causes if one.columns is not None)], -1)
-        bases = np.array([here.whiten(zeta, slop).weigh() for slop in slops])
+        bases = np.array([here.whiten(zeta, slop).weigh() - 0.5 * float(zeta @ zeta) for zeta, slop in states])
         chosen = np.unique([0, max(int(bases.argmax()) - 1, 0), bases.argmax()])
-        whites, bases = [here.whiten(zeta, slop, every) for slop in slops[chosen]], bases[chosen]
+        if here is not self.here:
+            chosen = np.arange(len(states))
+        states, bases = [states[k] for k in chosen], bases[chosen]
+        whites = [here.whiten(zeta, slop, every) for zeta, slop in states]
         values = np.full((len(causes), len(chosen)), -np.inf)
         for i, cause in enumerate(causes):
-            for j, white in enumerate(whites):
+            for j, ((zeta, _), white) in enumerate(zip(states, whites, strict=True)):
                 if cause.columns is not None:
                     where = white.known + np.arange(ends[i], ends[i + 1])
                     values[i, j] = bases[j] + white.gain(where, most=cause.most)[0]
-                elif cause.wider:
-                    values[i, j] = bases[j] + white.gain(np.array(cause.wider), wider=True)[0]
+                elif cause.toleranced:
+                    gain, _ = white.gain_by_factor(np.array(cause.toleranced), cause.factors)
+                    values[i, j] = bases[j] + gain
                 elif cause.without:
-                    values[i, j] = self._leave_out(white, np.array(cause.without))
-            if cause.noise:
-                values[i, 0] = self._try_noise(here, cause, zeta, FACTORS)[0]
+                    values[i, j] = self._leave_out(white, np.array(cause.without)) - 0.5 * float(zeta @ zeta)
+                elif cause.noise and (not j or here is not self.here):
+                    values[i, j] = self._try_noise(here, cause, zeta, FACTORS)[0] - 0.5 * float(zeta @ zeta)
         gains = values.max(axis=1) - bases.max()
         return list(zip(causes, gains.tolist(), strict=True))
+
+    def _silence(self, zeta: Array) -> Array:
+        """Return coordinates (n,) of the errors with a model error that explains next to nothing."""
+        terms = self.posterior.errors.terms
+        of_model = np.array([one.of_model for one in terms for _ in one.names], dtype=bool)
+        of_model = np.pad(of_model, (0, len(zeta) - len(of_model)))
+        return np.where(of_model, np.minimum(zeta, QUIET), zeta)
 
     def _leave_out(self, white: White, rows: np.ndarray) -> float:
         """Return the log-density where some rows may be anything."""
@@ -338,7 +373,7 @@ class _Search:
         found = []
         for size in sizes:
             more = -0.5 * (np.log(size) / USUAL_FACTOR) ** 2
-            value = here.whiten(zeta, self._raise_noise(cause, size)).weigh()
+            value = here.whiten_together(zeta, self._raise_noise(cause, size)).weigh()
             found.append((value + float(more - np.log(len(FACTORS))), float(size)))
         return max(found)
 
@@ -437,9 +472,9 @@ class _Search:
         """Return a cause about its own fit."""
         table, columns = cause.table or self.readings.table, cause.columns
         y, zeta, start = self.readings.begin, self.zeta, here.pose
-        starts = (zeta,) if not cause.fault or self.base is None else (self.base.zeta, zeta)
+        starts = (zeta,) if not cause.fault or self.base is None else (self.base.zeta, zeta, self._silence(zeta))
         unknown = np.zeros(0 if columns is None else columns.shape[-1])
-        weigher, last, misfit = None, -np.inf, np.inf
+        weigher, last = None, -np.inf
         for step in range(FITS):
             values = table.values
             if columns is not None:
@@ -456,22 +491,45 @@ class _Search:
             if step == 0:
                 zeta = profile(weigher.weigh, starts, turns=not cause.fault)
             elif step == FITS - 1:
-                zeta = profile(weigher.weigh, (zeta,), levels=not cause.fault)
+                zeta = profile(weigher.weigh, (zeta, self._silence(zeta)), levels=not cause.fault)
             last = weigher.weigh(zeta)
-            y, unknown, misfit = weigher.solve(zeta)
+            y, unknown, _ = weigher.solve(zeta)
         if weigher is None or not np.isfinite(last):
             return None
-        value = last - 0.5 * float(zeta @ zeta) - (len(self.readings.values) - len(table.rows)) * self._row_cost(here)
+        beside = -(len(self.readings.values) - len(table.rows)) * self._row_cost(here)
+        return self._describe(weigher, zeta, last - 0.5 * float(zeta @ zeta), beside)
+
+    def _describe(self, weigher: _Weigher, zeta: Array, value: float, beside: float) -> _Fit:
+        """Return a cause's fit at the errors ζ for which it was weighed last, of that log-density of its rows."""
+        cause, (y, unknown, misfit) = weigher.cause, weigher.solve(zeta)
+        more = beside
         if cause.scaled is not None:
             n_read = np.count_nonzero(np.isfinite(self.readings.values[:, cause.scaled]))
-            value += n_read * float(np.log(max(abs(1.0 - unknown[0]), 1e-300)))
-        sizes = unknown if columns is not None else np.array([weigher.size])
+            more += n_read * float(np.log(max(abs(1.0 - unknown[0]), 1e-300)))
+        sizes = unknown if cause.columns is not None else np.array([weigher.size])
         if cause.blind is not None:
             theta = self.posterior.around(np.append(y, np.zeros_like(self.zeta)))[0]
             given = self.posterior.likelihood.data.given
             sizes = self.readings.model.read(theta, weigher.seen.pose, given)[:, cause.blind]
         text = cause.text if cause.say is None else cause.say(sizes)
-        return _Fit(value, misfit, text, zeta, weigher.seen, lambda z: weigher.weigh(z) - 0.5 * float(z @ z))
+        return _Fit(value + more, misfit, text, zeta, weigher, beside)
+
+    def integrate(self, found: _Fit) -> _Fit:
+        """Return a fit with the errors' sizes integrated; as it was where no optimum of theirs is found."""
+        try:
+            value, zeta = integrate_sizes(found.weigher.weigh, found.zeta)
+        except (NumericalError, np.linalg.LinAlgError):
+            return found
+        found.weigher.weigh(zeta)
+        return self._describe(found.weigher, zeta, value, found.beside)
+
+    def _integrate_base(self, others: list[Array]) -> float:
+        """Return the log-density of the readings as they are, from the best of their own and other sizes (n,)."""
+        if self.base is None:
+            return UNFIT
+        base, weigh = self.base, self.base.weigher.weigh
+        first = max((base.zeta, *others), key=lambda zeta: weigh(zeta) - 0.5 * float(zeta @ zeta))
+        return self.integrate(replace(base, zeta=first)).value
 
 
 @dataclass(eq=False)
@@ -494,14 +552,15 @@ class _Weigher:
             place = int(np.searchsorted(FACTORS, self.size))
             self.factors = FACTORS[max(place - BESIDE, 0) : place + BESIDE + 1]
             return value
-        white = self.seen.whiten(zeta, 1.0, cause.columns)
         if cause.without:
-            return self.search._leave_out(white, self._without)
-        value = white.weigh()
-        if len(which := self._find_columns(white)):
-            gain, self.size = white.gain(which, bool(cause.wider), cause.most)
-            value += gain
-        return value
+            return self.search._leave_out(self.seen.whiten(zeta), self._without)
+        white = self.seen.whiten_together(zeta, 1.0, cause.columns)
+        value, gain = white.weigh(), 0.0
+        if cause.toleranced:
+            gain, self.size = white.gain_by_factor(np.array(cause.toleranced), cause.factors)
+        elif cause.columns is not None:
+            gain, self.size = white.gain(self._find_columns(white), cause.most)
+        return value + gain
 
     def solve(self, zeta: Array) -> tuple[Array, Array, float]:
         """Return machine (m,) and unknowns (k,) of columns, and the rms that is left.
@@ -518,17 +577,13 @@ class _Weigher:
         if cause.without:
             kept = np.setdiff1d(np.arange(len(white.rows)), self._without)
             white = replace(white, rows=white.rows[kept], constant=white.constant[kept])
+        if cause.toleranced:
+            white = white.scale_tolerances(np.array(cause.toleranced), self.size)
         which = self._find_columns(white)
-        scale = np.zeros(len(which))
-        if cause.wider:
-            scale = np.full(len(which), np.sqrt(self.size**2 - 1.0))
-        elif len(which):
-            scale = white.reduced[2][which] * self.size
-        known, unknown, misfit = white.solve(which, scale)
+        known, unknown, misfit = white.solve(which, white.reduced[2][which] * self.size)
         y = known[:m].copy()
-        if cause.wider:
-            y[which] += unknown
-            unknown = np.zeros(0)
+        if cause.toleranced:
+            y[np.array(cause.toleranced)] *= self.size
         return y, unknown, misfit
 
     @property
@@ -536,10 +591,9 @@ class _Weigher:
         return np.flatnonzero(np.isin(self.seen.rows, self.cause.without))
 
     def _find_columns(self, white: White) -> np.ndarray:
-        """Return where the cause's columns stand among the white ones, or the parameters whose tolerance is wider."""
-        if self.cause.columns is not None:
-            return white.known + np.arange(self.cause.columns.shape[-1])
-        return np.array(self.cause.wider, dtype=int)
+        """Return where the cause's columns stand among the white ones."""
+        width = 0 if self.cause.columns is None else self.cause.columns.shape[-1]
+        return white.known + np.arange(width)
 
 
 def _splice(base: White, white: White, chosen: np.ndarray, step: int) -> Array:
