@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bayescal.errors import NumericalError
-from bayescal.inference.scales import find_scales_mode, sample_scales
+from bayescal.inference.scales import find_scales_mode, measure_volume, sample_scales
 
 CENTRE, PRECISION = np.array([0.7, -0.4, 0.1]), np.diag([4.0, 2.0, 0.5])
 
@@ -23,6 +23,8 @@ def test_a_normal_density_has_its_evidence_and_moments(rng):
     evidence = -0.5 * np.log(np.linalg.det(total)) + 0.5 * mean @ total @ mean - 0.5 * CENTRE @ PRECISION @ CENTRE
     mode = find_scales_mode(gaussian, np.zeros(3))
     np.testing.assert_allclose(mode, mean, atol=1e-4)
+    laplace = gaussian(mode) + 1.5 * np.log(2.0 * np.pi) + measure_volume(gaussian, mode)
+    assert laplace == pytest.approx(evidence, abs=1e-4)
     found = sample_scales(gaussian, mode, 4000, 2000, rng)
     assert abs(found.log_evidence - evidence) < 5.0 * found.standard_error < 0.1
     assert found.pareto_k < 0.7

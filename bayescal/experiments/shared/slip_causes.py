@@ -30,6 +30,8 @@ from bayescal.numerics.geometry import (
 from bayescal.report.numbers import format_significant, join_words
 
 NOISE, TOLERANCE, DRIFT, MODEL = "noise", "tolerance", "drift", "model error"
+SCATTER = "scatter"
+"""A noise stated too small, or errors of the model from row to row: the data cannot tell."""
 WIDE = "wide tolerance"
 """No fault: intervals are wider than they need be."""
 LENGTHS = {
@@ -116,7 +118,7 @@ def list_effects(readings: Readings, pose: Array) -> Iterator[Cause]:
     yield from _list_frames(readings, pose)
     yield from _list_noises(readings.channels)
     yield from _list_channels(readings)
-    yield from _list_tolerances(readings.posterior.sampling.names)
+    yield from _list_tolerances(readings)
     yield from _list_couplings(readings)
     if not readings.posterior.errors.outliers.expected:
         for k, name in enumerate(readings.posterior.likelihood.data.poses):
@@ -356,17 +358,23 @@ def _say_noise(name: str, size: Array) -> str:
     return f"the noise of {name} is about {times} times the stated one: state it so{advice}"
 
 
-def _list_tolerances(names: Sequence[str]) -> Iterator[Cause]:
-    """Yield tolerances of single parameters, of those of one letter, of letters of one body, and of all."""
+def _list_tolerances(readings: Readings) -> Iterator[Cause]:
+    """Yield tolerances of single parameters, of those of one letter, of letters of one body, and of all.
+
+    Too wide are those of the machine alone: nobody states where an instrument stands better than it is known.
+    """
+    sampling, model = readings.posterior.sampling, readings.model
+    names, n_own = sampling.names, (model.whole if isinstance(model, Placed) else model).layout.size
+    of_machine = np.asarray(sampling.free) < n_own
     symbols: dict[str, list[int]] = {}
     for k, name in enumerate(names):
         symbols.setdefault(name.partition("[")[0], []).append(k)
     bodies: dict[str, list[str]] = {}
     for symbol in symbols:
         bodies.setdefault(symbol.partition("_")[0], []).append(symbol)
-    groups = {(k,): ("one", names[k]) for k in range(len(names))}
-    for symbol, places in symbols.items():
-        groups.setdefault(tuple(places), ("letter", f"all {symbol}"))
+    groups: dict[tuple[int, ...], tuple[str, str]] = {(k,): ("one", name) for k, name in enumerate(names)}
+    for symbol, own in symbols.items():
+        groups.setdefault(tuple(own), ("letter", f"all {symbol}"))
     for body in bodies.values():
         for n, scope in ((2, "two letters"), (len(body), "body")):
             for some in combinations(body, n):
@@ -376,8 +384,11 @@ def _list_tolerances(names: Sequence[str]) -> Iterator[Cause]:
     for places, (scope, which) in groups.items():
         say = partial(_say_tolerance, which)
         yield Cause(TOLERANCE, "", toleranced=places, factors=WIDER, say=say, scope=scope)
-        if len(places) > 1:  # a single one is as drawn now and then
-            yield Cause(WIDE, "", toleranced=places, factors=NARROWER, say=say, scope=scope)
+        narrowed = tuple(k for k in places if of_machine[k])
+        if len(narrowed) > 1 and (
+            len(narrowed) == len(places) or scope == "all"
+        ):  # a single one is as drawn now and then
+            yield Cause(WIDE, "", toleranced=narrowed, factors=NARROWER, say=say, scope=scope)
 
 
 def _say_tolerance(which: str, size: Array) -> str:

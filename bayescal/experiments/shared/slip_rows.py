@@ -81,8 +81,8 @@ class Sight:
     n_spare: np.ndarray  # (Q,): readings more than a pose takes
     pose: Array
     log_volume: float
-    # from ζ (n,) to what errors common to all rows add to the covariance of all of them, (Q R, Q R); none where they are
-    # many rows, of which columns are fewer
+    # from ζ (n,) to what errors common to all rows add to their covariance, (Q R, Q R); none where columns are
+    # fewer
     dense: Callable[[Array], Array] | None = None
     kept: dict[str, tuple[object, Array]] = field(default_factory=dict)
 

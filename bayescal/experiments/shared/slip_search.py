@@ -14,17 +14,27 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations
 
 import numpy as np
 
-from bayescal.density.calibration.model_error import FunctionsOfPose
+from bayescal.density.calibration.model_error import FunctionsOfPose, IndependentErrors
 from bayescal.density.sorts import DRIFT
 from bayescal.errors import NumericalError
-from bayescal.experiments.shared.slip_causes import FACTORS, MODEL, WIDE, Cause, list_effects, list_tables
+from bayescal.experiments.shared.slip_causes import (
+    FACTORS,
+    MODEL,
+    NOISE,
+    SCATTER,
+    TOLERANCE,
+    WIDE,
+    Cause,
+    list_effects,
+    list_tables,
+)
 from bayescal.experiments.shared.slip_rows import (
     LOST,
     OUTLYING,
@@ -36,7 +46,7 @@ from bayescal.experiments.shared.slip_rows import (
     integrate_sizes,
     profile,
 )
-from bayescal.experiments.shared.slips import CHANNEL, FRAME, LEGS, POSES, ROWS, UNIT, FoundSlip
+from bayescal.experiments.shared.slips import CHANNEL, FRAME, LEGS, POSES, ROWS, UNIT, FoundSlip, Misstated
 from bayescal.numerics.geometry import Array
 from bayescal.report.numbers import join_words
 
@@ -44,6 +54,8 @@ SURE = 3.0
 """Nats by which a cause has to explain the readings better, all of its kind that were tried counted: 20 to 1."""
 SURE_OF_MODEL = 10.0
 """The same of errors of the machine, which a model error allows for."""
+SURE_OF_SCATTER = 5.0
+"""Nats by which rows have to be explained worse without errors drawn anew at each: one in a thousand by chance."""
 UNSEEN = 10.0
 """Nats by which a slip planted in data that fit lowers the log-density at most, where the data do not show it."""
 ALIKE = 3.0
@@ -57,6 +69,8 @@ USUAL_FACTOR = 1.5  # sd of the logarithm of a factor on the noise
 FINAL, EACH = 8, 3  # causes that are fitted: of all, and of each kind
 INTEGRATED = 6  # fitted causes, the best ones, whose errors' sizes are integrated
 QUIET = -2.0  # coordinate of a model error's size at which it explains next to nothing
+ABSENT = -6.0  # the same of a size that is not there
+LARGE = 1.5  # the same of a size that is far beyond its scale: half-Cauchy ten times, with a probability of 7 %
 FITS_WELL, HOPELESS = 1.2, 8.0  # rms of a cause that leaves little, and nats a row below it of what is not fitted then
 FITS = 3  # steps of a fit
 TOGETHER = 100  # tables that are looked at at once
@@ -84,6 +98,8 @@ class Weighed:
     gain: float
     text: str
     misfit: float
+    factor: float  # on a noise or a tolerance
+    cost: float  # nats, for all that were tried
 
 
 @dataclass(frozen=True)
@@ -136,10 +152,43 @@ def search_cause(readings: Readings, denied: Collection[str] = ()) -> Search:
 
     What drifts in measuring order is none of the machine's errors here, but a cause among the others.
     """
+    return _Search(_leave_out_outliers(_without_drift(readings)), denied).run()
+
+
+def find_misstated(variants: Iterable[Readings]) -> Misstated | None:
+    """Return what noise or tolerance is stated wrong by the readings that nothing else explains as well; None if none.
+
+    Of several variants the one that explains its readings best is asked. What a check names competes, but for tables
+    read otherwise, which `find_slip` looks for. Where readings scatter from row to row by more than their noise as
+    stated, and another noise explains that as well as a model error does, both are said: data cannot tell them apart.
+    That tolerances are too wide is said where nothing else is named, and no model error far beyond its scale makes up
+    for what they leave out.
+
+    Parameters
+    ----------
+    variants : iterable of Readings
+        The same measurements under several models.
+    """
+    searches = [_Search(_leave_out_outliers(_without_drift(one)), ()) for one in variants]
+    asked = max(searches, key=lambda one: -np.inf if one.base is None else one.base.value)
+    found = asked.run(with_tables=False)
+    if found.first is not None:
+        best = next(one for one in found.weighed if one.cause.fault == found.first.fault)
+        stated = found.first.fault in (NOISE, TOLERANCE)
+        return Misstated(found.first.fault, found.first.text, best.factor, best.gain) if stated else None
+    if (scatter := asked.find_scatter(found.weighed)) is not None:
+        return scatter
+    wide = [one for one in found.weighed if one.cause.fault == WIDE and one.gain > SURE]
+    if not wide or asked.needs_large_errors:
+        return None
+    return Misstated(WIDE, wide[0].text, wide[0].factor, wide[0].gain)
+
+
+def _without_drift(readings: Readings) -> Readings:
+    """Return readings whose errors do not drift in measuring order."""
     errors = readings.posterior.errors
     steady = tuple(one for one in errors.terms if not (isinstance(one, FunctionsOfPose) and one.sort == DRIFT))
-    posterior = replace(readings.posterior, errors=replace(errors, terms=steady))
-    return _Search(_leave_out_outliers(replace(readings, posterior=posterior)), denied).run()
+    return replace(readings, posterior=replace(readings.posterior, errors=replace(errors, terms=steady)))
 
 
 def find_slip(variants: Iterable[Readings], denied: Collection[str] = ()) -> FoundSlip | None:
@@ -256,12 +305,40 @@ class _Search:
         """Return what messages call a row."""
         return f"{k + 1} (pose {str(self.posterior.likelihood.data.poses[k])!r})"
 
-    def run(self) -> Search:
-        here, base = self.here, self.base
+    @property
+    def needs_large_errors(self) -> bool:
+        """Whether the readings as they are need a model error far beyond its scale."""
+        return self.base is not None and bool(np.any(self.base.zeta > self._silence(self.base.zeta) + LARGE - QUIET))
+
+    def find_scatter(self, weighed: list[Weighed]) -> Misstated | None:
+        """Return the noises that explain a scatter of the rows as well as errors of the model; None if there is none.
+
+        There is one where rows are explained far worse without errors that are drawn anew at each.
+        """
+        noises = [one for one in weighed if one.cause.fault == NOISE and one.factor > 1.0]
+        noises = [one for one in noises if one.gain + one.cost > -ALIKE]
+        terms = self.posterior.errors.terms
+        drawn = np.array([isinstance(one, IndependentErrors) for one in terms for _ in one.names], dtype=bool)
+        if not noises or self.base is None or not drawn.any():
+            return None
+        weigh = self.base.weigher.weigh
+        steady, _ = integrate_sizes(
+            lambda zeta: weigh(np.where(drawn, ABSENT, zeta)), np.where(drawn, 0.0, self.base.zeta)
+        )
+        loss = self._integrate_base([]) - steady
+        if loss <= SURE_OF_SCATTER:
+            return None
+        said = " (or: ".join(one.text for one in noises[:2])
+        text = f"rows scatter by more than the stated noise, which tau of the model error takes up; as well, {said}"
+        return Misstated(SCATTER, f"{text}{')' * (len(noises) > 1)}", noises[0].factor, loss)
+
+    def run(self, with_tables: bool = True) -> Search:
+        """Return what explains the readings best; without tables, by what leaves them as they are."""
+        here = self.here
         if here is None:
             return Search(np.inf)
         effects = list(list_effects(self.readings, here.pose))
-        rough, tables = self._weigh_effects(effects), self._weigh_tables(here)
+        rough, tables = self._weigh_effects(effects), self._weigh_tables(here) if with_tables else []
         if not self.fits:
             rough += tables
         chosen = self._choose([one for one in rough if one[0].fault not in self.denied])
@@ -275,7 +352,7 @@ class _Search:
         for cause, promise in chosen:
             if self.is_late:
                 break
-            if promise < bound or (self.fits and promise < 0.0):
+            if promise < bound or (self.fits and promise < (-ALIKE if cause.fault == NOISE else 0.0)):
                 continue
             found = self.fit(cause, here)
             if found is not None:
@@ -284,7 +361,10 @@ class _Search:
         fitted.sort(key=lambda one: cost(one[0]) - one[1].value)
         best = [(cause, self.integrate(one)) for cause, one in fitted[:INTEGRATED]]
         as_is = self._integrate_base([one.zeta for _, one in best])
-        weighed = [Weighed(cause, one.value - as_is - cost(cause), one.text, one.misfit) for cause, one in best]
+        weighed = [
+            Weighed(cause, one.value - as_is - cost(cause), one.text, one.misfit, one.weigher.size, cost(cause))
+            for cause, one in best
+        ]
         weighed.sort(key=lambda one: -one.gain)
         unnoticed = [cause.text for cause, value in tables if self.fits and value > -UNSEEN]
         return Search(self.misfit, self._name(weighed), weighed, len(effects) + len(tables), self.is_late, unnoticed)

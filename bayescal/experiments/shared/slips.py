@@ -41,6 +41,33 @@ class FoundSlip:
         return {**asdict(self), "gain": self.gain if np.isfinite(self.gain) else None}
 
 
+@dataclass(frozen=True)
+class Misstated:
+    """A noise or a tolerance that is stated wrong: the factor on it by which the data are explained best, and the gain.
+
+    Attributes
+    ----------
+    fault : str
+        ``noise``, ``scatter`` (noise or errors of the model from row to row), ``tolerance`` (too tight) or ``wide
+        tolerance``.
+    text : str
+        What to do.
+    factor : float
+        On what is stated.
+    gain : float
+        Nats by which the data are explained better, all causes of its kind that were tried counted.
+    """
+
+    fault: str
+    text: str
+    factor: float
+    gain: float
+
+    def say(self) -> str:
+        """Return it in words."""
+        return f"{self.text} (the data are explained better by {format_significant(self.gain, 2)} nats)"
+
+
 def _say_factor(factor: float | None) -> str:
     return "fit only" if factor is None else f"fit {format_significant(factor, 2)} times better"
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from functools import partial
 from typing import Any
 
@@ -11,6 +12,7 @@ import pandas as pd
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.shared.estimate import TREE
+from bayescal.experiments.shared.slips import Misstated
 from bayescal.experiments.shared.study_schema import stem_of
 from bayescal.experiments.shared.trees import write_packed
 from bayescal.experiments.study.calibrated import list_machine_files
@@ -42,6 +44,9 @@ def compute_study(inputs: StudyInputs, run: Run) -> Results:
         **({} if slip is None else {"slip": slip.record()}),
         **({} if claims is None else {"publication": claims.describe()}),
     }
+    if slip is None:
+        found = run.once("noise and tolerances", _find_misstated, (inputs, _name_best(fits)), (Misstated,))
+        summary["misstated"] = None if found is None else asdict(found)
     if claims is not None:
         tables |= run.once("claims", _judge, (inputs, dict(summary)))
     if widths := await_widths():
@@ -49,6 +54,16 @@ def compute_study(inputs: StudyInputs, run: Run) -> Results:
     trees = {name: fit.evaluated[TREE] for name, fit in fits.items()}
     files = {f"posterior/{stem_of(name)}.nc": partial(write_packed, tree) for name, tree in trees.items()}
     return Results(summary, tables, {**files, **list_machine_files(inputs)})
+
+
+def _name_best(fits: Mapping[str, ReadingFit]) -> str:
+    """Return the variant of the largest evidence, of those that converged if any did."""
+    return max(fits, key=lambda name: (not fits[name].list_problems(), fits[name].log_evidence))
+
+
+def _find_misstated(task: tuple[StudyInputs, str]) -> Misstated | None:
+    inputs, name = task
+    return inputs.find_misstated([name])
 
 
 def _judge(task: tuple[StudyInputs, Mapping[str, Any]]) -> dict[str, pd.DataFrame]:

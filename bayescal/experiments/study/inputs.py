@@ -19,8 +19,8 @@ from bayescal.experiments.shared.outlook import join_outlooks
 from bayescal.experiments.shared.readings.errors import drop_model_error
 from bayescal.experiments.shared.readings.inputs import ReadingInputs, read_inputs
 from bayescal.experiments.shared.readings.priors import check_ranges
-from bayescal.experiments.shared.slip_search import find_slip
-from bayescal.experiments.shared.slips import FoundSlip
+from bayescal.experiments.shared.slip_search import find_misstated, find_slip
+from bayescal.experiments.shared.slips import FoundSlip, Misstated
 from bayescal.experiments.shared.study_schema import StudyConfig
 
 if TYPE_CHECKING:
@@ -92,6 +92,17 @@ class StudyInputs(ReadingInputs):
     def slip(self) -> FoundSlip | None:
         """What may have happened to readings that no machine within its priors comes near, looked for once."""
         return find_slip(one.list_readings() for one in self.variants.values())
+
+    @cached_property
+    def misstated(self) -> Misstated | None:
+        """Which noise or tolerance is stated wrong, looked for once; none where the data themselves are suspected."""
+        return self.find_misstated(list(self.variants))
+
+    def find_misstated(self, names: Sequence[str]) -> Misstated | None:
+        """Return the same by some variants."""
+        if self.slip is not None:
+            return None
+        return find_misstated(self.variants[name].list_readings() for name in names)
 
     def measure(self, names: Sequence[str], with_model_error: bool = True) -> dict[str, MeasuredReadings]:
         """Return the posteriors of variants' calibration poses, without terms of [model_error] where not wanted."""

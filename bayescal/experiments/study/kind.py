@@ -21,6 +21,7 @@ from bayescal.experiments.shared.readings.instruments import list_machines
 from bayescal.experiments.shared.readings.machine_kind import MachineExperiment
 from bayescal.experiments.shared.readings.measurement import list_file_faults
 from bayescal.experiments.shared.search_memory import estimate_calibration
+from bayescal.experiments.shared.slip_causes import WIDE
 from bayescal.experiments.shared.study_schema import StudyConfig
 from bayescal.experiments.study.doubts import doubt_zero
 from bayescal.experiments.study.inputs import StudyInputs
@@ -68,7 +69,10 @@ class Study(MachineExperiment[StudyConfig, StudyInputs], Measuring, Calibrating)
 
     def doubt(self, inputs: StudyInputs) -> list[str]:
         """Return what may have happened to data that no machine explains, or only one within wide tolerances."""
-        return doubt_zero(inputs) if inputs.slip is None else [inputs.slip.say()]
+        if inputs.slip is not None:
+            return [inputs.slip.say()]
+        found = inputs.misstated
+        return [*doubt_zero(inputs), *([] if found is None or found.fault == WIDE else [found.say()])]
 
     def compute(self, inputs: StudyInputs, run: Run) -> Results:
         """Return posteriors, evidence and predictions of all variants."""

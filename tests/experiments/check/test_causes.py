@@ -15,7 +15,8 @@ from shares import run_rest
 
 from bayescal.experiments.check.faults import state_cause
 from bayescal.experiments.shared import slip_search
-from bayescal.experiments.shared.slip_search import search_cause
+from bayescal.experiments.shared.readings.priors import widen
+from bayescal.experiments.shared.slip_search import find_misstated, search_cause
 
 BENCHMARK = Path(__file__).parents[3] / "benchmarks" / "slips"
 sys.path.insert(0, str(BENCHMARK))
@@ -75,6 +76,46 @@ def test_most_planted_slips_are_named(subjects, machine, slip):
         known = found is not None and set(fault.split()) & set(found.faults)
         named += bool(known) and any(word in found.text for word in words)
     assert named >= 2
+
+
+def restate(subject, noise=1.0, tolerance=1.0, symbols=(), seed=1):
+    """Return readings of a machine of the priors, with some channels' noise and tolerances stated so many times."""
+    measured, _, _ = plant(subject, "clean", seed)
+    posterior, likelihood = measured.posterior, measured.posterior.likelihood
+    data = replace(likelihood.data, sd=likelihood.data.sd * noise)
+    priors = {
+        name: widen(one, tolerance) if not symbols or name.partition("[")[0] in symbols else one
+        for name, one in posterior.priors.items()
+    }
+    likelihood = replace(likelihood, data=data, expansion=None)
+    return replace(measured, posterior=replace(posterior, likelihood=likelihood, priors=priors)).readings
+
+
+@pytest.mark.parametrize(
+    ("fault", "changes"),
+    [
+        ("tolerance", {"tolerance": 0.1}),
+        ("wide tolerance", {"tolerance": 10.0}),
+        ("scatter", {"noise": 0.1}),
+        ("noise", {"noise": 10.0}),
+        (None, {}),
+    ],
+)
+def test_noise_and_tolerances_that_are_stated_wrong_are_told_apart(subjects, fault, changes):
+    found = find_misstated([restate(subjects["linear delta"], **changes)])
+    assert (None if found is None else found.fault) == fault
+    if fault is not None:
+        stated = changes.get("tolerance", changes.get("noise"))
+        assert 0.4 < found.factor * stated < 2.5
+
+
+@pytest.mark.runs
+def test_a_model_error_gives_way_to_tolerances_that_explain_what_it_took_up(subjects):
+    """Of two letters a tenth: functions of the pose explain the data, worse than these do."""
+    found = search_cause(restate(subjects["hexapod by poses"], tolerance=0.1, symbols=("b_x", "b_y"))).first
+    assert found is not None
+    assert found.fault == "tolerance"
+    assert "b_x" in found.text or "b_y" in found.text
 
 
 @pytest.mark.runs

@@ -42,6 +42,7 @@ def state_soundness(study: StudyResults) -> list[Statement]:
         *state_slip(study.summary),
         *state_solutions(study),
         *_state_targets(study),
+        *_state_misstated(study),
         *_state_misfit(study),
         *_state_tolerances(study),
         *_state_bounds(study),
@@ -80,10 +81,10 @@ def _state_targets(study: StudyResults) -> list[Statement]:
 
 
 def _state_misfit(study: StudyResults) -> list[Statement]:
-    """Say where the best variant's residuals are larger or smaller than the stated noise."""
+    """Say where the best variant's residuals are larger than the stated noise, and no noise or tolerance is named."""
     one = study.fit(study.best_name)
     found = ChiSquare(float(one["misfit_chi2"]), float(one["misfit_dof"]))
-    if not found.is_off:
+    if not found.is_off or study.summary.get("misstated"):
         return []
     why = "the noise is stated too small, or every variant lacks something real."
     if found.factor < 1:
@@ -100,14 +101,38 @@ def _state_misfit(study: StudyResults) -> list[Statement]:
 # --- tolerances ------------------------------------------------------------------------------------------------------
 
 
-def _state_tolerances(study: StudyResults) -> list[Statement]:
-    """Say where the identified machine lies farther from nominal than the tolerances let expect, or much closer.
+def _state_misstated(study: StudyResults) -> list[Statement]:
+    """Say which noise or tolerance the data explain better by another size, as a check finds it."""
+    found = study.summary.get("misstated")
+    if not isinstance(found, dict):
+        return []
+    text = f"{found['text'][0].upper()}{found['text'][1:]}"
+    if found["fault"] == "scatter":
+        return [Statement(f"{text}. Make sure of the stated noise first.", "warning", "Noise")]
+    gain = format_significant(found["gain"], 2)
+    text += f". Data are explained better by {gain} nats then, whatever the sizes of the model error."
+    if found["fault"] == "noise":
+        return [Statement(text, _rate(found["factor"]), "Noise")]
+    wide = found["fault"] != "tolerance"  # costs accuracy, and is no fault
+    return [Statement(f"{text}{'' if wide else _say_held(study)}", "plain" if wide else "bad", "Tolerances")]
 
-    χ² is of how far it lies from nominal along what was learnt, in units of the priors.
+
+def _say_held(study: StudyResults) -> str:
+    """Return which dimensions are not free, for which others err."""
+    held = study.summary.get("not_free", {}).get(study.best_name, [])
+    names = ", ".join(map(str, held))
+    return f" Not free in this study: {names}. Give them tolerances and free them first." if held else ""
+
+
+def _state_tolerances(study: StudyResults) -> list[Statement]:
+    """Say where the identified machine lies farther from nominal than the tolerances let expect, and none is named.
+
+    χ² is of how far it lies from nominal along what was learnt, in units of the priors. That it lies nearer says
+    nothing by itself: errors that the model leaves out may hide a machine, and tolerances too tight bind it.
     """
     best, fit = study.best_name, study.fit(study.best_name)
     found = ChiSquare(float(fit["pulls_chi2"]), float(fit["pulls_dof"]))
-    if not found.is_off:
+    if not found.is_off or found.factor <= 1.0 or study.summary.get("misstated"):
         return []
     rows = [row for row in study.rows("parameters", best) if row["verdict"] != NOISE]
     pulls = {str(row["parameter"]): (row["mean"] - row["nominal"]) / row["prior_sd"] for row in rows}
@@ -119,13 +144,8 @@ def _state_tolerances(study: StudyResults) -> list[Statement]:
     if far is not None and abs(pulls[far]) >= FAR:
         text += f", farthest {far} by {format_significant(pulls[far], 2)}"
     text += f" ({format_chance(found.chance)}): "
-    if found.factor <= 1:
-        return [Statement(f"{text}the tolerances are wider than this machine needs.", "plain", "Tolerances")]
     text += "the tolerances are stated too tight, a nominal value is wrong, or the model makes up for what it lacks."
-    held = study.summary.get("not_free", {}).get(best, [])
-    if held:  # as drawn: other parameters err for it
-        text += f" Not free in this study: {', '.join(map(str, held))}. Give them tolerances and free them first."
-    return [Statement(text, _rate(found.factor), "Tolerances")]
+    return [Statement(f"{text}{_say_held(study)}", _rate(found.factor), "Tolerances")]
 
 
 # --- bounds and coverage ---------------------------------------------------------------------------------------------

@@ -17,6 +17,7 @@ pytestmark = pytest.mark.runs
 
 BEST = "stiffness/matrix"
 MISFIT = set_fit(BEST, misfit_chi2=800.0, misfit_dof=200.0)
+MISSTATED = {"fault": "tolerance", "text": "all b_x: too tight", "factor": 10.0, "gain": 12.0}
 SLIP = {"fault": "legs", "text": "legs 2 and 3 seem to be exchanged", "gain": 900.0, "factor": 41.3}
 
 
@@ -70,7 +71,21 @@ def hold(summary):
             "farthest b_x[2] by −4.0 … tolerances are stated too tight",
         ),
         (hold, {}, "Tolerances", "bad", "Not free in this study: a_z, b_z. Give them tolerances and free them first."),
-        (set_fit(BEST, pulls_chi2=2.0, pulls_dof=30.0), {}, "Tolerances", "plain", "wider than this machine needs"),
+        (
+            lambda summary: summary.update(misstated={**MISSTATED, "fault": "wide tolerance", "factor": 0.1}),
+            {},
+            "Tolerances",
+            "plain",
+            "12 nats",
+        ),
+        (lambda summary: summary.update(misstated=MISSTATED), {}, "Tolerances", "bad", "All b_x: too tight … 12 nats"),
+        (
+            lambda summary: summary.update(misstated={**MISSTATED, "fault": "noise"}),
+            {},
+            "Noise",
+            "bad",
+            "12 nats",
+        ),
         (
             None,
             err_by(1.1),
@@ -97,6 +112,7 @@ def test_a_fault_is_the_first_thing_said(make_results, change, edits, lead, leve
         (None, {}),
         (set_fit("jacobian/none", misfit_chi2=1e5), {}),  # of a variant that is not the best
         (None, err_by(0.5)),  # none of a few beyond their bounds
+        (set_fit(BEST, pulls_chi2=2.0, pulls_dof=30.0), {}),  # near nominal, as one whose model error hides it is, too
         (None, err_by(1.1, "calibration")),  # judged are those that were held back
     ],
 )
