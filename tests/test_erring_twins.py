@@ -174,7 +174,7 @@ def test_twins_that_take_too_long_are_told(truth):
 
 
 def test_twins_of_a_table_are_not_computed_again(truth, tmp_path, monkeypatch):
-    seeds, score = [], truth.scores.Score(*[0.9] * 6, 5, 0, 1.5)
+    seeds, score = [], truth.scores.Score(*[0.9] * 7, 5, 0, 1.5)
     monkeypatch.setattr(truth.scores, "judge", lambda *known: seeds.append(known[4]) or score)
     for twins in (2, 3):
         found = list(truth.scores.judge_twins("cell", "none", 0.0, "init", twins, 1, keep=tmp_path / "twins.csv"))

@@ -44,14 +44,15 @@ class Score:
 
     ``sd_ratio`` is the posterior standard deviation over that by the right model, rms over the parameters.
     ``directions`` is NaN where no direction is well determined; everything is where the calibration failed. ``truth``
-    is of the tool's true numbers at held-back poses; ``gain`` how much log-evidence the default has over no model
-    error, of the row without errors.
+    is of the tool's true numbers at held-back poses, and ``tool_z`` their errors over the standard deviations that are
+    stated, rms; ``gain`` how much log-evidence the default has over no model error, of the row without errors.
     """
 
     parameters: float
     directions: float
     held: float
     truth: float
+    tool_z: float
     gain: float
     sd_ratio: float
     n_directions: int
@@ -59,7 +60,7 @@ class Score:
     seconds: float
 
 
-FAILED = Score(*[np.nan] * 6, 0, 1, np.nan)
+FAILED = Score(*[np.nan] * 7, 0, 1, np.nan)
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,12 +115,13 @@ def judge(name: str, row: str, size: float, folder: Path, seed: int, limit: floa
     draws = (found.draws - machine.nominal) / machine.sd
     right = machine.right_posterior(twin.theta, twin.v[~twin.held])
     directions = find_determined(right)
-    off = np.abs(found.tool - machine.tool(twin.theta, twin.v[twin.held]))
+    off = (found.tool - machine.tool(twin.theta, twin.v[twin.held])) / found.sd
     return Score(
         hold(draws, truth),
         hold(draws @ directions.T, directions @ truth) if len(directions) else np.nan,
         float(found.held.mean()),
-        float(np.mean(off <= WITHIN * found.sd)),
+        float(np.mean(np.abs(off) <= WITHIN)),
+        float(np.sqrt(np.mean(off**2))),
         found.gain,
         float(np.sqrt(np.mean(draws.var(axis=0) / np.diagonal(right)))),
         len(directions),
@@ -190,6 +192,8 @@ def summarise(scores: list[Score]) -> dict[str, float]:
         found |= {what: round(float(values.mean()), 1) if len(values) else np.nan, f"{what}_se": round(float(error), 1)}
     ratios = [one.sd_ratio for one in scores if np.isfinite(one.sd_ratio)]
     found["sd_ratio"] = round(float(np.mean(ratios)), 2) if ratios else np.nan
+    off = [one.tool_z**2 for one in scores if np.isfinite(one.tool_z)]
+    found["tool_z"] = round(float(np.sqrt(np.mean(off))), 2) if off else np.nan
     gains = np.array([one.gain for one in scores if np.isfinite(one.gain)])
     found["beaten"] = round(100.0 * float(np.mean(gains > BEATEN)), 1) if len(gains) else np.nan
     found["gain"] = round(float(np.median(gains)), 2) if len(gains) else np.nan
