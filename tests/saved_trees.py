@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 import xarray as xr
 
-PLOTS = ("plot_ppc_dist", "plot_prior_posterior", "plot_rank")
+PLOTS = ("plot_ppc_dist", "plot_loo_pit", "plot_prior_posterior", "plot_rank")
 GROUPS = {
     *("posterior", "prior", "log_prior", "log_likelihood", "sample_stats", "observed_data"),
     *("posterior_predictive", "prior_predictive"),
@@ -28,12 +28,6 @@ def plot_everything(tree: xr.DataTree) -> None:
     for name in PLOTS:
         getattr(az, name)(tree)
         plt.close("all")
-    # LOO-PIT wants the density of every number: one channel that was read everywhere, at a time
-    full = tree["observed_data/readings"].notnull().all("row").to_numpy()
-    az.plot_loo_pit(
-        tree.map_over_datasets(lambda one: one.isel(channel=int(full.argmax())) if "channel" in one.dims else one)
-    )
-    plt.close("all")
 
 
 def scale_power(tree: xr.DataTree) -> pd.DataFrame:

@@ -7,9 +7,19 @@ from typing import Annotated, ClassVar, Final, Literal, Self, get_args
 
 from pydantic import AfterValidator, BeforeValidator, Field
 
-from bayescal.config.sections import NotNegative, PerLeg, Positive, PositivePerLeg, Section, check_once
+from bayescal.config.sections import NotNegative, PerLeg, Positive, Section, check_once
 from bayescal.limits import LASTING
 from bayescal.numerics.units import MICROMETRE
+
+
+def _check_some(values: list[float]) -> list[float]:
+    if not any(values):
+        raise ValueError("found zeros alone, expected one width of more than zero, or prior = \"fixed\" of what is known")
+    return values
+
+
+type Widths = Positive | Annotated[list[NotNegative], AfterValidator(_check_some)]
+"""One for all members, or one each; zero for a member that is known."""
 
 
 class NormalConfig(Section):
@@ -17,8 +27,8 @@ class NormalConfig(Section):
 
     prior: Literal["normal"]
     """`"normal"`: a bell curve about the nominal value."""
-    sd: PositivePerLeg
-    """Standard deviation, one for all legs or one per leg [unit of the parameter]."""
+    sd: Widths
+    """Standard deviation, one for all legs or one per leg, zero for one that is known [unit of the parameter]."""
 
 
 class UniformConfig(Section):
@@ -26,8 +36,10 @@ class UniformConfig(Section):
 
     prior: Literal["uniform"]
     """`"uniform"`: anything within bounds about the nominal value alike."""
-    half_width: PositivePerLeg
-    """Distance of the bounds from the nominal value, one for all legs or one per leg [unit of the parameter]."""
+    half_width: Widths
+    """Distance of the bounds from the nominal value, one for all legs or one per leg, zero for one that is known
+    [unit of the parameter].
+    """
 
 
 class FixedConfig(Section):

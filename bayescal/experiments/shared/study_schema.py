@@ -261,11 +261,9 @@ class SensitivityConfig(Section):
     The scale of the model error's prior is varied by itself, without computing anew.
     """
 
-    factor: Annotated[list[Factor], Field(min_length=1), AfterValidator(check_once)] = Field(
-        default=[0.5, 1.0, 2.0, 5.0]
-    )
-    """Factors on the widths of all priors for which evidences are computed anew [1]."""
-    tau_scale_um: Annotated[list[Positive], Field(min_length=1), AfterValidator(check_once)] = Field(
+    factor: Annotated[list[Factor], AfterValidator(check_once)] = Field(default=[0.5, 1.0, 2.0, 5.0])
+    """Factors on the widths of all priors for which evidences are computed again; `[]` for none [1]."""
+    tau_scale_um: Annotated[list[Positive], AfterValidator(check_once)] = Field(
         default=TAU_SCALES, exclude_if=lambda value: value == TAU_SCALES
     )
     """Scales of the model error's prior, tried by reweighting."""

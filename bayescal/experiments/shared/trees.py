@@ -1,14 +1,16 @@
 """Posteriors as ArviZ keeps them: a tree of named groups in which every variable has its unit.
 
 ``observed_data`` holds the readings as measured, rows by channels; what draws of prior and posterior predict stands
-beside them. The log-likelihood is that of whole rows: a row is what is left out and compared. ArviZ's LOO-PIT, which
-wants a log-likelihood of every number, takes one channel at a time: ``tree.sel(channel="x")``.
+beside them. Where some were not read, all that were stand in one dimension. The log-likelihood is that of whole rows: a
+row is what is left out and compared, and its only variable. ArviZ's LOO-PIT, which wants a log-likelihood of every
+number, finds that of the number's row in a coordinate of the readings' name.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +24,8 @@ from bayescal.numerics.geometry import Array
 if TYPE_CHECKING:
     import xarray as xr
 
-NAME = "readings"
+NAME, ROWS = "readings", "rows"
+PREDICTED = "readings that would be measured again"
 FUNCTIONS = "functions"
 """Group of what is known of errors that are functions of the pose."""
 MODE = "mode"
@@ -115,6 +118,54 @@ def make_dataset(
     sizes = {dim: n for one in made.values() for dim, n in zip(one.dims, one.shape, strict=True)}
     counted = {dim: np.arange(sizes[dim]) for dim in ("chain", "draw") if dim in sizes}
     return xr.Dataset(made, {**counted, **(coords or {})})
+
+
+@dataclass(frozen=True, eq=False)
+class ReadingLayout:
+    """How readings (..., P, K) of rows and channels stand in a tree: as they are, or those alone that were read."""
+
+    rows: tuple[str, ...]
+    channels: tuple[str, ...]
+    units: tuple[str, ...]
+    present: np.ndarray  # (P, K)
+
+    def arrange(self, observed: Array, replicated: Array, prior_replicated: Array, density: Array) -> dict[str, Any]:
+        """Return the groups of readings.
+
+        Parameters
+        ----------
+        observed : ndarray, shape (P, K)
+            As measured.
+        replicated, prior_replicated : ndarray, shape (E, S, P, K)
+            As posterior and prior predict them.
+        density : ndarray, shape (E, S, P)
+            Log-density of all readings of a row.
+        """
+        of_rows = make_dataset({ROWS: (("row",), density, "nat", "log-density of all readings of a row")}, drawn=True)
+        own = self._pick(np.repeat(density[..., None], len(self.channels), axis=-1).astype(np.float32))
+        of_readings = self._keep(own, "nat", "log-density of the whole row of a reading", True)[NAME]
+        unit = ", ".join(dict.fromkeys(self.units))
+        return {
+            "log_likelihood": of_rows.assign_coords(row=list(self.rows)).assign_coords({NAME: of_readings}),
+            "observed_data": self._keep(self._pick(observed), unit, "readings as measured", False),
+            "posterior_predictive": self._keep(self._pick(replicated), unit, PREDICTED, True),
+            "prior_predictive": self._keep(self._pick(prior_replicated), unit, PREDICTED, True),
+        }
+
+    def _pick(self, values: Array) -> Array:
+        return values if self.present.all() else values[..., self.present]
+
+    def _keep(self, values: Array, unit: str, meaning: str, drawn: bool) -> xr.Dataset:
+        """Return values as a group's variable of readings, with row, channel and unit of each."""
+        row, channel = np.nonzero(self.present)
+        dims, index = ("reading",), np.arange(len(channel))
+        of = {"row_of": np.array(self.rows)[row], "channel": np.array(self.channels)[channel]}
+        labels: dict[str, Any] = {name: ("reading", one) for name, one in of.items()}
+        labels |= {"unit": ("reading", np.array(self.units)[channel]), "reading": index}
+        if self.present.all():
+            dims = ("row", "channel")
+            labels = {"row": list(self.rows), "channel": list(self.channels), "unit": ("channel", list(self.units))}
+        return make_dataset({NAME: (dims, values, unit, meaning)}, drawn=drawn).assign_coords(labels)
 
 
 def read_draws(path: Path, mode: int | None = None) -> dict[str, Array]:

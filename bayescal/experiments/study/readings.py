@@ -38,7 +38,7 @@ from bayescal.experiments.shared.search_memory import PRIOR_READINGS
 from bayescal.experiments.shared.soundness import ChiSquare, fit_rows
 from bayescal.experiments.shared.trees import (
     MODE,
-    NAME,
+    ReadingLayout,
     Variables,
     limit_draws,
     make_dataset,
@@ -71,7 +71,6 @@ from bayescal.numerics.geometry import Array
 if TYPE_CHECKING:
     import xarray as xr
 
-PREDICTED = "readings that would be measured again"
 ONLY_SAVED = ("log_likelihood", "replicated", "prior", "prior_replicated")
 POSE_DRAWS = 200  # of the posterior, that predict poses
 ERROR_DRAWS = 200  # of the posterior, from which errors common to all rows are drawn for tables
@@ -244,27 +243,19 @@ class ReadingSubject(Subject):
         draws, density, rows = (self._thin(one) for one in (fit.draws, fit.log_density, arrays["log_likelihood"]))
         priors, data = self.posterior.all_priors().values(), likelihood.data
         log_prior = np.stack([prior.log_density(draws[..., k]) for k, prior in enumerate(priors)], axis=-1)
-        places = {"row": list(data.poses), "channel": [one.name for one in channels]}
-        unit = ", ".join(dict.fromkeys(one.unit for one in channels))
-
-        def keep(values: Array, meaning: str, drawn: bool) -> xr.Dataset:
-            made = make_dataset({NAME: (("row", "channel"), values, unit, meaning)}, places, drawn)
-            return made.assign_coords(unit=("channel", [one.unit for one in channels]))
-
         stats: Variables = {"lp": ((), density, "nat", "log-density in the proposal's coordinates")}
         if len(fit.solutions.probability) > 1:
             label = 1 + self._thin(fit.solutions.label)
             stats = {**stats, MODE: ((), label, "1", "to which of several solutions a draw belongs, from 1")}
-        of_rows = {NAME: (("chain", "draw", "row"), rows, "nat", "log-density of all readings of a row")}
+        readings = ReadingLayout(
+            tuple(data.poses), tuple(one.name for one in channels), tuple(one.unit for one in channels), data.present
+        )
         found = {
             "posterior": split_parameters(fit.names, draws, fit.units),
             "sample_stats": make_dataset(stats, drawn=True),
-            "log_likelihood": make_dataset(of_rows, {"row": places["row"]}),
             "log_prior": split_parameters(fit.names, log_prior, ["nat"] * len(fit.names)),
             "prior": split_parameters(fit.names, arrays["prior"][None], fit.units),
-            "observed_data": keep(data.values, "readings as measured", False),
-            "posterior_predictive": keep(arrays["replicated"], PREDICTED, True),
-            "prior_predictive": keep(arrays["prior_replicated"][None], PREDICTED, True),
+            **readings.arrange(data.values, arrays["replicated"], arrays["prior_replicated"][None], rows),
         }
         for k, known in enumerate(functions, start=1):
             if known is not None:

@@ -31,7 +31,7 @@ def stated_noise(sensors: Mapping[str, ChannelConfig], readings: PoseReadings, m
         field = next(one for one in ("noise", *NOISE_UNITS) if getattr(section, one) is not None)
         values = spread_over_legs(getattr(section, field), len(places), f"sensors.{name}")
         for place, value in zip(places, values, strict=True):
-            factor = _factor(name, model.channels[place], field)
+            factor = _factor(name, model.channels[place], field) if value > 0.0 else 1.0  # zero has no unit
             missing = ~np.isfinite(result[:, place])
             result[missing, place] = factor * value
     return result

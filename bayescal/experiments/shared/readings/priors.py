@@ -75,15 +75,16 @@ def choose_priors(
 
 
 def _choose_free(parameters: Mapping[str, PriorConfig], choice: FreeConfig, layout: ParameterLayout) -> set[str]:
-    with_prior = {
-        name
-        for block in layout.blocks
-        if not isinstance(parameters.get(block.symbol, FixedConfig(prior="fixed")), FixedConfig)
-        for name in block.names
-    }
+    with_prior, known = set[str](), set[str]()
+    for block in layout.blocks:
+        widths = _list_widths(block, parameters.get(block.symbol, FixedConfig(prior="fixed")))
+        for name, width in zip(block.names, widths, strict=True):
+            (with_prior if width > 0.0 else known).add(name)
     free = with_prior if choice.free is None else set()
     for entry in choice.free or ():
         named = set(expand(entry, layout, "free"))
+        if entry in layout.symbols:  # the members of which no width is zero
+            named -= known if named & with_prior else set()
         if not named <= with_prior:
             raise InputError(f"free: found {entry!r} without a prior in [parameters], expected a normal or uniform one")
         free |= named
@@ -108,16 +109,23 @@ def spread_over_legs(value: float | list[float], n: int, symbol: str, field: str
     return values
 
 
-def _priors_of(block: ParameterBlock, prior: PriorConfig, factor: float) -> dict[str, Prior]:
-    assert not isinstance(prior, FixedConfig)
+def _list_widths(block: ParameterBlock, prior: PriorConfig) -> list[float]:
+    """Return the width of each member's prior as stated, zero of those that are known."""
+    if isinstance(prior, FixedConfig):
+        return [0.0] * len(block.nominal)
     given = prior.sd if isinstance(prior, NormalConfig) else prior.half_width
-    widths = [factor * width for width in spread_over_legs(given, len(block.nominal), block.symbol)]
+    return spread_over_legs(given, len(block.nominal), block.symbol)
+
+
+def _priors_of(block: ParameterBlock, prior: PriorConfig, factor: float) -> dict[str, Prior]:
+    """Return the priors of a block's members of which the width is not zero."""
+    widths = [factor * width for width in _list_widths(block, prior)]
     smallest, largest = WIDTH_BOUNDS.get(block.unit, (0.0, float("inf")))
-    for width in widths:
+    for width in filter(None, widths):
         if not smallest <= width <= largest:
             found = f"found a tolerance of {width:g}{'' if block.unit == '1' else f' {block.unit}'}"
             raise InputError(f"parameters.{block.symbol}: {found}, expected between {smallest:g} and {largest:g}")
-    pairs = zip(block.names, block.nominal, widths, strict=True)
+    pairs = [one for one in zip(block.names, block.nominal, widths, strict=True) if one[2] > 0.0]
     if isinstance(prior, NormalConfig):
         return {name: NormalPrior(value, width) for name, value, width in pairs}
     return {name: UniformPrior(value - width, value + width) for name, value, width in pairs}
