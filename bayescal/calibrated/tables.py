@@ -53,9 +53,9 @@ def read_quantities(table: Table, wanted: Sequence[Channel | Coordinate], prefix
     column, two of the same quantity, and a cell that is no number.
     """
     values = np.full((len(table.rows), len(wanted)), np.nan)
-    turned = [k for k, one in enumerate(wanted) if getattr(one, "rotation", "") and one.name in TURNED]
+    turned = _find_turned(wanted)
     for k, one in enumerate(wanted):
-        if k in turned and not prefix:
+        if k in turned:
             continue
         stem = one.stem if isinstance(one, Channel) else one.name
         known = {f"{prefix}{stem}_{unit}": factor for unit, factor in units_like(one.unit).items()}
@@ -66,14 +66,17 @@ def read_quantities(table: Table, wanted: Sequence[Channel | Coordinate], prefix
         if len(there) > 1:
             raise InputError(f"{table.path}: found columns {there[0]!r} and {there[1]!r}, expected one of them")
         values[:, k] = known[there[0]] * table.numbers(there)[:, 0]
-    if turned and not prefix:
-        values[:, turned] = read_rotation_vectors(table)
+    if turned:
+        values[:, turned] = read_rotation_vectors(table, prefix)
         whole = np.isfinite(values[:, turned]).all(axis=1)
-        if not whole.all():
-            raise InputError(
-                f"{table.where(int(np.argmin(whole)))}: found no whole rotation, expected {', '.join(VECTOR)}"
-            )
+        expected = ", ".join(f"{prefix}{name}" for name in VECTOR)
+        table.refuse(~whole, lambda _: f"found no whole rotation, expected {expected}")
     return values
+
+
+def _find_turned(wanted: Sequence[Channel | Coordinate]) -> list[int]:
+    """Return where a rotation vector rx, ry, rz stands among some quantities; nowhere, where they have none."""
+    return [k for k, one in enumerate(wanted) if getattr(one, "rotation", "") and one.name in TURNED]
 
 
 def list_columns(wanted: Sequence[Channel | Coordinate], prefix: str = "") -> list[str]:
@@ -83,7 +86,7 @@ def list_columns(wanted: Sequence[Channel | Coordinate], prefix: str = "") -> li
         stem = one.stem if isinstance(one, Channel) else one.name
         units = dict.fromkeys([one.unit, *units_like(one.unit)])
         names += [f"{prefix}{stem}_{unit}" for unit in units]
-    return names
+    return names + [f"{prefix}{name}" for name in OTHER_COLUMNS if _find_turned(wanted)]
 
 
 def read_named(path: Path, known: Sequence[str], expected: Sequence[str]) -> tuple[Table, tuple[str, ...]]:
@@ -116,7 +119,7 @@ def read_commanded(path: Path, calibrated: CalibratedMachine) -> Commanded:
     """
     model = calibrated.model
     tool = [] if is_pose(calibrated) else list_columns(model.tool_channels, TOOL)
-    pose = [*list_columns(model.pose_channels), *(OTHER_COLUMNS if isinstance(model, Legs) else ())]
+    pose = list_columns(model.pose_channels)
     upper, lower = name_covariances([one.name for one in model.pose_channels])
     of_tool, _ = name_covariances([f"{TOOL}{one.stem}" for one in model.tool_channels])
     sds = [*(f"sd_{one}" for one in pose), *_name_sd(model.pose_channels)]

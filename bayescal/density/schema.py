@@ -14,7 +14,7 @@ from bayescal.numerics.units import MICROMETRE
 
 def _check_some(values: list[float]) -> list[float]:
     if not any(values):
-        raise ValueError("found zeros alone, expected one width of more than zero, or prior = \"fixed\" of what is known")
+        raise ValueError("found zeros alone, expected a width above zero, or prior = 'fixed' of what is known")
     return values
 
 

@@ -17,12 +17,16 @@ import numpy as np
 
 from bayescal.data.actuators import check_calibration, read_actuators
 from bayescal.data.instruments.read_poses import (
+    OTHER_COLUMNS,
+    QUATERNION,
+    VECTOR,
     Taken,
     check_positive,
     check_same_poses,
     choose_noise,
     name_covariances,
     read_covariances,
+    read_rotation_vectors,
 )
 from bayescal.data.instruments.readings import TrackedPoints
 from bayescal.errors import InputError
@@ -32,7 +36,6 @@ from bayescal.numerics.units import ARCSECOND, MICROMETRE
 
 CARTESIAN = ("x_mm", "y_mm", "z_mm")
 POLAR = ("range_mm", "azimuth_deg", "elevation_deg")
-ROTATION = ("rx_deg", "ry_deg", "rz_deg")
 SAME = ("sd_um",)
 DEVIATIONS = ("sd_x_um", "sd_y_um", "sd_z_um")
 POLAR_DEVIATIONS = ("sd_range_um", "sd_azimuth_arcsec", "sd_elevation_arcsec")
@@ -101,11 +104,13 @@ def read_stations(path: Path | None) -> Stations:
     """Return the stations; without a table one that stands in the base frame."""
     if path is None:
         return Stations((ONLY_STATION,), np.zeros((1, 3)), np.eye(3)[None])
-    table = read_table(path, ("station", *CARTESIAN, *ROTATION))
+    table = read_table(path, ("station", *CARTESIAN), (*VECTOR, *OTHER_COLUMNS))
     names = table.text("station")
     table.check_unique([(name,) for name in names], "station")
-    rotation = matrix_from_rotation_vector(np.radians(table.numbers(ROTATION)))
-    return Stations(tuple(names), table.numbers(CARTESIAN), rotation)
+    vector = read_rotation_vectors(table)
+    missing = ~np.isfinite(vector).all(axis=1)
+    table.refuse(missing, lambda _: f"found no whole rotation, expected {', '.join(VECTOR)} or {', '.join(QUATERNION)}")
+    return Stations(tuple(names), table.numbers(CARTESIAN), matrix_from_rotation_vector(vector))
 
 
 def check_point_columns(path: Path, several: bool) -> None:

@@ -190,20 +190,22 @@ OTHER_COLUMNS = (*QUATERNION, *(name for names in ANGLES for name in names))
 """Those that a table may have in place of a rotation vector's."""
 
 
-def read_rotation_vectors(table: Table) -> Array:
+def read_rotation_vectors(table: Table, prefix: str = "") -> Array:
     """Return rotation vectors in rad, shape (P, 3), of the form the table has; NaN where not measured.
 
-    InputError for two forms in one table, one that is there in part, a quaternion far from length one, or a rotation
-    vector longer than half a turn.
+    Columns begin with a prefix. InputError for two forms in one table, one that is there in part, a quaternion far from
+    length one, or a rotation vector longer than half a turn.
     """
-    found = [names for names in (VECTOR, QUATERNION, *ANGLES) if any(name in table.columns for name in names)]
+    forms = {tuple(f"{prefix}{name}" for name in names): names for names in (VECTOR, QUATERNION, *ANGLES)}
+    found = [names for names in forms if any(name in table.columns for name in names)]
     if len(found) > 1:
         first, second = (next(name for name in names if name in table.columns) for names in found[:2])
         raise InputError(f"{table.path}: found column {first!r} beside {second!r}, expected rotations in one form")
     if not found:
         return np.full((len(table.rows), 3), np.nan)
-    if found[0] == VECTOR:
-        return _read_vectors(table)
+    form = forms[found[0]]
+    if form == VECTOR:
+        return _read_vectors(table, found[0])
     table.has(found[0])
     values = table.numbers(found[0], gaps=True)
     there = np.isfinite(values)
@@ -211,21 +213,21 @@ def read_rotation_vectors(table: Table) -> Array:
     text = f"found a rotation in part, expected {', '.join(found[0])} or none of them"
     table.refuse(there.any(axis=1) & ~whole, lambda _: text)
     result = np.full((len(values), 3), np.nan)
-    if found[0] == QUATERNION:
+    if form == QUATERNION:
         length = np.linalg.norm(values, axis=1)
         wrong = np.abs(length - 1.0) > UNIT_LENGTH  # not of NaN
         table.refuse(wrong, lambda row: f"found a quaternion of length {length[row]:.4g}, expected 1")
         turned = Rotation.from_quat(values[whole], scalar_first=True)
     else:
-        turned = Rotation.from_euler(ANGLES[found[0]], values[whole], degrees=True)
+        turned = Rotation.from_euler(ANGLES[form], values[whole], degrees=True)
     result[whole] = turned.as_rotvec()
     return result
 
 
-def _read_vectors(table: Table) -> Array:
+def _read_vectors(table: Table, names: Sequence[str]) -> Array:
     values = np.full((len(table.rows), 3), np.nan)
-    there = [k for k, name in enumerate(VECTOR) if name in table.columns]
-    values[:, there] = table.numbers([VECTOR[k] for k in there], gaps=True)
+    there = [k for k, name in enumerate(names) if name in table.columns]
+    values[:, there] = table.numbers([names[k] for k in there], gaps=True)
     largest = np.nanmax(np.abs(values), axis=1, initial=0.0)
     table.refuse(
         largest > 180.0,

@@ -158,10 +158,10 @@ class ReadingLayout:
     def _keep(self, values: Array, unit: str, meaning: str, drawn: bool) -> xr.Dataset:
         """Return values as a group's variable of readings, with row, channel and unit of each."""
         row, channel = np.nonzero(self.present)
-        dims, index = ("reading",), np.arange(len(channel))
+        dims: tuple[str, ...] = ("reading",)
         of = {"row_of": np.array(self.rows)[row], "channel": np.array(self.channels)[channel]}
         labels: dict[str, Any] = {name: ("reading", one) for name, one in of.items()}
-        labels |= {"unit": ("reading", np.array(self.units)[channel]), "reading": index}
+        labels |= {"unit": ("reading", np.array(self.units)[channel]), "reading": np.arange(len(channel))}
         if self.present.all():
             dims = ("row", "channel")
             labels = {"row": list(self.rows), "channel": list(self.channels), "unit": ("channel", list(self.units))}

@@ -10,11 +10,12 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
+from bayescal.data.instruments.read_poses import OTHER_COLUMNS, read_rotation_vectors
 from bayescal.errors import InputError
 from bayescal.experiments.shared.readings.schema import DataTableConfig
 from bayescal.files.csv_tables import Table, read_table
@@ -88,7 +89,8 @@ def read_tables(
         Names file, line and column.
     """
     known = _list_columns(channels, given)
-    tables = [_check(read_table(folder / one.file, None), known, channels, one) for one in sections]
+    read = [_turn(read_table(folder / one.file, None), known, channels) for one in sections]
+    tables = [_check(table, known, channels, one) for table, one in zip(read, sections, strict=True)]
     is_correlated = any(name in known and known[name].role == "corr" for one in tables for name in one.columns)
     poses = list(dict.fromkeys(name for table in tables for name in table.text("pose")))
     places, n, k = {name: row for row, name in enumerate(poses)}, len(poses), len(channels)
@@ -105,6 +107,33 @@ def read_tables(
         _fill(found, table, known, channels, [places[name] for name in pose_names(table)], one)
     _check_poses(found, folder / sections[0].file)
     return found
+
+
+def _turn(table: Table, known: Mapping[str, _Column], channels: Sequence[Channel]) -> Table:
+    """Return a table whose rotations in other forms, quaternions or angles, are the rotation vectors of channels."""
+    for k, channel in enumerate(channels):
+        if not channel.rotation or any(one.rotation == channel.rotation for one in channels[max(k - 1, 0) : k]):
+            continue
+        stems = [one.stem for one in channels[k : k + 3]]
+        ending = next((end for end in ("r_x", "rx") if stems[0].endswith(end)), None)
+        prefix = f"{channel.rotation}_" if ending is None else stems[0].removesuffix(ending)
+        others = [f"{prefix}{name}" for name in OTHER_COLUMNS if f"{prefix}{name}" not in known]
+        if not set(others) & set(table.columns):
+            continue
+        for one in table.columns:
+            if one in known and known[one].role == "values" and set(known[one].places) & {k, k + 1, k + 2}:
+                other = next(name for name in table.columns if name in others)
+                raise InputError(f"{table.path}: found column {one!r} beside {other!r}, expected rotations in one form")
+        vectors = read_rotation_vectors(table, prefix)
+        kept = [place for place, name in enumerate(table.columns) if name not in others]
+        rows = tuple(
+            (*(row[place] for place in kept), *("" if np.isnan(x) else repr(float(x)) for x in vector))
+            for row, vector in zip(table.rows, vectors, strict=True)
+        )
+        table = replace(
+            table, columns=(*(table.columns[place] for place in kept), *(f"{one}_rad" for one in stems)), rows=rows
+        )
+    return table
 
 
 def _list_columns(channels: Sequence[Channel], given: Sequence[str]) -> dict[str, _Column]:
