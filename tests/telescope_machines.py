@@ -15,6 +15,7 @@ import numpy as np
 
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.density.calibration.likelihood import CalibrationPosterior
+from bayescal.density.calibration.measurements import RowPositions
 from bayescal.density.calibration.model_error import IndependentErrors, OwnChannels, build_model_error
 from bayescal.density.calibration.terms import NO_ERRORS, Errors, ErrorTerm
 from bayescal.density.outliers import NORMAL, Outliers
@@ -234,7 +235,9 @@ def let_functions_err(
     home = np.append(machine.mechanism.initial_actuator_positions, np.zeros(6))
     reach = np.append(np.full(n, machine.mechanism.actuator_range), np.zeros(6))
     used = np.ones(poses.n_poses, dtype=bool)
-    own = OwnChannels.find(model, data, list_coordinates(poses), used, home, reach)
+    expected = model.read(model.layout.nominal, list_coordinates(poses))
+    positions = RowPositions.find(model.channels, data, expected, home)
+    own = OwnChannels.find(model, data, list_coordinates(poses), used, positions, reach)
     return build_model_error(own, n + 6, sorts, (0.01, scale), {}, each=False, few=few)
 
 

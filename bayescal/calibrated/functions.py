@@ -22,7 +22,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from bayescal.density.calibration.likelihood import CalibrationPosterior
-from bayescal.density.calibration.measurements import Comparison, Measurements
+from bayescal.density.calibration.measurements import Measurements, RowPositions
 from bayescal.density.calibration.model_error import (
     FunctionsOfPose,
     IndependentErrors,
@@ -136,13 +136,13 @@ class KnownFunctions:
 
     def _own(self, model: ReadingModel) -> OwnChannels:
         places = np.array([model.names.index(name) for name in self.names])
-        readings = self.home + self.range * self.travel
-        n = len(self.time)
-        used, order = np.ones(n, dtype=bool), np.arange(n)
-        channels = tuple(model.channels[k] for k in places)
-        return OwnChannels(
-            Comparison(channels), places, self.home, self.range, self.levers, order, n, readings, readings, used
+        n, channels, stood = (
+            len(self.time),
+            tuple(model.channels[k] for k in places),
+            self.home + self.range * self.travel,
         )
+        rows = RowPositions(channels, self.home, np.arange(n), stood, stood)
+        return OwnChannels(places, self.range, self.levers, rows, n, np.ones(n, dtype=bool))
 
     def show(self, model: ReadingModel, data: Measurements, read: Array) -> tuple[Array, Array]:
         """Return what coefficients do to the own channels' errors at poses, (P, K, A), and the variance beside, (P, K).

@@ -17,7 +17,7 @@ from bayescal.calibrated.predict import command_poses, draw_poses, predict_poses
 from bayescal.calibrated.recheck.statistics import choose_suspects, compute_knowledge, judge_recheck, weigh_left_over
 from bayescal.density.calibration import terms
 from bayescal.density.calibration.likelihood import CalibrationLikelihood
-from bayescal.density.calibration.measurements import Measurements
+from bayescal.density.calibration.measurements import Measurements, RowPositions
 from bayescal.density.calibration.model_error import OwnChannels, build_model_error
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior
@@ -48,7 +48,9 @@ class Erring:
         corners = self.planned.model.read(layout.nominal, self.draw(200))
         self.reach = np.where(np.arange(6) < 3, np.abs(corners - self.home).max(axis=0), 0.0)
         used = np.ones(N_POSES, dtype=bool)
-        self.own = OwnChannels.find(self.planned.model, data, pose, used, self.home, self.reach)
+        model = self.planned.model
+        positions = RowPositions.find(model.channels, data, model.read(layout.nominal, pose), self.home)
+        self.own = OwnChannels.find(model, data, pose, used, positions, self.reach)
         found = build_model_error(self.own, 6, SORTS, (0.01, 0.02), {}, each=False)
         priors = {
             name: NormalPrior(float(value), float(width))

@@ -28,7 +28,7 @@ from numpy.polynomial.chebyshev import chebpts1, chebvander
 from pydantic import Field, model_validator
 
 from bayescal.config.sections import Names, Positive, Section
-from bayescal.density.calibration.measurements import Measurements
+from bayescal.density.calibration.measurements import Measurements, RowPositions
 from bayescal.density.calibration.terms import ErrorTerm, Slopes, TermRows
 from bayescal.density.priors import (
     BORDER,
@@ -66,8 +66,8 @@ class FunctionConfig(Section):
     channels: Annotated[Names, Field(min_length=1)] | None = None
     """Channels, kinds or groups of them that err so; the machine's own where nothing is said."""
     of: Input = "reading"
-    """What they are functions of: each channel's own `reading`, where the machine stands as read from its own channels
-    (`commands`), or the `order` of the rows.
+    """What they are functions of: each channel's own `reading` (its command, or what the fitted machine reads at the
+    row's pose), where the machine stands by its own channels (`commands`), or the `order` of the rows.
     """
     inputs: Annotated[Names, Field(min_length=1)] | None = None
     """Channels that say where the machine stands; those commanded, or all of its own, where nothing is said."""
@@ -127,12 +127,15 @@ class Travel:
     # (D,): what they read at home, and the unit of their travel; for the order its first place and its length
     home: Array
     range: Array  # (D,)
+    positions: RowPositions | None = None  # of the D readings; what was read where there are none
 
     def of_rows(self, data: Measurements) -> Array:
         """Return z, (P, F, 1) by function where each has its own, (P, 1, D) where all have the same."""
         if self.of == "order":
             return np.asarray((data.order[:, None, None] - self.home) / self.range)
-        own = (data.values[:, self.channels] - self.home) / self.range
+        values = data.values[:, self.channels]
+        stood = values if self.positions is None else self.positions.at(data, values)
+        own = (np.where(np.isfinite(values), stood, np.nan) - self.home) / self.range
         own = np.where(np.isfinite(own), own, 0.0)  # a reading that is not there has no error
         return np.asarray(own[..., None] if self.of == "reading" else own[:, None])
 
@@ -327,4 +330,4 @@ def _build_travel(config: FunctionConfig, rows: TermRows, places: np.ndarray) ->
                 f"pose {rows.data.poses[row]!r}: found no reading of {names[inputs[k]]}, expected one, for errors are "
                 "functions of it"
             )
-    return Travel(config.of, inputs, rows.home[inputs], rows.reach[inputs])
+    return Travel(config.of, inputs, rows.home[inputs], rows.reach[inputs], rows.positions.pick(inputs))

@@ -152,6 +152,66 @@ class Comparison:
         return result
 
 
+@dataclass(frozen=True, eq=False)
+class RowPositions:
+    """Where K channels stand at M rows: the argument of errors that are functions of the position.
+
+    It must not be the number whose density is computed: of residuals g - h - c z(g) the density of a reading g is that
+    of a normal times |1 - c z'(g)|, and without that factor c z' = 1, which explains nothing, fits best. A channel
+    that was commanded stands at its command, any other where the fitted machine does at the row's pose.
+
+    Attributes
+    ----------
+    channels : tuple of Channel, length K
+    home : ndarray, shape (K,)
+        What they read in the middle of the workspace, in their units.
+    order : ndarray of int, shape (M,)
+        Places of the rows in measuring order.
+    readings, positions : ndarray, shape (M, K)
+        What was read, NaN where nothing was, and where the channels stand, in their units.
+    """
+
+    channels: tuple[Channel, ...]
+    home: Array
+    order: np.ndarray
+    readings: Array
+    positions: Array
+
+    @classmethod
+    def find(cls, channels: Sequence[Channel], data: Measurements, expected: Array, home: Array) -> RowPositions:
+        """Return it for rows at which a fitted machine reads what is expected, (M, K); home where it does not stand."""
+        plain = tuple(replace(one, rotation="") for one in channels)
+        near = np.where(np.isfinite(expected), expected, home)
+        at = near
+        if data.commanded is not None:
+            command = near + Comparison(plain).subtract(data.values, near)
+            at = np.where(data.commanded & data.present, command, near)
+        return cls(plain, home, data.order, data.values, at)
+
+    def pick(self, which: np.ndarray) -> RowPositions:
+        """Return the same of some of the channels."""
+        channels = tuple(self.channels[k] for k in which)
+        return RowPositions(channels, self.home[which], self.order, self.readings[:, which], self.positions[:, which])
+
+    def find_rows(self, data: Measurements) -> np.ndarray:
+        """Return which of the M rows each of P rows is, by its place in measuring order, (P,); -1 for none."""
+        sorter = np.argsort(self.order)
+        where = sorter[np.minimum(np.searchsorted(self.order, data.order, sorter=sorter), len(sorter) - 1)]
+        return np.where(self.order[where] == data.order, where, -1)
+
+    def at(self, data: Measurements, values: Array) -> Array:
+        """Return where the channels stand at P rows whose readings of them are ``values``, (P, K).
+
+        At rows that are none of these, and where other numbers were read than here, that is what was read; at home
+        where nothing was.
+        """
+        rows = self.find_rows(data)
+        known = rows[:, None] >= 0
+        near = np.where(known, self.positions[rows], self.home)
+        stay = np.isnan(values) | (known & (values == self.readings[rows]))
+        return np.where(stay, near, near + Comparison(self.channels).subtract(values, near))
+
+
 def _turn(measured: Array, read: Array) -> Array:
     """Return the rotation vector of M Rᵀ for rotation vectors (..., 3); NaN where either is."""
     (w, x), (v, y) = _quaternion(measured), _quaternion(read)

@@ -6,9 +6,11 @@ the others, by
     cov(g_ip, g_iq) = {τ_i² δ_pq + Σ_t s_t² k_t,i(p, q) / c_t} / λ_i²
 
 with the sorts of functions k of `bayescal.density.functions`, of which c_t is the mean over the own channels and the
-calibration rows. Travel z is what a channel reads beyond the middle of the workspace, in units of the whole range over
-which it moves there. τ and s are lengths at the tool: root mean squares in mm. A channel in another unit has a lever λ,
-by how many millimetres one unit of it moves the tool; one that reads lengths has λ = 1.
+calibration rows. Travel z is where a channel stands beyond the middle of the workspace, in units of the whole range
+over which it moves there: its command, or the reading that is expected at the row's pose (`RowPositions`). τ and s are
+lengths at the tool: root mean squares in mm. A channel in another unit has a lever λ, by how many millimetres one unit
+of it moves the tool; one that reads lengths has λ = 1. Functions that free parameters are, such as a lead error of
+channels whose gains are free, are no second unknown (`OwnChannels.find_covered`).
 
 Functions are columns that all rows share, Φ = s / λ · R with R Rᵀ = k / c over all rows, those that are held back too;
 at other rows they are what their values at these rows say of them, k(·, rows) (Rᵀ)⁺. Of many rows they are made of few
@@ -24,17 +26,18 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from bayescal.density.calibration.measurements import Comparison, Measurements
+from bayescal.density.calibration.measurements import Measurements, RowPositions
 from bayescal.density.calibration.terms import ErrorTerm, ModelErrorTerm, Slopes
 from bayescal.density.priors import HalfCauchyPrior, Prior
 from bayescal.density.sorts import FEWEST_POSES, MOST_DRIFT, MOST_SMOOTH, TAU, Place, PoseFunctions
-from bayescal.machines.readings import ReadingModel
+from bayescal.machines.readings import Given, ReadingModel
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import MICROMETRE
 
 SMALLEST = 1e-9  # of a kernel's largest eigenvalue, below which directions are left out
 BY_ROW = ("smooth", "drift")  # sorts with as many coefficients as there are rows
 STILL = 1e-6  # mm over its range, by which a channel moves the tool, below which it does not
+COVERED = 1e-6  # of a function, what parameters may leave of it for it to be no second unknown
 OF_NOISE = 10.0 * MICROMETRE
 """What one standard deviation of the noise counts at the tool of a channel that does not move it, mm."""
 
@@ -43,23 +46,22 @@ OF_NOISE = 10.0 * MICROMETRE
 class OwnChannels:
     """N channels of the machine's own that move over the workspace, at the M rows of a study."""
 
-    comparison: Comparison  # of the N channels
     places: np.ndarray  # (N,): where they stand among all K channels
-    # (N,): what the nominal machine reads in the middle of the workspace, and how far readings go from end to end
-    home: Array
-    range: Array
+    range: Array  # (N,): how far readings go from end to end of the workspace
     levers: Array  # (N,): by how many mm one unit of each moves the tool
-    order: np.ndarray  # (M,): places of the rows in measuring order
-    n_places: int  # how many places there are
-    # (M, N): what the nominal machine reads at the rows, and what was read, in the channels' units; NaN where nothing
-    # was
-    expected: Array
-    readings: Array
+    rows: RowPositions  # of the N channels at the M rows
+    n_places: int  # how many places in measuring order there are
     used: np.ndarray  # (M,): which rows are for calibration
 
     @classmethod
     def find(
-        cls, model: ReadingModel, data: Measurements, pose: Array, used: np.ndarray, home: Array, reach: Array
+        cls,
+        model: ReadingModel,
+        data: Measurements,
+        pose: Array,
+        used: np.ndarray,
+        positions: RowPositions,
+        reach: Array,
     ) -> OwnChannels:
         """Return the own channels of a machine.
 
@@ -73,56 +75,89 @@ class OwnChannels:
             Where the nominal machine explains the readings best.
         used : ndarray of bool, shape (M,)
             Which rows are for calibration.
-        home, reach : ndarray, shape (K,)
-            What the nominal machine reads in the middle of the workspace, and how far readings go from there.
+        positions : RowPositions
+            Where all K channels stand.
+        reach : ndarray, shape (K,)
+            How far readings of the nominal machine go from those in the middle of the workspace.
         """
         own = np.array([not one.external for one in model.channels])
         noise = np.array([_find_noise(data, k) for k in range(len(own))])
         places = np.flatnonzero(own & (reach > 0.0) & (noise > 0.0))  # what has no noise is a constraint
-        expected = model.read(model.layout.nominal, pose, data.given)[:, places]
         return cls(
-            Comparison(tuple(model.channels[k] for k in places)),
             places,
-            home[places],
             np.array([model.travels.get(model.channels[k].name, 2.0 * reach[k]) for k in places]),
             _find_levers(model, data.pick(used), pose[used], places, reach[places], noise[places]),
-            data.order,
+            positions.pick(places),
             int(data.order.max()) + 1,
-            np.where(np.isfinite(expected), expected, home[places]),
-            data.values[:, places],
             used,
         )
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the N channels."""
-        return tuple(one.name for one in self.comparison.channels)
+        return tuple(one.name for one in self.rows.channels)
+
+    @property
+    def home(self) -> Array:
+        """What the nominal machine reads in the middle of the workspace, (N,)."""
+        return self.rows.home
 
     @cached_property
     def place(self) -> Place:
         """Where functions are evaluated at all M rows."""
-        return self._locate(self.readings, self.expected, self.order)
+        return self._locate(self.rows.positions, self.rows.order)
 
-    def _locate(self, readings: Array, expected: Array, order: np.ndarray) -> Place:
-        beyond = self.comparison.subtract(np.where(np.isfinite(readings), readings, expected), expected)
-        return Place((expected + beyond - self.home) / self.range, order / self.n_places)
+    def _locate(self, positions: Array, order: np.ndarray) -> Place:
+        return Place((positions - self.home) / self.range, order / self.n_places)
 
     def at(self, rows: np.ndarray) -> Place:
         """Return the same of some of the rows."""
         assert self.place.time is not None
         return Place(self.place.travel[rows], self.place.time[rows])
 
-    def find_rows(self, data: Measurements) -> np.ndarray:
-        """Return which of the M rows each of P rows is, by its place in measuring order, (P,); -1 for none."""
-        sorter = np.argsort(self.order)
-        where = sorter[np.minimum(np.searchsorted(self.order, data.order, sorter=sorter), len(sorter) - 1)]
-        return np.where(self.order[where] == data.order, where, -1)
-
     def place_of(self, data: Measurements) -> Place:
-        """Return where functions are evaluated at P rows; what is not read is what the nominal machine reads."""
-        rows = self.find_rows(data)
-        expected = np.where(rows[:, None] >= 0, self.expected[rows], self.home)
-        return self._locate(data.values[:, self.places], expected, data.order)
+        """Return where functions are evaluated at P rows; see `RowPositions.at`."""
+        return self._locate(self.rows.at(data, data.values[:, self.places]), data.order)
+
+    def find_covered(self, model: ReadingModel, change: Array, theta: Array, pose: Array, given: Given) -> set[str]:
+        """Return the sorts of functions that free parameters are, but for constants, everywhere.
+
+        Those of which each column lies in the span of the readings' derivatives by the parameters, at poses that stay.
+
+        Parameters
+        ----------
+        model : ReadingModel
+            With K channels.
+        change : ndarray, shape (D, m)
+            Derivative of the parameters by what is free.
+        theta : ndarray, shape (D,)
+            The machine as expected.
+        pose : ndarray, shape (P, q)
+            Poses of the workspace, many.
+        given : mapping of str to ndarray, shape (P,)
+        """
+        at, gain = model.linearise(theta, pose, True, given), model.error_gain(theta, pose, given)
+        there = np.isfinite(at.values).all(axis=1) & np.isfinite(at.by_parameters).all(axis=(1, 2))
+        if not len(self.places) or there.sum() * len(model.channels) <= 2 * (change.shape[1] + len(self.places)):
+            return set()
+        travel = (at.values[there][:, self.places] - self.home) / self.range  # (P, N)
+        shown = np.eye(len(model.channels))[None] if gain is None else gain[there]
+        shown = np.broadcast_to(shown, (len(travel), *shown.shape[1:]))[..., self.places]  # (P, K, N)
+        span = np.concatenate([at.by_parameters[there] @ change, shown], axis=-1).reshape(
+            -1, change.shape[1] + len(self.places)
+        )
+        axes, sizes, _ = np.linalg.svd(
+            span / np.maximum(np.linalg.norm(span, axis=0), np.finfo(float).tiny), full_matrices=False
+        )
+        axes = axes[:, sizes > SMALLEST * sizes[0]]
+        columns = {"own": shown * travel[:, None], "linear": shown[..., None] * travel[:, None, None]}
+        found = set()
+        for name, one in columns.items():
+            flat = one.reshape(len(axes), -1)
+            rest = np.linalg.norm(flat - axes @ (axes.T @ flat), axis=0)
+            if (rest <= COVERED * np.linalg.norm(flat, axis=0)).all():
+                found.add(name)
+        return found
 
     def find_noise(self, data: Measurements) -> float:
         """Return the noise of a typical own channel at rows as stated, mm at the tool; zero where there is none."""
@@ -224,7 +259,7 @@ class FunctionsOfPose(ErrorTerm):
     @property
     def most_columns(self) -> int:
         """At most how many columns it has."""
-        n, n_rows = self.own.readings.shape[1], len(self.own.used)
+        n, n_rows = len(self.own.places), len(self.own.used)
         return n * {"linear": n, "own": 1}.get(self.sort, n_rows)
 
     @cached_property
@@ -253,7 +288,7 @@ class FunctionsOfPose(ErrorTerm):
 
     def _find_columns(self, data: Measurements) -> Array:
         """Return what functions of an amplitude of one are made of, (N or 1, P, R)."""
-        rows, place = self.own.find_rows(data), self.own.place_of(data)
+        rows, place = self.own.rows.find_rows(data), self.own.place_of(data)
         root, over = self._roots
         if (rows >= 0).all() and np.array_equal(place.travel, self.own.place.travel[rows]):
             return root[:, rows]
@@ -292,7 +327,7 @@ class ThinFunctionsOfPose(FunctionsOfPose):
     @property
     def most_columns(self) -> int:
         """At most how many columns it has."""
-        n = self.own.readings.shape[1]
+        n = len(self.own.places)
         return n * {"linear": n, "own": 1, "smooth": MOST_SMOOTH, "drift": MOST_DRIFT}[self.sort]
 
     @cached_property

@@ -25,7 +25,7 @@ from typing import Any, ClassVar, NamedTuple, Self
 import numpy as np
 
 from bayescal.config.sections import Section
-from bayescal.density.calibration.measurements import Measurements
+from bayescal.density.calibration.measurements import Measurements, RowPositions
 from bayescal.density.outliers import NORMAL, Outliers
 from bayescal.density.priors import HalfNormalPrior, LogNormalPrior, Prior
 from bayescal.errors import BayescalError, InputError
@@ -61,6 +61,8 @@ class TermRows:
         How far readings go from those at home over the workspace, in the channels' units.
     home : ndarray, shape (K,)
         What the machine as expected reads at home.
+    positions : RowPositions
+        Where the channels stand at all rows: what errors that depend on the position are functions of.
     """
 
     name: str
@@ -69,6 +71,7 @@ class TermRows:
     groups: tuple[str, ...]
     reach: Array
     home: Array
+    positions: RowPositions
 
     def select(self, names: Sequence[str] | None) -> np.ndarray:
         """Return the places of channels, kinds or groups of them, the machine's own channels for None.

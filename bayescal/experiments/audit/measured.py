@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from bayescal.config.classes import label_class
-from bayescal.density.calibration.measurements import Measurements
+from bayescal.density.calibration.measurements import Measurements, RowPositions
 from bayescal.density.calibration.model_error import FunctionsOfPose, IndependentErrors, ThinFunctionsOfPose
 from bayescal.density.calibration.terms import Errors, ErrorTerm
 from bayescal.density.priors import NormalPrior, Prior
@@ -133,15 +133,11 @@ def _move(term: ErrorTerm, model: ReadingModel, data: Measurements, pose: Array)
     """Return a study's error at other rows; functions of the pose are made of few columns there."""
     if not isinstance(term, FunctionsOfPose):
         return term
-    read = model.read(model.layout.nominal, pose, data.given)[:, term.own.places]
-    own = replace(
-        term.own,
-        order=data.order,
-        n_places=data.n_poses,
-        expected=np.where(np.isfinite(read), read, term.own.home),
-        readings=data.values[:, term.own.places],
-        used=np.ones(data.n_poses, dtype=bool),
-    )
+    read, places = model.read(model.layout.nominal, pose, data.given), term.own.places
+    home = np.full(len(model.channels), np.nan)
+    home[places] = term.own.home
+    rows = RowPositions.find(model.channels, data, read, home).pick(places)
+    own = replace(term.own, rows=rows, n_places=data.n_poses, used=np.ones(data.n_poses, dtype=bool))
     return ThinFunctionsOfPose(term.sort, own, term.scale, term.floor, n_channels=len(model.channels))
 
 

@@ -89,7 +89,7 @@ def _share_errors(plan: Planned, poses: Sequence[Array]) -> tuple[list[Array], A
 
 def _locate(term: ThinFunctionsOfPose, read: Array) -> Place:
     """Return where functions are evaluated at what channels read (P, K)."""
-    order = int(term.own.order.max()) + 1 + np.arange(len(read))
+    order = int(term.own.rows.order.max()) + 1 + np.arange(len(read))
     later = Measurements(tuple(map(str, order)), read, np.ones_like(read), order=order)
     return term.own.place_of(later)
 

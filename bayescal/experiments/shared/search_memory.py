@@ -82,7 +82,7 @@ def _list_functions(variant: Variant, n_readings: int, n_equations: int) -> list
     if not terms:
         return []
     if any(isinstance(one, ThinFunctionsOfPose) for one in terms):
-        n = terms[0].own.readings.shape[1]
+        n = len(terms[0].own.places)
         return [
             (ACTED, n_readings, n_columns),
             (1, n_equations, n_columns / n),

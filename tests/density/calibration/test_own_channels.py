@@ -10,13 +10,14 @@ import pytest
 
 from bayescal.density.calibration.frozen import FrozenRows
 from bayescal.density.calibration.likelihood import CalibrationLikelihood
-from bayescal.density.calibration.measurements import Measurements
+from bayescal.density.calibration.measurements import Measurements, RowPositions
 from bayescal.density.calibration.model_error import OF_NOISE, OwnChannels, build_model_error
 from bayescal.density.calibration.terms import Errors, NoiseFactor
 from bayescal.density.components import assemble
 from bayescal.density.few_columns import LowRankComponents
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior
+from bayescal.machines.parameters import ParameterBlock
 from bayescal.machines.readings import Channel, FunctionModel
 
 TERMS = ("independent", "linear", "own", "smooth", "drift")
@@ -59,7 +60,9 @@ def arm(used):
 
 def find_own(model, data, pose, used, reach=(*REACH, 0.0, 0.0, 0.0)):
     """Return the own channels, of which those of the tool do not err."""
-    return OwnChannels.find(model, data, pose, used, np.append(HOME, np.zeros(3)), np.array(reach))
+    expected = model.read(model.layout.nominal, pose)
+    positions = RowPositions.find(model.channels, data, expected, np.append(HOME, np.zeros(3)))
+    return OwnChannels.find(model, data, pose, used, positions, np.array(reach))
 
 
 def terms_of(own, terms=TERMS, floors=(), each=False):
@@ -86,9 +89,7 @@ def test_covariance_of_a_sort_is_its_formula(sort, arm, used):
     (term,) = terms_of(own, (sort,))
     columns = term.columns(np.array([[0.4]]), data)[0]
     scale = float(term.natural(np.array([[0.4]]))[0, 0])
-    z = (data.values[:, :3] - HOME) / (2.0 * REACH)
-    nominal = (model.read(model.layout.nominal, pose)[:, :3] - HOME) / (2.0 * REACH)
-    z = np.where(np.isfinite(z), z, nominal)
+    z = (model.read(model.layout.nominal, pose)[:, :3] - HOME) / (2.0 * REACH)
     k, rows = kernels(z, data.order / N_ROWS)[sort], np.flatnonzero(used)
     norm = np.mean([k(p, p, i) for p in rows for i in range(3)])
     for p in range(N_ROWS):
@@ -108,10 +109,10 @@ def test_rows_held_back_and_further_ones_have_the_same_functions(arm, used):
         whole = term.columns(zeta, data)
         np.testing.assert_array_equal(term.columns(zeta, data.pick(~used)), whole[:, ~used])
         if term.sort != "drift":  # of which the order is all
-            again = replace(data.pick(~used), order=np.array([100, 101, 102]))
-            filled = np.isfinite(again.values[:, :3]).all(axis=1)
-            found = term.columns(zeta, again)[:, filled]
-            np.testing.assert_allclose(found, whole[:, ~used][:, filled], rtol=0.0, atol=1e-7 * np.abs(whole).max())
+            stood = np.concatenate([own.rows.positions, data.values[:, 3:]], axis=1)[~used]
+            again = replace(data.pick(~used), values=stood, order=np.array([100, 101, 102]))
+            found = term.columns(zeta, again)
+            np.testing.assert_allclose(found, whole[:, ~used], rtol=0.0, atol=1e-7 * np.abs(whole).max())
     linear, own_slope, *_ = terms_of(own, TERMS[1:])
     values = data.values.copy()[:1]
     values[0, :3] = HOME + 2.0 * REACH * [0.3, -0.2, 0.1]
@@ -120,6 +121,66 @@ def test_rows_held_back_and_further_ones_have_the_same_functions(arm, used):
     assert square == pytest.approx(linear.amplitude(zeta)[0] ** 2 * (0.3**2 + 0.2**2 + 0.1**2), rel=1e-6)
     square = np.sum(own_slope.columns(zeta, new)[0, 0, 1] ** 2) * own.levers[1] ** 2 * own_slope.functions.norms[0]
     assert square == pytest.approx(own_slope.amplitude(zeta)[0] ** 2 * 0.2**2, rel=1e-6)
+
+
+def test_functions_are_not_of_the_reading_whose_density_is_computed(arm, used):
+    """Another number read at a row moves nothing that its errors are functions of; a command does."""
+    _, model, data, pose = arm
+    moved = replace(data, values=data.values + 0.1 * (np.arange(6) == 1))
+    before, after = (find_own(model, one, pose, used).place.travel for one in (data, moved))
+    np.testing.assert_array_equal(after, before)
+    commanded = np.tile(np.arange(6) < 3, (N_ROWS, 1))
+    first, second = (find_own(model, replace(one, commanded=commanded), pose, used) for one in (data, moved))
+    np.testing.assert_allclose(
+        first.place.travel,
+        (np.where(data.present, data.values, model.read(model.layout.nominal, pose))[:, :3] - HOME) / (2.0 * REACH),
+    )
+    there = data.present[:, 1]
+    np.testing.assert_allclose((second.place.travel - first.place.travel)[there, 1], 0.1 / (2.0 * REACH[1]))
+
+
+def test_a_turn_more_is_the_same_position(used):
+    """Positions of a channel on a circle go on where the expected one is, and around home at rows of others."""
+    machine = own_arm.Arm(None)
+    machine.channels[0] = Channel("encoder[1]", "rad", period=2.0 * np.pi)
+    model, data, pose = measure(machine)
+    commanded, turn = np.tile(np.arange(6) < 3, (N_ROWS, 1)), 2.0 * np.pi * (np.arange(6) == 0)
+    for offset in (0.0, turn):
+        own = find_own(model, replace(data, values=data.values + offset, commanded=commanded), pose, used)
+        assert np.abs(own.place.travel[:, 0]).max() < 0.6
+        other = replace(data.pick(used), values=data.values[used] + offset, order=100 + np.arange(used.sum()))
+        assert np.abs(own.place_of(other).travel[:, 0]).max() < 0.6
+
+
+class Geared(own_arm.Arm):
+    """An arm whose encoders have gains, g q; ``cross``: and read each other, too."""
+
+    def __init__(self, cross: bool) -> None:
+        super().__init__(None)
+        self.couplings = ("c0", "c1", "c2") if cross else ()
+        self.parameters.append(ParameterBlock("g", (1.0, 1.0, 1.0), "1"))
+        self.parameters += [ParameterBlock(name, (0.0, 0.0, 0.0), "1") for name in self.couplings]
+
+    def read(self, parameters, v, given):
+        found = super().read(parameters, v, given)
+        turned = parameters["g"] * found[..., :3]
+        for j, name in enumerate(self.couplings):
+            turned = turned + parameters[name] * found[..., j : j + 1]
+        return np.concatenate([turned, found[..., 3:]], axis=-1)
+
+
+@pytest.mark.parametrize(("cross", "covered"), [(False, {"own"}), (True, {"own", "linear"})])
+def test_functions_that_free_parameters_are_no_second_unknown(used, cross, covered):
+    """Gains are the own sort, all couplings the linear one; fixed, or but for one of them, they are neither."""
+    model, data, pose = measure(Geared(cross))
+    own, theta = find_own(model, data, pose, used), model.layout.nominal
+    names = np.array([name.partition("[")[0] for name in model.layout.names])
+    many = HOME + REACH * np.random.default_rng(2).uniform(-1.0, 1.0, (40, 3))
+    free = np.isin(names, ["g", "c0", "c1", "c2"])
+    assert own.find_covered(model, np.eye(len(theta))[:, free], theta, many, {}) == covered
+    assert own.find_covered(model, np.eye(len(theta))[:, ~free], theta, many, {}) == set()
+    free[np.flatnonzero(names == "g")[1]] = False
+    assert "own" not in own.find_covered(model, np.eye(len(theta))[:, free & (names == "g")], theta, many, {})
 
 
 def test_levers_are_how_far_the_tool_moves(arm, used):
@@ -287,7 +348,7 @@ def test_terms_that_there_cannot_be(arm, used):
     nothing = find_own(model, data, pose, used, (0.0, 0.0, 0.0, 9.0, 9.0, 9.0))
     assert set(nothing.find_missing(TERMS)) == set(TERMS)
     standing = replace(data, values=np.where(np.arange(6) < 3, np.append(HOME, np.zeros(3)), data.values))
-    still = find_own(model, standing, pose, used)
+    still = find_own(model, standing, np.tile(HOME, (N_ROWS, 1)), used)
     assert set(still.find_missing(TERMS)) == {"linear", "own", "smooth"}
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -12,7 +12,7 @@ import numpy as np
 from bayescal.config.classes import choose, name_failures
 from bayescal.density.calibration.functions import FunctionErrors
 from bayescal.density.calibration.likelihood import CalibrationPosterior
-from bayescal.density.calibration.measurements import Measurements
+from bayescal.density.calibration.measurements import Measurements, RowPositions
 from bayescal.density.calibration.model_error import FunctionsOfPose, IndependentErrors, OwnChannels, build_model_error
 from bayescal.density.calibration.terms import Errors, ErrorTerm, TermRows, check_term
 from bayescal.density.components import MOST_ROWS
@@ -28,6 +28,8 @@ from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import MICROMETRE
 
 NO_ERRORS = Errors()
+N_COVERED = 60  # poses at which functions of the model error are compared with parameters
+COVERED = "free parameters, such as the channels' gains, are the same function"
 LARGEST_GRID = 3**6  # poses over the workspace, from which the readings' ranges are taken
 
 
@@ -37,10 +39,13 @@ def build_terms(
     whole: ReadingModel,
     chosen: np.ndarray,
     data: Measurements,
-    workspace: Workspace,
+    reach: Array,
+    positions: RowPositions,
     folder: Path,
 ) -> tuple[ErrorTerm, ...]:
     """Return the terms that a variant has, for the rows that it takes in and the channels chosen of the whole machine.
+
+    ``reach`` (K,): how far readings go from those at home; ``positions``: where the K channels stand at the rows.
 
     Raises
     ------
@@ -52,14 +57,13 @@ def build_terms(
             raise InputError(f"errors: found {name!r}, expected some of {', '.join(config.errors) or 'none'}")
     model, groups, found = whole.pick(chosen), group_channels(config, whole), []
     everywhere = [{one.name, one.kind, group} for one, group in zip(whole.channels, groups, strict=True)]
-    home, reach = measure_ranges(model, data, workspace)
     for name, one in config.errors.items():
         if section.errors is not None and name not in section.errors:
             continue
         wanted = one.options.get("channels")
         if section.errors is None and wanted and _is_elsewhere(wanted, everywhere, chosen):
             continue
-        rows = TermRows(name, model, data, tuple(groups[k] for k in chosen), reach, home)
+        rows = TermRows(name, model, data, tuple(groups[k] for k in chosen), reach, positions.home, positions)
         with name_faults(f"errors.{name}"):
             choice = choose("ERRORS", one.kind, ErrorTerm, f"errors.{name}.kind", folder, one.options)
             with name_failures(choice.found, f"errors.{name}", folder):
@@ -99,9 +103,8 @@ def build_terms_of_model(
     error: ModelErrorConfig,
     model: ReadingModel,
     data: Measurements,
-    start: Array,
-    used: np.ndarray,
-    workspace: Workspace,
+    own: OwnChannels,
+    covered: Collection[str],
     tolerances: Mapping[str, Prior],
     others: Errors = NO_ERRORS,
     few: bool | None = None,
@@ -118,10 +121,9 @@ def build_terms_of_model(
         The machine with the K channels that the variant takes in.
     data : Measurements
         Of all P rows.
-    start : ndarray, shape (P, q)
-        Where the nominal machine explains them best.
-    used : ndarray of bool, shape (P,)
-        Which rows are for calibration.
+    own : OwnChannels
+    covered : collection of str
+        Sorts of functions that free parameters are; see `find_covered`.
     tolerances : mapping of parameter to Prior
         Of what is free.
     others : Errors
@@ -136,11 +138,11 @@ def build_terms_of_model(
     """
     if not (terms := error.terms):
         return (), ""
-    own = OwnChannels.find(model, data, start, used, *measure_ranges(model, data, workspace))
     missing = own.find_missing(terms, _find_costly(others))
     if missing and list(terms) != list(TERMS):  # asked for by name
         name, why = next(iter(missing.items()))
         raise InputError(f"model_error: found term {name!r}, but {why}, expected other terms")
+    missing |= dict.fromkeys([name for name in terms if name in covered and name not in missing], COVERED)
     floors = error.floors()
     lengths = {name for name, unit in zip(model.layout.names, model.layout.units, strict=True) if unit == "mm"}
     check_floors(floors, [prior.sd for name, prior in tolerances.items() if name in lengths])
@@ -152,11 +154,20 @@ def build_terms_of_model(
         error.scales(own.find_noise(data)),
         {name: MICROMETRE * floor for name, floor in floors.items()},
         error.per_leg,
-        few=data.n_poses * (len(model.channels) - start.shape[1]) > MOST_ROWS if few is None else few,
+        few=data.n_poses * (len(model.channels) - len(model.coordinates)) > MOST_ROWS if few is None else few,
     )
     without = [([name for name, why in missing.items() if why == one], one) for one in dict.fromkeys(missing.values())]
     said = [f"no term{'s' * (len(names) > 1)} {', '.join(names)}, as {why}" for names, why in without]
     return left, f"the model error has {' and '.join(said)}" if said else ""
+
+
+def find_covered(own: OwnChannels, posterior: CalibrationPosterior, workspace: Workspace) -> set[str]:
+    """Return the sorts of functions that a variant's free parameters are, over its workspace."""
+    likelihood, start = posterior.likelihood, posterior.sampling.start
+    pose = workspace.draw(N_COVERED, np.random.default_rng(0))
+    given = {name: np.full(len(pose), np.median(value)) for name, value in likelihood.data.given.items()}
+    with np.errstate(all="ignore"):
+        return own.find_covered(likelihood.model, posterior.sampling.jacobian(start), start, pose, given)
 
 
 def _find_costly(others: Errors) -> str:

@@ -10,17 +10,18 @@ from pathlib import Path
 import numpy as np
 
 from bayescal.density.calibration.likelihood import CalibrationLikelihood, CalibrationPosterior
-from bayescal.density.calibration.measurements import Measurements
+from bayescal.density.calibration.measurements import Measurements, RowPositions
+from bayescal.density.calibration.model_error import OwnChannels
 from bayescal.density.calibration.terms import Errors, ErrorTerm
 from bayescal.density.elimination import project_out
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import Prior
-from bayescal.errors import InputError, name_faults
+from bayescal.errors import InputError, NumericalError, name_faults
 from bayescal.experiments.shared.outlook import join_outlooks, tell_outlook
 from bayescal.experiments.shared.reach import check_reach
 from bayescal.experiments.shared.readings.beside import Beside, read_beside
 from bayescal.experiments.shared.readings.columns import check_columns
-from bayescal.experiments.shared.readings.errors import build_terms, build_terms_of_model
+from bayescal.experiments.shared.readings.errors import build_terms, build_terms_of_model, find_covered, measure_ranges
 from bayescal.experiments.shared.readings.found_frames import find_frames, settle_unstated
 from bayescal.experiments.shared.readings.instruments import keep_files, read_instruments, read_model
 from bayescal.experiments.shared.readings.noise import build_noise, stated_noise
@@ -202,11 +203,7 @@ def _build(
     check_columns(data, model, {channel: column for channel, column, _ in readings.columns})
     model.check_given(data.poses, data.given, [one for name in priors for one in common.get(name, (name,))])
     workspace = build_workspace(model, config.workspace, config.units)
-    terms = (
-        *build_noise(config, section, whole, chosen),
-        *build_terms(config, section, whole, chosen, data, workspace, folder),
-        *known,
-    )
+    noise = (*build_noise(config, section, whole, chosen), *known)
     unplaced = Variant(
         section,
         whole,
@@ -214,7 +211,7 @@ def _build(
         priors,
         fixed,
         common,
-        Errors(terms, section.outliers),
+        Errors(noise, section.outliers),
         data,
         readings.verification[rows],
         np.zeros((data.n_poses, len(model.coordinates))),
@@ -224,17 +221,37 @@ def _build(
     check_readings(data.n_poses, len(chosen), len(priors), len(model.coordinates))
     _check_machine(unplaced)
     start = find_starts(unplaced.posterior(np.ones(data.n_poses, dtype=bool)), workspace, config.seed)
-    used = ~unplaced.verification
+    fitted, used = replace(unplaced, start=start), ~unplaced.verification
+    home, reach = measure_ranges(model, data, workspace)
+    positions = RowPositions.find(model.channels, data, _expect_readings(fitted), home)
+    stated = build_terms(config, section, whole, chosen, data, reach, positions, folder)
+    terms = (*noise[: len(noise) - len(known)], *stated, *known)
     error = config.leg_error.of(section.model_error)
     if error.terms and config.channel_errors:
         raise InputError(
             f"model_error: found terms {error.terms} beside errors by channel in [model_error], expected one"
         )
-    found, missing = build_terms_of_model(error, model, data, start, used, workspace, priors, unplaced.errors)
-    placed = replace(unplaced, start=start, errors=replace(unplaced.errors, terms=(*terms, *found)), missing=missing)
+    others = replace(unplaced.errors, terms=terms)
+    own = OwnChannels.find(model, data, start, used, positions, reach)
+    covered = find_covered(own, fitted.posterior(), workspace)
+    found, missing = build_terms_of_model(error, model, data, own, covered, priors, others)
+    placed = replace(fitted, errors=replace(others, terms=(*terms, *found)), missing=missing)
     every = placed.list_readings(np.ones(data.n_poses, dtype=bool))
     check_reach(every, None if used.all() else placed.list_readings())
     return placed
+
+
+def _expect_readings(variant: Variant) -> Array:
+    """Return what the machine fitted to the calibration rows without model error reads at all rows, (P, K)."""
+    posterior, given = variant.posterior(), variant.data.given
+    with np.errstate(all="ignore"):
+        try:
+            y = posterior.approach()[None]
+        except NumericalError:  # no start: the machine as expected
+            return variant.model.read(posterior.sampling.start, variant.start, given)
+        theta, errors, zeta = posterior.at(y)
+        pose = variant.likelihood(np.ones(variant.data.n_poses, dtype=bool)).explain(theta, errors, zeta)[1].pose[0]
+        return variant.model.read(theta[0], pose, given)
 
 
 def _choose_poses(section: VariantConfig, model: ReadingModel, readings: PoseReadings) -> np.ndarray:
