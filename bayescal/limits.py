@@ -9,6 +9,8 @@ ESS_TAIL_LIMIT = 400.0
 PARETO_K_LIMIT = 0.7
 MOVED_LIMIT = 0.5
 """Smallest share of effective draws among those moved to the exact density."""
+ALIKE_LIMIT = 0.9
+"""The same from which on all weights are nearly one, and the shape of their tail says nothing."""
 EFFECTIVE_LIMIT = 200.0
 """Effective draws of an importance sampler, below which its weights tell nothing, their tail included."""
 STUCK_SHARE, STUCK_STEPS = 0.4, 60

@@ -51,6 +51,7 @@ class KnownFunctions:
     home: Array
     range: Array
     levers: Array
+    covered: np.ndarray  # (N, N): as of `OwnChannels`, ones and zeros
     # (P, N) and (P,): of the rows over which functions are normalised
     travel: Array
     time: Array
@@ -94,6 +95,7 @@ class KnownFunctions:
             first.home,
             first.range,
             first.levers,
+            first.covered.astype(np.float64),
             place.travel,
             place.time,
             tuple(one.sort for one, _ in functions),
@@ -142,7 +144,7 @@ class KnownFunctions:
             self.home + self.range * self.travel,
         )
         rows = RowPositions(channels, self.home, np.arange(n), stood, stood)
-        return OwnChannels(places, self.range, self.levers, rows, n, np.ones(n, dtype=bool))
+        return OwnChannels(places, self.range, self.levers, rows, n, np.ones(n, dtype=bool), self.covered > 0.5)
 
     def show(self, model: ReadingModel, data: Measurements, read: Array) -> tuple[Array, Array]:
         """Return what coefficients do to the own channels' errors at poses, (P, K, A), and the variance beside, (P, K).
@@ -193,6 +195,12 @@ class KnownFunctions:
             "home": (("channel",), self.home, unit, "readings in the middle of the workspace"),
             "range": (("channel",), self.range, unit, "how far readings go from end to end"),
             "levers": (("channel",), self.levers, "mm", "motion of the tool by a unit of the channel"),
+            "covered": (
+                ("channel", "other_channel"),
+                self.covered,
+                "1",
+                "whether an error linear in it is a parameter",
+            ),
             "travel": (("row", "channel"), self.travel, "1", "readings from home in units of the range"),
             "time": (("row",), self.time, "1", "place in measuring order"),
             "square": (("sort",), self.square, "mm2", "variance at the tool"),

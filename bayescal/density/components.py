@@ -147,15 +147,15 @@ class LinearGeometry:
 
     def given(self, zeta: Array) -> GeometryGiven:
         """Return the geometry given ζ (k,): with J of the white rows e, H = P + JᵀJ and mean H⁻¹ (p - Jᵀ e)."""
-        factor, step, log_mass = self._solve(zeta)
+        factor, step, log_mass = self.solve(zeta)
         inverse = np.asarray(dtrtrs(factor, np.eye(len(step)), lower=1)[0])
         return GeometryGiven(self.centre + inverse.T @ step, inverse.T @ inverse, log_mass)
 
     def log_mass(self, zeta: Array) -> float:
         """Return the density of the errors' unknowns alone at ζ (k,), but for a constant."""
-        return self._solve(zeta)[2]
+        return self.solve(zeta)[2]
 
-    def _solve(self, zeta: Array) -> tuple[Array, Array, float]:
+    def solve(self, zeta: Array) -> tuple[Array, Array, float]:
         """Return H's lower factor L, L⁻¹ (p - Jᵀ e), and the density of ζ (k,) alone."""
         (both, half_log_det), m = self.rows.square(zeta), len(self.pull)
         factor = factorise(self.precision + both[:m, :m])

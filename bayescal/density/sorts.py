@@ -36,6 +36,7 @@ OF_SORT: Final = "sigma_"
 DRIFT: Final = "drift"
 START: Final = 0.02  # of a drift, that is there at the first pose
 MOST_SMOOTH, MOST_DRIFT = 30, 12  # columns
+MOST_FITTED = 400  # poses over which functions are fitted by those that parameters are
 MOST_CHOSEN = 200  # poses whose values tell of smooth functions everywhere
 LEFT = 1e-12  # of a variance, which is taken for zero
 AT_ONCE = 2048  # poses at which smooth functions are evaluated together
@@ -181,11 +182,14 @@ class PoseFunctions:
     place: Place  # of the calibration poses
     # poses whose functions are made of few columns, and so are those at all others; by default nothing is left out
     of_few: Place | None = None
+    # (N, N): whether the function z_j of leg i is known elsewhere, as a parameter: sorts but drifts are then what their
+    # functions have beside their best fit by such functions over the calibration poses
+    covered: np.ndarray | None = None
 
     @cached_property
     def norms(self) -> Array:
         """c_t of each sort, shape (C,)."""
-        found = np.array([SORTS[name].variance(self.place).mean() for name in self.sorts])
+        found = np.array([one.mean() for one in self._list_variances(self.place)])
         if not (found > 0.0).all():
             raise InputError("model_error: found all calibration poses at home, expected actuators that move")
         return found
@@ -197,22 +201,72 @@ class PoseFunctions:
 
     def list_bases(self, place: Place) -> list[Array]:
         """Return the columns φ of each sort, where there are few, (N or 1, P, A_t) each."""
-        return [one(place) / np.sqrt(norm) for one, norm in zip(self._truncated, self.norms, strict=True)]
+        found = []
+        for name, basis, norm in zip(self.sorts, self._truncated, self.norms, strict=True):
+            columns = basis(place)
+            if self._is_partly_covered(name):
+                columns = columns - self._follow(place) @ basis(self._rows)
+            found.append(columns / np.sqrt(norm))
+        return found
 
     def between(self, first: Place, second: Place) -> list[Array]:
         """Return k_t / c_t of each sort between poses, (N or 1, P, Q) each."""
         if self.of_few is None:
-            return [
-                SORTS[name].between(first, second) / norm for name, norm in zip(self.sorts, self.norms, strict=True)
-            ]
+            pairs = zip(self._list_kernels(first, second), self.norms, strict=True)
+            return [kernel / norm for kernel, norm in pairs]
         pairs = zip(self.list_bases(first), self.list_bases(second), strict=True)
         return [one @ np.swapaxes(other, -1, -2) for one, other in pairs]
 
     def variances(self, place: Place) -> list[Array]:
         """Return the same of poses with themselves, (N or 1, P) each."""
         if self.of_few is None:
-            return [SORTS[name].variance(place) / norm for name, norm in zip(self.sorts, self.norms, strict=True)]
+            return [one / norm for one, norm in zip(self._list_variances(place), self.norms, strict=True)]
         return [(one**2).sum(axis=-1) for one in self.list_bases(place)]
+
+    # --- functions that parameters are ---------------------------------------------------------------------------
+
+    def _is_partly_covered(self, name: str) -> bool:
+        return name != DRIFT and self.covered is not None and bool(self.covered.any())
+
+    @cached_property
+    def _rows(self) -> Place:
+        """M poses over which functions are fitted by covered ones: those for calibration, or some of many."""
+        n = len(self.place.travel)
+        some = np.unique(np.linspace(0, n - 1, min(n, MOST_FITTED)).astype(int))
+        return Place(self.place.travel[some], None if self.place.time is None else self.place.time[some])
+
+    def _follow(self, place: Place) -> Array:
+        """Return the fit at P poses, by covered functions, of what is at M poses, (N, P, M)."""
+        assert self.covered is not None
+        rows = self._rows.travel
+        return np.stack([place.travel[:, mine] @ np.linalg.pinv(rows[:, mine]) for mine in self.covered])
+
+    def _list_kernels(self, first: Place, second: Place) -> list[Array]:
+        """Return k_t between poses, before they are normalised."""
+        found = []
+        for name in self.sorts:
+            sort = SORTS[name]
+            kernel = sort.between(first, second)
+            if self._is_partly_covered(name):
+                one, other = self._follow(first), np.swapaxes(self._follow(second), -1, -2)
+                rows = sort.between(self._rows, self._rows)
+                across = one @ sort.between(self._rows, second) + sort.between(first, self._rows) @ other
+                kernel = kernel - across + one @ rows @ other
+            found.append(kernel)
+        return found
+
+    def _list_variances(self, place: Place) -> list[Array]:
+        """Return the same of poses with themselves."""
+        found = []
+        for name in self.sorts:
+            sort = SORTS[name]
+            variance = sort.variance(place)
+            if self._is_partly_covered(name):
+                follow = self._follow(place)
+                rows, across = sort.between(self._rows, self._rows), sort.between(place, self._rows)
+                variance = variance + ((follow @ rows - 2.0 * across) * follow).sum(axis=-1)
+            found.append(variance)
+        return found
 
     @cached_property
     def left(self) -> Array:

@@ -4,7 +4,9 @@ Given the unknowns ζ of the errors the geometry is normal to first order, y | �
 alone is known, too: few, they are drawn by importance. Mean and Cholesky factor of C are then fitted to draws of ζ by
 cubics of log(s² + r), s the errors' sizes: flat where an error is too small to matter, straight where it is large. The
 map y = μ + F x that they give is triangular in a basis in which C is nearly diagonal for all ζ, close to the exact one,
-and costs next to nothing. A map that is a little off costs draws of the proposal, and nothing else.
+and costs next to nothing. A map that is a little off costs draws of the proposal, and nothing else. Where it is far
+off, as where sizes that make up for each other are all small together, the exact one takes its place, which factorises
+the rows' covariance once more for each ζ.
 """
 
 from __future__ import annotations
@@ -79,6 +81,40 @@ class Features:
 
 
 @dataclass(frozen=True, eq=False)
+class ExactConditional:
+    """Geometry y = c + L⁻ᵀ (x + s) with L Lᵀ its precision given ζ and s = L⁻¹ times its pull, exact to first order.
+
+    Attributes
+    ----------
+    geometry : LinearGeometry
+    errors : ndarray, shape (T, k)
+        Draws of ζ.
+    """
+
+    geometry: LinearGeometry
+    errors: Array
+
+    def open(self, zeta: Array) -> tuple[Array, Array, Array]:
+        """Return L⁻ᵀ (B, m, m), s (B, m) and log |L⁻ᵀ| (B,) at ζ (B, k)."""
+        found = [self.geometry.solve(one) for one in zeta]
+        factor = np.tril(np.stack([one[0] for one in found]))
+        diagonal = np.diagonal(factor, axis1=1, axis2=2)
+        return (
+            np.swapaxes(np.linalg.inv(factor), 1, 2),
+            np.stack([one[1] for one in found]),
+            -np.log(diagonal).sum(axis=1),
+        )
+
+    def forward(self, x: Array, factor: Array, shift: Array) -> Array:
+        """Return geometry (B, m) of x (B, m)."""
+        return np.asarray(self.geometry.centre + (factor @ (x + shift)[..., None])[..., 0])
+
+    def backward(self, y: Array, factor: Array, shift: Array) -> Array:
+        """Return x (B, m) of geometry (B, m)."""
+        return np.asarray(np.linalg.solve(factor, (y - self.geometry.centre)[..., None])[..., 0] - shift)
+
+
+@dataclass(frozen=True, eq=False)
 class ConditionalMap:
     """Geometry y = c + B (F(ζ) x + μ(ζ)), F lower triangular with a positive diagonal.
 
@@ -93,6 +129,8 @@ class ConditionalMap:
         Of logarithms of F's diagonal, of F below it over its columns' diagonal, of μ; by features of ζ.
     errors : ndarray, shape (T, k)
         Draws of ζ.
+    exact : ExactConditional
+        What the map is fitted to.
     """
 
     centre: Array
@@ -101,6 +139,7 @@ class ConditionalMap:
     features: Features
     coefficients: Array
     errors: Array
+    exact: ExactConditional
 
     def open(self, zeta: Array) -> tuple[Array, Array, Array]:
         """Return F (B, m, m), μ (B, m) and log |B F| (B,) at ζ (B, k)."""
@@ -160,4 +199,4 @@ def _fit(linear: LinearGeometry, draws: Array, rng: np.random.Generator) -> Cond
     below = (factor / diagonal[:, None, :])[:, *np.tril_indices(len(root), -1)]
     wanted = np.concatenate([np.log(diagonal), below, (mean - centre) @ inverse.T], axis=1)
     coefficients = np.linalg.lstsq(features.list(nodes), wanted, rcond=None)[0]
-    return ConditionalMap(centre, basis, inverse, features, coefficients, draws)
+    return ConditionalMap(centre, basis, inverse, features, coefficients, draws, ExactConditional(linear, draws))

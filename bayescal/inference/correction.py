@@ -22,7 +22,7 @@ from bayescal.inference.importance import LogDensity, resample, smooth_weights
 from bayescal.inference.proposal import MixtureProposal
 from bayescal.inference.sampling import Sample
 from bayescal.inference.straightening import Straightening
-from bayescal.limits import MOVED_LIMIT, PARETO_K_LIMIT
+from bayescal.limits import ALIKE_LIMIT, MOVED_LIMIT, PARETO_K_LIMIT
 from bayescal.numerics.geometry import Array
 
 PER_COORDINATE = 3  # draws for a regression
@@ -91,7 +91,7 @@ class Correction:
     @property
     def is_trusted(self) -> bool:
         """Whether moved draws are good for draws of the costly density."""
-        return self.efficiency >= MOVED_LIMIT and self.pareto_k <= PARETO_K_LIMIT
+        return self.efficiency >= (MOVED_LIMIT if self.pareto_k <= PARETO_K_LIMIT else ALIKE_LIMIT)
 
 
 @dataclass(frozen=True, eq=False)

@@ -73,7 +73,7 @@ def diagnose(draws: Array) -> Diagnostics:
     return Diagnostics(rhat, np.where(np.isfinite(bulk), bulk, 1.0), np.where(np.isfinite(tail), tail, 1.0))
 
 
-def measure_longest_stand(log_density: Array, log_ratio: Array) -> int:
+def measure_longest_stand(log_density: Array, log_ratio: Array, rare_ratio: float = np.inf) -> int:
     """Return for how many steps the most patient walker stood still where that matters.
 
     Where a proposal misses mass, a walker that gets there finds no way back: effective sizes, which average over
@@ -84,6 +84,8 @@ def measure_longest_stand(log_density: Array, log_ratio: Array) -> int:
 
     - where jumps lead often enough: of J jumps J m q / p get to where there is a mass m, and a mass of `HARMLESS` or
       more would have been met;
+    - where so few places of the posterior are, by weights of draws from farther out, that they hold less than
+      `HARMLESS` of it;
     - where the density is far below that of nearly all draws: moves by differential evolution are as long as the
       ensemble is wide and did not move the walker, so the place is no wider than the ensemble and holds far less.
 
@@ -92,10 +94,12 @@ def measure_longest_stand(log_density: Array, log_ratio: Array) -> int:
     log_density : ndarray, shape (E, W, S)
     log_ratio : ndarray, shape (E, W, S)
         Log of p / q, both normalised.
+    rare_ratio : float
+        The same, beyond which hardly any of the posterior lies; see `bayescal.inference.overdispersed`.
     """
     met = log_ratio < np.log(HARMLESS * JUMP_SHARE * log_density.size / MET)
     rare, middle = np.quantile(log_density, [TAILS[0], 0.5])
-    visit = met | (log_density < min(float(rare), float(middle) + np.log(HARMLESS)))
+    visit = met | (log_ratio > rare_ratio) | (log_density < min(float(rare), float(middle) + np.log(HARMLESS)))
     longest, visits = (_measure_stands(log_density, where) for where in (~visit, visit))
     long = visits[visits >= STUCK_STEPS]
     return int(max(longest.max(), long.max(initial=0) if long.sum() > HARMLESS * log_density.size else 0))

@@ -51,7 +51,8 @@ def run_ensemble(
     NumericalError
         Where walkers cannot be placed or the density is NaN.
     """
-    return run_ensembles(log_density, proposal, [seed], n_walkers, n_burn_in, n_steps, starts)[0]
+    own = () if starts is None else (starts,)
+    return run_ensembles(log_density, proposal, [seed], n_walkers, n_burn_in, n_steps, own)[0]
 
 
 def run_ensembles(
@@ -61,12 +62,16 @@ def run_ensembles(
     n_walkers: int,
     n_burn_in: int,
     n_steps: int,
-    starts: Draw | None = None,
+    starts: Sequence[Draw] = (),
     jump_share: float = JUMP_SHARE,
 ) -> list[Ensemble]:
-    """Run an ensemble from each seed, abreast; that share of moves are jumps, the others differential evolution."""
-    draw = starts or proposal.draw
-    walks = [_Walkers(proposal, draw, jump_share, seed).walk(n_walkers, n_burn_in, n_steps) for seed in seeds]
+    """Run an ensemble from each seed, abreast; that share of moves are jumps, the others differential evolution.
+
+    They start at draws of the proposal, or each at those of its own ``starts``.
+    """
+    draws = starts or [proposal.draw] * len(seeds)
+    pairs = zip(draws, seeds, strict=True)
+    walks = [_Walkers(proposal, draw, jump_share, seed).walk(n_walkers, n_burn_in, n_steps) for draw, seed in pairs]
     found: dict[int, Ensemble] = {}
     asked = {k: next(walk) for k, walk in enumerate(walks)}
     while asked:

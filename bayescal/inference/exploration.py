@@ -172,6 +172,9 @@ def _fit_proposal(
     if straight.conditional is not None:  # nothing sharper is known than geometry given the errors in closed form
         peaks[0], enough = _peak_of_errors(straight), min(enough, ACCEPTABLE)
     best = _try_peaks(straight, peaks, modes, trial_rng)
+    if best.efficiency < enough and (exact := straight.exactly()) is not None:
+        found = _try_peaks(exact, [_peak_of_errors(exact), *peaks[1:]], modes, trial_rng)
+        straight, best = (exact, found) if found.efficiency > best.efficiency else (straight, best)
     if posterior.curved_ridges() and (trace or best.efficiency < enough):
         straight, peaks, best = _follow_ridges(best, enough, trial_rng)
     for round_ in range(MAX_ROUNDS):

@@ -19,6 +19,7 @@ from bayescal.inference.proposal import MixtureProposal
 from bayescal.inference.sampling import Sample
 from bayescal.inference.schema import EvidenceConfig
 from bayescal.inference.stages import stage
+from bayescal.limits import HARMLESS
 from bayescal.numerics.geometry import Array
 
 N_DRAWS = 5000
@@ -183,6 +184,21 @@ def compare_tails(exploration: Exploration, sample: Sample, far: FarDraws) -> Ta
     within = np.sqrt(more * (1.0 - more) / (n_ensembles * n_walkers))  # a walker that gets there stays
     of_weights = np.sqrt(np.sum((weights * (there - expected)) ** 2))
     return Tails(expected, found, float(np.hypot(max(between, within), of_weights)))
+
+
+def find_rare_ratio(far: FarDraws, exploration: Exploration) -> float:
+    """Return log p / q, both normalised, beyond which hardly any of the posterior lies; infinite where nobody knows.
+
+    By the weights of draws from farther out the places beyond it hold less than `HARMLESS` of the mass, two standard
+    errors included: a walker that stands still at one of them is right to.
+    """
+    ratio = far.log_density - far.log_evidence - exploration.proposal.log_density(far.x)
+    ratio[~np.isfinite(far.log_weights)] = -np.inf
+    order = np.argsort(-ratio)
+    weights = far.weights[order]
+    beyond = np.cumsum(weights) + 2.0 * np.sqrt(np.cumsum(weights**2))
+    rare = int(np.searchsorted(beyond, HARMLESS))
+    return float(ratio[order[rare]]) if rare else np.inf
 
 
 @dataclass(frozen=True)

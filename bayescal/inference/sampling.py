@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from bayescal.inference.diagnostics import Diagnostics, diagnose
-from bayescal.inference.ensemble import JUMP_SHARE, Ensemble, run_ensembles
+from bayescal.inference.ensemble import JUMP_SHARE, Draw, Ensemble, run_ensembles
 from bayescal.inference.exploration import GOOD_ENOUGH, Exploration
 from bayescal.inference.schema import count_walkers
 from bayescal.inference.stages import stage
@@ -69,3 +69,25 @@ def sample_posterior(
     with stage("sampling", n_ensembles * walkers * (1 + n_burn_in + n_steps)):
         ensembles = run_ensembles(density, proposal, seeds, walkers, n_burn_in, n_steps, jump_share=share)
     return Sample.from_ensembles(straight, ensembles)
+
+
+def continue_sample(exploration: Exploration, sample: Sample, seed: np.random.SeedSequence) -> Sample:
+    """Return a sample whose ensembles have gone on from where they stood, for as many steps as they had."""
+    n_ensembles, n_walkers, n_steps = sample.log_density.shape
+    share = GOOD_JUMP_SHARE if exploration.efficiency >= GOOD_ENOUGH else JUMP_SHARE
+    density, proposal = exploration.straight.log_density, exploration.proposal
+    stood = iter(sample.straight[:, :, -1])
+
+    def start_from(last: Array) -> Draw:
+        return lambda n_wanted, rng: last
+
+    starts = [start_from(one) for one in stood]
+    with stage("sampling", n_ensembles * n_walkers * (1 + n_steps)):
+        more = run_ensembles(density, proposal, seed.spawn(n_ensembles), n_walkers, 0, n_steps, starts, share)
+    added = Sample.from_ensembles(exploration.straight, more)
+    return Sample(
+        sample.straightening,
+        np.concatenate([sample.straight, added.straight], axis=2),
+        np.concatenate([sample.log_density, added.log_density], axis=2),
+        0.5 * (sample.acceptance + added.acceptance),
+    )

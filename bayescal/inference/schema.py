@@ -2,24 +2,52 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
 from bayescal.config.sections import Positive, Section
 
+SHORT: Final = (5, 15)
+"""Steps to drop and to keep where importance weights show that the proposal is nearly the posterior."""
+USUAL: Final = (40, 80)
+"""The same elsewhere."""
+MOST_STEPS: Final = 320
+"""Steps up to which ensembles go on by themselves while their diagnostics ask for more."""
+FIRST_DRAWS: Final = 4000
+"""Draws for importance sampling to begin with."""
+
+
+def is_none(value: object) -> bool:
+    """Whether a key of a config was not stated."""
+    return value is None
+
 
 class SamplerConfig(Section):
-    """Ensembles of walkers."""
+    """Ensembles of walkers.
+
+    Where steps are not stated, their number follows the posterior: few where the proposal is nearly the posterior, and
+    more, up to 320, until the diagnostics pass.
+    """
 
     ensembles: Annotated[int, Field(ge=4, le=64)] = 4
     """Number of independent ensembles of walkers, each of which is a chain."""
     walkers: Annotated[int, Field(ge=8, le=4096)] = 128
     """Walkers of an ensemble."""
-    burn_in: Annotated[int, Field(ge=0, le=100_000)] = 40
-    """Steps that are dropped at the beginning."""
-    steps: Annotated[int, Field(ge=2, le=100_000)] = 80
-    """Steps that are kept; more of them lower R-hat."""
+    burn_in: Annotated[int, Field(ge=0, le=100_000)] | None = Field(default=None, exclude_if=is_none)
+    """Steps that are dropped at the beginning; 10 or 40 where nothing is said."""
+    steps: Annotated[int, Field(ge=2, le=100_000)] | None = Field(default=None, exclude_if=is_none)
+    """Steps that are kept; more of them lower R-hat. Where nothing is said as many as the diagnostics ask for."""
+
+    def plan(self, is_easy: bool) -> tuple[int, int]:
+        """Return the steps to drop and to keep at first, of a proposal that is nearly the posterior or is not."""
+        burn_in, steps = SHORT if is_easy else USUAL
+        return burn_in if self.burn_in is None else self.burn_in, steps if self.steps is None else self.steps
+
+    @property
+    def most_steps(self) -> int:
+        """Most steps that are kept."""
+        return MOST_STEPS if self.steps is None else self.steps
 
 
 def count_walkers(n_parameters: int, n_walkers: int) -> int:
@@ -33,13 +61,13 @@ class EvidenceConfig(Section):
     On demand each evidence is checked by tempering, which owes nothing to the search for modes.
     """
 
-    draws: Annotated[int, Field(ge=1000, le=10_000_000)] = 20_000
+    draws: Annotated[int, Field(ge=1000, le=10_000_000)] = FIRST_DRAWS
     """Draws for importance sampling to begin with."""
     max_draws: Annotated[int, Field(ge=1000, le=10_000_000)] = 100_000
     """Draws at which it ends, whatever its error is."""
     target_error: Positive = 0.01
     """Standard error of the log-evidence at which it ends [nat]."""
-    check: Literal["tempered"] | None = Field(default=None, exclude_if=lambda value: value is None)
+    check: Literal["tempered"] | None = Field(default=None, exclude_if=is_none)
     """`"tempered"`: check each evidence by tempering from the prior, which takes longer."""
 
     @model_validator(mode="after")

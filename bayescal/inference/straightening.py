@@ -21,7 +21,7 @@ from numpy.polynomial.chebyshev import chebder, chebvander
 from scipy.linalg import eigh
 from scipy.special import ndtri
 
-from bayescal.inference.conditional import ConditionalMap, fit_conditional
+from bayescal.inference.conditional import ConditionalMap, ExactConditional, fit_conditional
 from bayescal.inference.mode import Mode
 from bayescal.inference.skew import Skew
 from bayescal.inference.target import Target
@@ -161,7 +161,7 @@ class Straightening:
     ridges: Ridges | None = None  # shears along others that were traced
     skew: Skew | None = None  # bend of what they follow
     # in place of the blocks, where the geometry given the errors is known in closed form
-    conditional: ConditionalMap | None = None
+    conditional: ConditionalMap | ExactConditional | None = None
 
     @property
     def follows_errors(self) -> bool:
@@ -258,6 +258,12 @@ class Straightening:
         traced = () if self.ridges is None else self.ridges.bases
         wanted = [(base, others) for base, others in self.posterior.curved_ridges() if base not in traced]
         return replace(self, bend=bend, curves=tuple(fit_curve(y, base, others) for base, others in wanted))
+
+    def exactly(self) -> Straightening | None:
+        """Return the same with geometry given the errors as in closed form; None where no fit to that is there."""
+        return (
+            replace(self, conditional=self.conditional.exact) if isinstance(self.conditional, ConditionalMap) else None
+        )
 
     def carry(self, y: Array, covariance: Array, *, follow: bool = True) -> Array:
         """Return a covariance (n, n) around y, shape (n,), as it is in straight coordinates, to first order.

@@ -49,7 +49,7 @@ class Erring:
         self.reach = np.where(np.arange(6) < 3, np.abs(corners - self.home).max(axis=0), 0.0)
         used = np.ones(N_POSES, dtype=bool)
         model = self.planned.model
-        positions = RowPositions.find(model.channels, data, model.read(layout.nominal, pose), self.home)
+        positions = RowPositions.find(model.channels, data, model.read(self.theta, pose), self.home)
         self.own = OwnChannels.find(model, data, pose, used, positions, self.reach)
         found = build_model_error(self.own, 6, SORTS, (0.01, 0.02), {}, each=False)
         priors = {

@@ -5,8 +5,10 @@ import pytest
 import telescope_machines as machines
 
 from bayescal.density.calibration.terms import Errors
+from bayescal.density.components import LinearGeometry, LinearRows
 from bayescal.density.priors import NormalPrior
 from bayescal.density.sorts import SORTS
+from bayescal.inference.conditional import ExactConditional
 from bayescal.inference.exploration import explore
 
 N_POSES = 12
@@ -34,3 +36,26 @@ def test_proposal_needs_no_sharpening(posterior):
     found = explore(posterior, np.random.SeedSequence(4))
     assert found.straight.conditional is not None
     assert found.efficiency > 0.2  # 0.4; with fixed axes 0.08
+
+
+def test_exact_conditional_is_the_normal_given_the_errors():
+    """Of rows linear in the geometry, y = x for N(0, 1) has their mean and covariance, and back, at any errors."""
+    rng = np.random.default_rng(3)
+    slope, residual, centre = rng.standard_normal((8, 3)), rng.standard_normal(8), rng.standard_normal(3)
+
+    def square(zeta):
+        white = np.column_stack([slope, residual]) / np.sqrt(1.0 + np.exp(zeta[0]) * np.arange(8))[:, None]
+        return white.T @ white, 0.0
+
+    nothing = np.zeros((3, 3)), np.zeros(3)
+    linear = LinearGeometry(centre, LinearRows(*nothing, square), np.eye(3), np.ones(3), lambda zeta: 0.0, np.exp)
+    zeta = np.array([[-30.0], [0.5], [4.0]])
+    found = ExactConditional(linear, zeta)
+    factor, shift, volume = found.open(zeta)
+    for k, one in enumerate(zeta):
+        given = linear.given(one)
+        np.testing.assert_allclose(factor[k] @ factor[k].T, given.covariance, atol=1e-12)
+        assert volume[k] == pytest.approx(0.5 * np.linalg.slogdet(given.covariance)[1])
+    np.testing.assert_allclose(found.forward(np.zeros((3, 3)), factor, shift), [linear.given(one).mean for one in zeta])
+    x = rng.standard_normal((3, 3))
+    np.testing.assert_allclose(found.backward(found.forward(x, factor, shift), factor, shift), x, atol=1e-10)

@@ -10,7 +10,8 @@ calibration rows. Travel z is where a channel stands beyond the middle of the wo
 over which it moves there: its command, or the reading that is expected at the row's pose (`RowPositions`). τ and s are
 lengths at the tool: root mean squares in mm. A channel in another unit has a lever λ, by how many millimetres one unit
 of it moves the tool; one that reads lengths has λ = 1. Functions that free parameters are, such as a lead error of
-channels whose gains are free, are no second unknown (`OwnChannels.find_covered`).
+channels whose gains are free, are no second unknown: other functions are what they have beside these
+(`OwnChannels.cover`).
 
 Functions are columns that all rows share, Φ = s / λ · R with R Rᵀ = k / c over all rows, those that are held back too;
 at other rows they are what their values at these rows say of them, k(·, rows) (Rᵀ)⁺. Of many rows they are made of few
@@ -28,6 +29,7 @@ import numpy as np
 
 from bayescal.density.calibration.measurements import Measurements, RowPositions
 from bayescal.density.calibration.terms import ErrorTerm, ModelErrorTerm, Slopes
+from bayescal.density.elimination import project_out
 from bayescal.density.priors import HalfCauchyPrior, Prior
 from bayescal.density.sorts import FEWEST_POSES, MOST_DRIFT, MOST_SMOOTH, TAU, Place, PoseFunctions
 from bayescal.machines.readings import Given, ReadingModel
@@ -37,7 +39,9 @@ from bayescal.numerics.units import MICROMETRE
 SMALLEST = 1e-9  # of a kernel's largest eigenvalue, below which directions are left out
 BY_ROW = ("smooth", "drift")  # sorts with as many coefficients as there are rows
 STILL = 1e-6  # mm over its range, by which a channel moves the tool, below which it does not
+LEAST_LEVER = 0.3  # of the median, by which a standard deviation of the channels' noise moves the tool
 COVERED = 1e-6  # of a function, what parameters may leave of it for it to be no second unknown
+COVERED_BY = "free parameters, such as the channels' gains, are the same functions"
 OF_NOISE = 10.0 * MICROMETRE
 """What one standard deviation of the noise counts at the tool of a channel that does not move it, mm."""
 
@@ -52,6 +56,7 @@ class OwnChannels:
     rows: RowPositions  # of the N channels at the M rows
     n_places: int  # how many places in measuring order there are
     used: np.ndarray  # (M,): which rows are for calibration
+    covered: np.ndarray  # (N, N): whether an error of channel i linear in the position of channel j is a parameter
 
     @classmethod
     def find(
@@ -90,6 +95,7 @@ class OwnChannels:
             positions.pick(places),
             int(data.order.max()) + 1,
             used,
+            np.zeros((len(places), len(places)), dtype=bool),
         )
 
     @property
@@ -119,16 +125,17 @@ class OwnChannels:
         """Return where functions are evaluated at P rows; see `RowPositions.at`."""
         return self._locate(self.rows.at(data, data.values[:, self.places]), data.order)
 
-    def find_covered(self, model: ReadingModel, change: Array, theta: Array, pose: Array, given: Given) -> set[str]:
-        """Return the sorts of functions that free parameters are, but for constants, everywhere.
+    def cover(self, model: ReadingModel, change: Array, theta: Array, pose: Array, given: Given) -> OwnChannels:
+        """Return the same, with the linear errors that free parameters are, but for constants, everywhere.
 
-        Those of which each column lies in the span of the readings' derivatives by the parameters, at poses that stay.
+        Such an error does to readings and tool what some change of the parameters does with other poses: neither these
+        readings nor any others tell them apart, and the tool needs no more than one of them.
 
         Parameters
         ----------
         model : ReadingModel
-            With K channels.
-        change : ndarray, shape (D, m)
+            With K channels and q coordinates; its tool has m numbers.
+        change : ndarray, shape (D, n)
             Derivative of the parameters by what is free.
         theta : ndarray, shape (D,)
             The machine as expected.
@@ -136,33 +143,39 @@ class OwnChannels:
             Poses of the workspace, many.
         given : mapping of str to ndarray, shape (P,)
         """
+        n, n_channels = len(self.places), len(model.channels)
         at, gain = model.linearise(theta, pose, True, given), model.error_gain(theta, pose, given)
-        there = np.isfinite(at.values).all(axis=1) & np.isfinite(at.by_parameters).all(axis=(1, 2))
-        if not len(self.places) or there.sum() * len(model.channels) <= 2 * (change.shape[1] + len(self.places)):
-            return set()
+        _, tool_by_pose, tool_by_parameters = model.tool(theta, pose)
+        by_pose = np.concatenate([at.by_pose, tool_by_pose], axis=1)  # (P, K + m, q)
+        by_free = np.concatenate([at.by_parameters, tool_by_parameters], axis=1) @ change
+        there = np.isfinite(by_pose).all(axis=(1, 2)) & np.isfinite(by_free).all(axis=(1, 2))
+        spare = by_pose.shape[1] - by_pose.shape[2]
+        if not n or spare < 1 or there.sum() * spare <= 2 * (by_free.shape[2] + n):
+            return self
+        shown = np.zeros((there.sum(), by_pose.shape[1], n))  # what an error of each own channel does
+        shown[:, :n_channels] = np.eye(n_channels)[:, self.places] if gain is None else gain[there][..., self.places]
+        size = np.linalg.norm(by_pose[there], axis=(0, 1))
+        left = project_out(by_pose[there] / np.where(size > 0.0, size, 1.0))
         travel = (at.values[there][:, self.places] - self.home) / self.range  # (P, N)
-        shown = np.eye(len(model.channels))[None] if gain is None else gain[there]
-        shown = np.broadcast_to(shown, (len(travel), *shown.shape[1:]))[..., self.places]  # (P, K, N)
-        span = np.concatenate([at.by_parameters[there] @ change, shown], axis=-1).reshape(
-            -1, change.shape[1] + len(self.places)
-        )
-        axes, sizes, _ = np.linalg.svd(
-            span / np.maximum(np.linalg.norm(span, axis=0), np.finfo(float).tiny), full_matrices=False
-        )
-        axes = axes[:, sizes > SMALLEST * sizes[0]]
-        columns = {"own": shown * travel[:, None], "linear": shown[..., None] * travel[:, None, None]}
-        found = set()
-        for name, one in columns.items():
-            flat = one.reshape(len(axes), -1)
-            rest = np.linalg.norm(flat - axes @ (axes.T @ flat), axis=0)
-            if (rest <= COVERED * np.linalg.norm(flat, axis=0)).all():
-                found.add(name)
-        return found
+        linear = shown[..., None] * travel[:, None, None]
+        columns = (left @ linear.reshape(*shown.shape[:2], n**2)).reshape(-1, n**2)
+        span = (left @ np.concatenate([by_free[there], shown], axis=-1)).reshape(len(columns), -1)
+        span /= np.maximum(np.linalg.norm(span, axis=0), np.finfo(float).tiny)
+        basis, sizes, _ = np.linalg.svd(span, full_matrices=False)
+        basis = basis[:, sizes > SMALLEST * sizes[0]]
+        rest = np.linalg.norm(columns - basis @ (basis.T @ columns), axis=0)
+        return replace(self, covered=(rest <= COVERED * np.linalg.norm(columns, axis=0)).reshape(n, n))
 
     def find_noise(self, data: Measurements) -> float:
         """Return the noise of a typical own channel at rows as stated, mm at the tool; zero where there is none."""
         found = [_find_noise(data, k) * lever for k, lever in zip(self.places, self.levers, strict=True)]
         return float(np.median(found)) if found else 0.0
+
+    def is_covered(self, sort: str) -> bool:
+        """Whether free parameters are all functions of a sort."""
+        return (sort == "linear" and bool(self.covered.all())) or (
+            sort == "own" and bool(self.covered.diagonal().all())
+        )
 
     def find_missing(self, terms: Sequence[str], costly: str = "") -> dict[str, str]:
         """Return which sorts of errors there cannot be, each with the reason.
@@ -180,6 +193,8 @@ class OwnChannels:
                 found[name] = f"there are fewer than {FEWEST_POSES} rows"
             elif name != "drift" and not self.place.travel[self.used].any():
                 found[name] = "no channel of the machine itself moves"
+            elif self.is_covered(name):
+                found[name] = COVERED_BY
             elif name == "own" and n == 1 and "linear" in terms:
                 found[name] = "of one channel it is the linear one"
             elif costly and name in BY_ROW:
@@ -199,7 +214,9 @@ def _find_levers(
     """Return by how many mm one unit of own channels moves the tool, root mean square over poses (P, q), (N,).
 
     The tool moves by ∂tool/∂v (∂own/∂v)⁺, as located by the own channels, in units of their ranges. Where a channel
-    does not move it, or there is none whose place is a length, `OF_NOISE` is one standard deviation of its noise.
+    does not move it, or there is none whose place is a length, `OF_NOISE` is one standard deviation of its noise. One
+    that hardly moves it, as the wrist that turns a tool about its own axis, has `LEAST_LEVER` of the usual lever, by
+    their noise: errors of one size at the tool would be hundreds of times its noise.
     """
     units, levers = [model.channels[k].unit for k in places], np.zeros(len(places))
     if model.tool_lengths and len(model.coordinates) and len(places):
@@ -210,7 +227,10 @@ def _find_levers(
         if good.any():
             moves = by_pose[good] @ np.linalg.pinv(own[good])
             levers = np.sqrt((moves**2).sum(axis=1).mean(axis=0))
-    levers = np.where(levers > STILL, levers / reach, OF_NOISE / noise)
+    moves = levers > STILL
+    levers = np.where(moves, levers / reach, OF_NOISE / noise)
+    if moves.any():
+        levers = np.where(moves, np.maximum(levers, LEAST_LEVER * np.median((levers * noise)[moves]) / noise), levers)
     return np.where([unit == "mm" for unit in units], 1.0, levers)
 
 
@@ -265,7 +285,7 @@ class FunctionsOfPose(ErrorTerm):
     @cached_property
     def functions(self) -> PoseFunctions:
         """The kernel, normalised over the calibration rows."""
-        return PoseFunctions((self.sort,), self.own.at(np.flatnonzero(self.own.used)))
+        return PoseFunctions((self.sort,), self.own.at(np.flatnonzero(self.own.used)), covered=self.own.covered)
 
     @cached_property
     def _roots(self) -> tuple[Array, Array]:
@@ -334,7 +354,7 @@ class ThinFunctionsOfPose(FunctionsOfPose):
     def functions(self) -> PoseFunctions:
         """The kernel of few columns that suit the calibration rows, normalised over these."""
         place = self.over or self.own.at(np.flatnonzero(self.own.used))
-        return PoseFunctions((self.sort,), place, place)
+        return PoseFunctions((self.sort,), place, place, self.own.covered)
 
     @property
     def left(self) -> float:

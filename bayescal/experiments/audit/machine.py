@@ -11,14 +11,13 @@ import numpy as np
 from bayescal.calibrated.tables import list_columns, read_given, read_named, read_quantities
 from bayescal.data.actuators import check_moves
 from bayescal.density.calibration.measurements import Measurements, RowPositions
-from bayescal.density.calibration.model_error import OwnChannels
 from bayescal.density.calibration.terms import Errors
 from bayescal.density.priors import NormalPrior, Prior
 from bayescal.errors import InputError, name_faults
 from bayescal.experiments.audit.planned import PlannedPoses, count_poses
 from bayescal.experiments.audit.pose_sensors import PoseSensor
 from bayescal.experiments.audit.schema import AuditConfig, PosesConfig, VariantConfig
-from bayescal.experiments.shared.readings.errors import build_terms_of_model, find_covered, measure_ranges
+from bayescal.experiments.shared.readings.errors import build_terms_of_model, find_own_channels, measure_ranges
 from bayescal.experiments.shared.readings.inputs import Variant
 from bayescal.experiments.shared.readings.noise import noise_of_channels
 from bayescal.experiments.shared.readings.priors import choose_priors
@@ -140,9 +139,9 @@ class PlannedMachine:
         check_told(variant.plain(), planned.pose, self.workspace)
         home, reach = measure_ranges(model, variant.data, self.workspace)
         positions = RowPositions.find(model.channels, variant.data, values, home)
-        own = OwnChannels.find(model, variant.data, planned.pose, ~variant.verification, positions, reach)
-        covered = find_covered(own, variant.posterior(), self.workspace)
-        terms, missing = build_terms_of_model(config.model_error, model, variant.data, own, covered, priors, few=True)
+        used = ~variant.verification
+        own = find_own_channels(variant.posterior(), variant.data, planned.pose, used, reach, positions, self.workspace)
+        terms, missing = build_terms_of_model(config.model_error, model, variant.data, own, priors, few=True)
         return replace(variant, errors=Errors(terms), missing=missing)
 
     def _add_noise(self, data: Measurements, chosen: np.ndarray, read: Array) -> Measurements:

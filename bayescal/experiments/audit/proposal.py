@@ -75,7 +75,7 @@ def _share_errors(plan: Planned, poses: Sequence[Array]) -> tuple[list[Array], A
             continue
         places = [_locate(term, one) for one in read]
         travel = np.concatenate([own.place.travel, *(one.travel for one in places)])
-        functions = PoseFunctions((term.sort,), own.place, Place(travel, np.zeros(len(travel))))
+        functions = PoseFunctions((term.sort,), own.place, Place(travel, np.zeros(len(travel))), own.covered)
         variance[own.places] += float(functions.left[0]) * (size / own.levers) ** 2
         for found, place in zip(columns, places, strict=True):
             basis, n = functions.list_bases(place)[0], len(own.places)  # of each channel its own coefficients

@@ -29,19 +29,21 @@ from bayescal.inference.diagnostics import (
     measure_longest_stand,
     measure_sensitivity,
 )
-from bayescal.inference.exploration import CORRECTABLE, FINE_ENOUGH, Exploration, integrate_posterior
+from bayescal.inference.exploration import CORRECTABLE, FINE_ENOUGH, GOOD_ENOUGH, Exploration, integrate_posterior
 from bayescal.inference.importance import ImportanceEvidence
 from bayescal.inference.leave_one_out import LeftOut, leave_out, refit_doubtful
 from bayescal.inference.overdispersed import (
     N_DRAWS,
+    FarDraws,
     Scouts,
     Tails,
     compare_tails,
     draw_far_out,
+    find_rare_ratio,
     send_scouts,
     widen_tails,
 )
-from bayescal.inference.sampling import sample_posterior
+from bayescal.inference.sampling import Sample, continue_sample, sample_posterior
 from bayescal.inference.schema import EvidenceConfig, SamplerConfig, count_walkers
 from bayescal.inference.solutions import Solutions, find_solutions
 from bayescal.inference.stages import expect
@@ -54,6 +56,8 @@ if TYPE_CHECKING:
     import xarray as xr
 
 TREE = "tree"
+EASY_PARETO_K = 0.5
+"""Of the importance weights, up to which their variance is finite: with an efficiency of a half ensembles are short."""
 TIMED = 16  # densities by which the time of a fit is estimated
 SEARCHED, JUDGED = 1.8, 1.3
 """Time of a fit in that of its planned densities, search and correction among it, and in that of its rows' densities at
@@ -270,7 +274,7 @@ def time_fit(subject: Subject, sampler: SamplerConfig, effort: EvidenceConfig) -
     with np.errstate(all="ignore"):
         density, by_row = time_call(posterior.log_density, y), time_call(posterior.pointwise, y[:1])
     walkers = count_walkers(posterior.n_parameters, sampler.walkers)
-    kept = choose_draws(sampler.ensembles, walkers * sampler.steps, KEPT_READINGS)
+    kept = choose_draws(sampler.ensembles, walkers * sampler.plan(is_easy=True)[1], KEPT_READINGS)
     return SEARCHED * density * sum(_plan(sampler, effort).values()) + JUDGED * by_row * kept.size
 
 
@@ -317,7 +321,7 @@ def _seed_for(seed: int, name: str, purpose: str) -> np.random.SeedSequence:
 
 def _plan(sampler: SamplerConfig, effort: EvidenceConfig) -> dict[str, int]:
     """Return how many densities stages are expected to compute."""
-    walks = sampler.ensembles * sampler.walkers * (sampler.burn_in + sampler.steps)
+    walks = sampler.ensembles * sampler.walkers * sum(sampler.plan(is_easy=True))
     return {"evidence": effort.draws, "tails": N_DRAWS, "sampling": walks, "bridge": effort.draws}
 
 
@@ -337,7 +341,7 @@ def _estimate(
     )
     far = draw_far_out(found, _seed_for(seed, name, "tails"))
     found, importance = widen_tails(found, importance, far, importance_seed, effort)
-    sample = sample_posterior(found, ensemble_seed, sampler.ensembles, sampler.walkers, sampler.burn_in, sampler.steps)
+    sample = _sample(found, importance, far, ensemble_seed, sampler)
     bridge = estimate_by_bridge(
         found.straight.log_density,
         sample.straight,
@@ -360,9 +364,7 @@ def _estimate(
         else:
             seeds = correct_seed.spawn(sampler.ensembles)
             sample = sample_exactly(costly, found, sample, correction.move, seeds)
-    moved = shift_evidence(importance, correction)
-    n, flat = posterior.n_parameters, sample.straight.reshape(-1, sample.straight.shape[-1])
-    proposed = found.proposal.log_density(flat).reshape(sample.log_density.shape)
+    moved, n = shift_evidence(importance, correction), posterior.n_parameters
     places = choose_draws(len(sample.log_density), sample.log_density[0].size, KEPT_READINGS)
     solutions = find_solutions(sample.y, found.modes, posterior.n_geometry)
     first = np.argsort(solutions.of_modes, kind="stable")
@@ -378,8 +380,8 @@ def _estimate(
         diagnostics=sample.diagnostics,
         importance=moved,
         bridge=shift_evidence(bridge, correction),
-        longest_stand=measure_longest_stand(sample.log_density, sample.log_density - proposed - moved.log_evidence),
-        n_steps=sampler.steps,
+        longest_stand=_measure_stand(found, sample, far, moved.log_evidence),
+        n_steps=sample.log_density.shape[2],
         scouts=scouts,
         tails=tails,
         check=None if check is None else shift_evidence(check, correction),
@@ -388,6 +390,31 @@ def _estimate(
         others=tuple(others),
     )
     return estimate, found
+
+
+def _sample(
+    found: Exploration,
+    importance: ImportanceEvidence,
+    far: FarDraws,
+    seed: np.random.SeedSequence,
+    sampler: SamplerConfig,
+) -> Sample:
+    """Return draws of ensembles, as many steps as are stated; where none are, as many as the diagnostics ask for."""
+    is_easy = min(found.efficiency, importance.efficiency) >= GOOD_ENOUGH and importance.pareto_k <= EASY_PARETO_K
+    sample = sample_posterior(found, seed, sampler.ensembles, sampler.walkers, *sampler.plan(is_easy))
+    while sampler.steps is None and 2 * sample.log_density.shape[2] <= sampler.most_steps:
+        n_steps, stand = sample.log_density.shape[2], _measure_stand(found, sample, far, importance.log_evidence)
+        problems = sample.diagnostics.list_problems() + list_stand_problems(stand, n_steps)
+        if not problems and not compare_tails(found, sample, far).list_problems():
+            break
+        sample = continue_sample(found, sample, seed)  # which spawns other seeds each time
+    return sample
+
+
+def _measure_stand(found: Exploration, sample: Sample, far: FarDraws, log_evidence: float) -> int:
+    proposed = found.proposal.log_density(sample.straight.reshape(-1, sample.straight.shape[-1]))
+    ratio = sample.log_density - proposed.reshape(sample.log_density.shape) - log_evidence
+    return measure_longest_stand(sample.log_density, ratio, find_rare_ratio(far, found))
 
 
 def shift_evidence[T: (ImportanceEvidence, BridgeEvidence, Check)](found: T, correction: Correction | None) -> T:

@@ -32,7 +32,7 @@ def list_sampling(sampler: SamplerConfig, effort: EvidenceConfig, n_parameters: 
     """Return the arrays of a posterior's ensembles and of its draws for the evidence; see `estimate_arrays`."""
     walkers = count_walkers(n_parameters, sampler.walkers)
     return [
-        (CHAINS, sampler.ensembles, walkers, sampler.steps, n_parameters),
+        (CHAINS, sampler.ensembles, walkers, sampler.most_steps, n_parameters),
         (PROPOSED, effort.draws, n_parameters),
         (WEIGHTS, effort.max_draws),
     ]

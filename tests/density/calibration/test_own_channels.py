@@ -169,18 +169,64 @@ class Geared(own_arm.Arm):
         return np.concatenate([turned, found[..., 3:]], axis=-1)
 
 
-@pytest.mark.parametrize(("cross", "covered"), [(False, {"own"}), (True, {"own", "linear"})])
-def test_functions_that_free_parameters_are_no_second_unknown(used, cross, covered):
-    """Gains are the own sort, all couplings the linear one; fixed, or but for one of them, they are neither."""
+@pytest.mark.parametrize("cross", [False, True])
+def test_functions_that_free_parameters_are_no_second_unknown(used, cross):
+    """Gains are the own sort, all couplings the linear one; fixed they are neither, and each gain is its own."""
     model, data, pose = measure(Geared(cross))
     own, theta = find_own(model, data, pose, used), model.layout.nominal
     names = np.array([name.partition("[")[0] for name in model.layout.names])
     many = HOME + REACH * np.random.default_rng(2).uniform(-1.0, 1.0, (40, 3))
+
+    def cover(free):
+        return own.cover(model, np.eye(len(theta))[:, free], theta, many, {})
+
     free = np.isin(names, ["g", "c0", "c1", "c2"])
-    assert own.find_covered(model, np.eye(len(theta))[:, free], theta, many, {}) == covered
-    assert own.find_covered(model, np.eye(len(theta))[:, ~free], theta, many, {}) == set()
-    free[np.flatnonzero(names == "g")[1]] = False
-    assert "own" not in own.find_covered(model, np.eye(len(theta))[:, free & (names == "g")], theta, many, {})
+    found = cover(free)
+    np.testing.assert_array_equal(found.covered, np.ones((3, 3), dtype=bool) if cross else np.eye(3, dtype=bool))
+    assert found.is_covered("own")
+    assert found.is_covered("linear") == cross
+    assert not cover(~free).covered.any()
+    only = cover(np.arange(len(names)) == np.flatnonzero(names == "g")[1])
+    np.testing.assert_array_equal(only.covered, np.diag([False, True, False]))
+
+
+class Scaled(own_arm.Arm):
+    """An arm that is told its joints' angles, and whose tool moves by gains times them."""
+
+    def __init__(self) -> None:
+        super().__init__(None)
+        self.parameters.append(ParameterBlock("g", (1.0, 1.0, 1.0), "1"))
+
+    def tool(self, parameters, v):
+        return super().tool(parameters, parameters["g"] * v)
+
+
+def test_gains_of_the_tool_are_gains_of_the_channels_at_other_poses(used):
+    """The coordinates are what encoders read: an error of these is a gain but for where poses are."""
+    model, data, pose = measure(Scaled())
+    theta, gains = model.layout.nominal, np.array([name.startswith("g[") for name in model.layout.names])
+    many = HOME + REACH * np.random.default_rng(2).uniform(-1.0, 1.0, (40, 3))
+    own = find_own(model, data, pose, used)
+    found = own.cover(model, np.eye(len(theta))[:, gains], theta, many, {})
+    np.testing.assert_array_equal(found.covered, np.eye(3, dtype=bool))
+
+
+@pytest.mark.parametrize("few", [False, True])
+def test_functions_beside_parameters_are_orthogonal_to_them(arm, used, few):
+    """Over the calibration rows nothing linear in the own position is left, and root mean squares are those stated."""
+    own, _, data, _ = arm
+    own = replace(own, covered=np.eye(3, dtype=bool))
+    zeta, z = np.array([[0.4]]), own.place.travel[used]
+    for term in build_model_error(own, 6, ("linear", "smooth"), (0.01, 0.02), {}, False, few=few):
+        columns, size = term.columns(zeta, data)[0][used], float(term.amplitude(zeta)[0])
+        for i in range(3):
+            np.testing.assert_allclose(z[:, i] @ columns[:, i], 0.0, atol=1e-9 * size / own.levers[i])
+        square = (columns[:, :3] ** 2).sum(axis=-1) * own.levers**2
+        share = 1.0 - (term.left if few else 0.0)
+        assert square.mean() == pytest.approx(share * size**2, rel=1e-6)
+    (drift,) = build_model_error(own, 6, ("drift",), (0.01, 0.02), {}, False, few=few)
+    (plain,) = build_model_error(replace(own, covered=0 * own.covered), 6, ("drift",), (0.01, 0.02), {}, False, few=few)
+    np.testing.assert_array_equal(drift.columns(zeta, data), plain.columns(zeta, data))
 
 
 def test_levers_are_how_far_the_tool_moves(arm, used):
@@ -203,6 +249,22 @@ def test_levers_of_lengths_and_of_what_does_not_move_the_tool(used):
     machine.tool_channels = tuple(Channel(one, "rad") for one in "abc")
     turning = find_own(FunctionModel("arm", machine), data, pose, used)
     np.testing.assert_allclose(turning.levers, OF_NOISE / SD[:3])
+
+
+class Wrist(own_arm.Arm):
+    """An arm whose base turns the tool about an axis that nearly goes through it."""
+
+    def tool(self, parameters, v):
+        found = super().tool(parameters, v)
+        out = np.hypot(found[..., 0], found[..., 1]) + 0.0 * v[..., 0]
+        return np.stack([1.0 * np.cos(v[..., 0]) + out, 1.0 * np.sin(v[..., 0]), found[..., 2] + 0.0 * out], axis=-1)
+
+
+def test_a_channel_that_hardly_moves_the_tool_has_a_share_of_the_usual_lever(used):
+    model, data, pose = measure(Wrist(None))
+    levers = find_own(model, data, pose, used).levers
+    assert levers[1:].min() > 200.0
+    assert levers[0] == pytest.approx(0.3 * np.median(levers))
 
 
 def test_constraints_and_channels_that_stay_do_not_err(used):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -29,7 +29,6 @@ from bayescal.numerics.units import MICROMETRE
 
 NO_ERRORS = Errors()
 N_COVERED = 60  # poses at which functions of the model error are compared with parameters
-COVERED = "free parameters, such as the channels' gains, are the same function"
 LARGEST_GRID = 3**6  # poses over the workspace, from which the readings' ranges are taken
 
 
@@ -104,7 +103,6 @@ def build_terms_of_model(
     model: ReadingModel,
     data: Measurements,
     own: OwnChannels,
-    covered: Collection[str],
     tolerances: Mapping[str, Prior],
     others: Errors = NO_ERRORS,
     few: bool | None = None,
@@ -122,8 +120,6 @@ def build_terms_of_model(
     data : Measurements
         Of all P rows.
     own : OwnChannels
-    covered : collection of str
-        Sorts of functions that free parameters are; see `find_covered`.
     tolerances : mapping of parameter to Prior
         Of what is free.
     others : Errors
@@ -139,10 +135,9 @@ def build_terms_of_model(
     if not (terms := error.terms):
         return (), ""
     missing = own.find_missing(terms, _find_costly(others))
-    if missing and list(terms) != list(TERMS):  # asked for by name
-        name, why = next(iter(missing.items()))
-        raise InputError(f"model_error: found term {name!r}, but {why}, expected other terms")
-    missing |= dict.fromkeys([name for name in terms if name in covered and name not in missing], COVERED)
+    if list(terms) != list(TERMS):  # asked for by name
+        for name, why in [(name, why) for name, why in missing.items() if not own.is_covered(name)][:1]:
+            raise InputError(f"model_error: found term {name!r}, but {why}, expected other terms")
     floors = error.floors()
     lengths = {name for name, unit in zip(model.layout.names, model.layout.units, strict=True) if unit == "mm"}
     check_floors(floors, [prior.sd for name, prior in tolerances.items() if name in lengths])
@@ -161,13 +156,25 @@ def build_terms_of_model(
     return left, f"the model error has {' and '.join(said)}" if said else ""
 
 
-def find_covered(own: OwnChannels, posterior: CalibrationPosterior, workspace: Workspace) -> set[str]:
-    """Return the sorts of functions that a variant's free parameters are, over its workspace."""
-    likelihood, start = posterior.likelihood, posterior.sampling.start
-    pose = workspace.draw(N_COVERED, np.random.default_rng(0))
-    given = {name: np.full(len(pose), np.median(value)) for name, value in likelihood.data.given.items()}
+def find_own_channels(
+    posterior: CalibrationPosterior,
+    data: Measurements,
+    pose: Array,
+    used: np.ndarray,
+    reach: Array,
+    positions: RowPositions,
+    workspace: Workspace,
+) -> OwnChannels:
+    """Return a machine's own channels, with the linear errors that the free parameters of a posterior are.
+
+    ``pose`` (P, q): where the nominal machine explains all P rows best; ``used``: which of them are for calibration.
+    """
+    model = posterior.likelihood.model
+    own = OwnChannels.find(model, data, pose, used, positions, reach)
+    start, many = posterior.sampling.start, workspace.draw(N_COVERED, np.random.default_rng(0))
+    given = {name: np.full(len(many), np.median(value)) for name, value in data.given.items()}
     with np.errstate(all="ignore"):
-        return own.find_covered(likelihood.model, posterior.sampling.jacobian(start), start, pose, given)
+        return own.cover(model, posterior.sampling.jacobian(start), start, many, given)
 
 
 def _find_costly(others: Errors) -> str:

@@ -11,7 +11,6 @@ import numpy as np
 
 from bayescal.density.calibration.likelihood import CalibrationLikelihood, CalibrationPosterior
 from bayescal.density.calibration.measurements import Measurements, RowPositions
-from bayescal.density.calibration.model_error import OwnChannels
 from bayescal.density.calibration.terms import Errors, ErrorTerm
 from bayescal.density.elimination import project_out
 from bayescal.density.posterior import Posterior
@@ -21,7 +20,7 @@ from bayescal.experiments.shared.outlook import join_outlooks, tell_outlook
 from bayescal.experiments.shared.reach import check_reach
 from bayescal.experiments.shared.readings.beside import Beside, read_beside
 from bayescal.experiments.shared.readings.columns import check_columns
-from bayescal.experiments.shared.readings.errors import build_terms, build_terms_of_model, find_covered, measure_ranges
+from bayescal.experiments.shared.readings.errors import build_terms, build_terms_of_model, find_own_channels, measure_ranges
 from bayescal.experiments.shared.readings.found_frames import find_frames, settle_unstated
 from bayescal.experiments.shared.readings.instruments import keep_files, read_instruments, read_model
 from bayescal.experiments.shared.readings.noise import build_noise, stated_noise
@@ -232,9 +231,8 @@ def _build(
             f"model_error: found terms {error.terms} beside errors by channel in [model_error], expected one"
         )
     others = replace(unplaced.errors, terms=terms)
-    own = OwnChannels.find(model, data, start, used, positions, reach)
-    covered = find_covered(own, fitted.posterior(), workspace)
-    found, missing = build_terms_of_model(error, model, data, own, covered, priors, others)
+    own = find_own_channels(fitted.posterior(), data, start, used, reach, positions, workspace)
+    found, missing = build_terms_of_model(error, model, data, own, priors, others)
     placed = replace(fitted, errors=replace(others, terms=(*terms, *found)), missing=missing)
     every = placed.list_readings(np.ones(data.n_poses, dtype=bool))
     check_reach(every, None if used.all() else placed.list_readings())
