@@ -227,10 +227,11 @@ def _find_levers(
         if good.any():
             moves = by_pose[good] @ np.linalg.pinv(own[good])
             levers = np.sqrt((moves**2).sum(axis=1).mean(axis=0))
-    moves = levers > STILL
-    levers = np.where(moves, levers / reach, OF_NOISE / noise)
-    if moves.any():
-        levers = np.where(moves, np.maximum(levers, LEAST_LEVER * np.median((levers * noise)[moves]) / noise), levers)
+    moving = levers > STILL
+    levers = np.where(moving, levers / reach, OF_NOISE / noise)
+    if moving.any():
+        least = LEAST_LEVER * np.median((levers * noise)[moving]) / noise
+        levers = np.where(moving, np.maximum(levers, least), levers)
     return np.where([unit == "mm" for unit in units], 1.0, levers)
 
 

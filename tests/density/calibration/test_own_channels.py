@@ -255,9 +255,9 @@ class Wrist(own_arm.Arm):
     """An arm whose base turns the tool about an axis that nearly goes through it."""
 
     def tool(self, parameters, v):
-        found = super().tool(parameters, v)
-        out = np.hypot(found[..., 0], found[..., 1]) + 0.0 * v[..., 0]
-        return np.stack([1.0 * np.cos(v[..., 0]) + out, 1.0 * np.sin(v[..., 0]), found[..., 2] + 0.0 * out], axis=-1)
+        x, y, z = np.moveaxis(super().tool(parameters, v), -1, 0)
+        cosine, sine = np.cos(v[..., 0]), np.sin(v[..., 0])
+        return np.stack([x * cosine + y * sine + cosine, sine + 0.0 * x, z], axis=-1)
 
 
 def test_a_channel_that_hardly_moves_the_tool_has_a_share_of_the_usual_lever(used):

@@ -20,7 +20,12 @@ from bayescal.experiments.shared.outlook import join_outlooks, tell_outlook
 from bayescal.experiments.shared.reach import check_reach
 from bayescal.experiments.shared.readings.beside import Beside, read_beside
 from bayescal.experiments.shared.readings.columns import check_columns
-from bayescal.experiments.shared.readings.errors import build_terms, build_terms_of_model, find_own_channels, measure_ranges
+from bayescal.experiments.shared.readings.errors import (
+    build_terms,
+    build_terms_of_model,
+    find_own_channels,
+    measure_ranges,
+)
 from bayescal.experiments.shared.readings.found_frames import find_frames, settle_unstated
 from bayescal.experiments.shared.readings.instruments import keep_files, read_instruments, read_model
 from bayescal.experiments.shared.readings.noise import build_noise, stated_noise
