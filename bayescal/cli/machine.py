@@ -49,11 +49,13 @@ class MachineOptions:
     trust: Trust = False
     mode: Annotated[int | None, typer.Option(min=1, help="Which of several solutions; 1 is the most probable.")] = None
 
-    def load(self, results: Path) -> CalibratedMachine:
+    def load(self, results: Path, with_instruments: bool = False) -> CalibratedMachine:
         """Return the machine; see `load_calibrated`."""
         from bayescal.experiments.shared.calibrating import load_calibrated
 
-        return load_calibrated(results, self.variant, self.experiment, self.force, mode=self.mode)
+        return load_calibrated(
+            results, self.variant, self.experiment, self.force, mode=self.mode, with_instruments=with_instruments
+        )
 
 
 @app.command(epilog="Example: bayescal export results/m2_hexapod --format urdf --out machines/m2")
@@ -287,7 +289,7 @@ def recheck(
     from bayescal.machines.readings import Legs
 
     orientation_arcsec = _choose_arcseconds(orientation_arcsec, orientation_urad)
-    calibrated = options.load(results)
+    calibrated = options.load(results, with_instruments=True)
     if calibrated.covariance is None:
         raise InputError(f"{results}: found no draws of the posterior (posterior/*.nc), expected those of a run")
     check_out(out)

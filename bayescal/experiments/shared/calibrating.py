@@ -36,7 +36,12 @@ class Calibrating(ABC):
 
     @abstractmethod
     def calibrate(
-        self, results: Results, variant: str | None, experiment: Path | None, mode: int | None
+        self,
+        results: Results,
+        variant: str | None,
+        experiment: Path | None,
+        mode: int | None,
+        with_instruments: bool = False,
     ) -> CalibratedMachine:
         """Return the machine of a variant, of the best where none is named.
 
@@ -48,6 +53,8 @@ class Calibrating(ABC):
             The config of the results, for those that do not hold the nominal machine.
         mode : int or None
             Which of several solutions, from 1.
+        with_instruments : bool
+            Whether instruments beside the machine are there as the calibration left them, by their channels.
 
         Raises
         ------
@@ -64,6 +71,7 @@ def load_calibrated(
     force: bool = False,
     trust: bool = False,
     mode: int | None = None,
+    with_instruments: bool = False,
 ) -> CalibratedMachine:
     """Return the calibrated machine of a results directory, or of one that `bayescal export` wrote.
 
@@ -80,6 +88,8 @@ def load_calibrated(
         Run the code of classes that are the machine's own, which results keep, though nobody has trusted it.
     mode : int, optional
         Which of several solutions of a posterior, from 1, the most probable one; needed where there are several.
+    with_instruments : bool
+        Take the instruments beside the machine, too, for readings of theirs; an exported machine has none.
 
     Raises
     ------
@@ -102,7 +112,8 @@ def load_calibrated(
             if mode is not None:
                 raise InputError(f"{path}: --mode: found {mode}, expected none: an exported machine is one solution")
         else:
-            found = _calibrate(path, variant, None if experiment is None else Path(experiment), mode)
+            place = None if experiment is None else Path(experiment)
+            found = _calibrate(path, variant, place, mode, with_instruments)
     if found.source.problems and not force:
         problems = "; ".join(found.source.problems)
         raise InputError(
@@ -112,7 +123,9 @@ def load_calibrated(
     return found
 
 
-def _calibrate(path: Path, variant: str | None, experiment: Path | None, mode: int | None) -> CalibratedMachine:
+def _calibrate(
+    path: Path, variant: str | None, experiment: Path | None, mode: int | None, with_instruments: bool
+) -> CalibratedMachine:
     from bayescal.experiments.frame.results import PROVENANCE_FILE, read_results
 
     name = read_json(path / PROVENANCE_FILE).get("kind")
@@ -121,7 +134,7 @@ def _calibrate(path: Path, variant: str | None, experiment: Path | None, mode: i
         raise InputError(
             f"{path}: found results of kind {name!r}, which hold no calibrated machine, expected those of a study"
         )
-    return kind.calibrate(read_results(path, kind.tables_of_machine), variant, experiment, mode)
+    return kind.calibrate(read_results(path, kind.tables_of_machine), variant, experiment, mode, with_instruments)
 
 
 # --- for those kinds -----------------------------------------------------------------------------------------------

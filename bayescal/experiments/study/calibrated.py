@@ -30,8 +30,9 @@ from bayescal.experiments.frame.results import Results, Writer
 from bayescal.experiments.shared.calibrating import KEPT
 from bayescal.experiments.shared.headline import choose_best
 from bayescal.experiments.shared.origin import name_origin
+from bayescal.experiments.shared.readings.found_frames import FoundFrames, list_unstated, settle_unstated
 from bayescal.experiments.shared.readings.inputs import Variant
-from bayescal.experiments.shared.readings.instruments import leave_instruments, read_model
+from bayescal.experiments.shared.readings.instruments import leave_instruments, read_instruments, read_model
 from bayescal.experiments.shared.readings.measurement import state_noise
 from bayescal.experiments.shared.readings.noise import group_channels, noise_of_channels
 from bayescal.experiments.shared.readings.priors import choose_priors
@@ -41,7 +42,7 @@ from bayescal.experiments.shared.trees import read_draws, read_functions
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.files.csv_tables import format_table, read_table
 from bayescal.machines.read import list_machine_sources
-from bayescal.machines.readings import Legs, ReadingModel, legs_of
+from bayescal.machines.readings import Legs, ReadingModel, legs_of, place
 from bayescal.numerics.geometry import Array
 
 COMMANDS = "commands.csv"
@@ -141,7 +142,12 @@ def _relate(variant: Variant, channel: str) -> dict[str, float]:
 
 
 def calibrate_machine(
-    results: Results, config: StudyConfig, variant: str | None, experiment: Path | None, mode: int | None
+    results: Results,
+    config: StudyConfig,
+    variant: str | None,
+    experiment: Path | None,
+    mode: int | None,
+    with_instruments: bool = False,
 ) -> CalibratedMachine:
     """Return the machine of a variant of a study's results; see `Calibrating.calibrate`."""
     assert results.folder is not None
@@ -173,7 +179,10 @@ def calibrate_machine(
         model = read_model(config, chosen, path, folder)
         if (kept / MATRIX_COVARIANCE).is_file():
             covariance = read_matrix_covariance(kept / MATRIX_COVARIANCE, len(model.commanded))
-    config, chosen = leave_instruments(state_noise(config), chosen, model)
+    if with_instruments and config.instruments:
+        config, chosen, model = _keep_instruments(results, config, chosen, model, folder)
+    else:
+        config, chosen = leave_instruments(state_noise(config), chosen, model)
     fit = results.summary["variants"][chosen.name]
     theta, draws = _read_posterior(results, config, chosen, model, solution)
     commands, given = _read_commands(kept, chosen.name, model)
@@ -205,6 +214,19 @@ def calibrate_machine(
         {one: (path.parent / one).read_bytes() for one in own},
     )
     return replace(found, noise=noise, functions=_change(functions, found))
+
+
+def _keep_instruments(
+    results: Results, config: StudyConfig, variant: VariantConfig, model: ReadingModel, folder: Path
+) -> tuple[StudyConfig, VariantConfig, ReadingModel]:
+    """Return config, variant and machine with the instruments beside it, all that was found from the data free."""
+    for section in config.instruments.values():
+        if section.kind not in list_references("INSTRUMENTS"):
+            check_same(folder, list_sources("INSTRUMENTS", section.kind, folder), results.hashes)
+    instruments = read_instruments(config.instruments, folder)
+    placed = place(model, {name: settle_unstated(one) for name, one in instruments.items()})
+    config = FoundFrames(instruments, list_unstated(instruments)).free(config)
+    return config, next(one for one in config.variants if one.name == variant.name), placed
 
 
 @dataclass(frozen=True)

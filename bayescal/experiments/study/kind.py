@@ -104,13 +104,18 @@ class Study(MachineExperiment[StudyConfig, StudyInputs], Measuring, Calibrating)
         return inputs.measure([one.name for one in config.variants if one.name in names], with_model_error)
 
     def calibrate(
-        self, results: Results, variant: str | None, experiment: Path | None, mode: int | None
+        self,
+        results: Results,
+        variant: str | None,
+        experiment: Path | None,
+        mode: int | None,
+        with_instruments: bool = False,
     ) -> CalibratedMachine:
         """Return the machine of a variant of the study."""
         config = self.config_of(results) if experiment is None else load_same(results, experiment, self.schema)
         from bayescal.experiments.study.calibrated import calibrate_machine
 
-        return calibrate_machine(results, config, variant, experiment, mode)
+        return calibrate_machine(results, config, variant, experiment, mode, with_instruments)
 
     def show_comparison(self, table: pd.DataFrame, console: Console) -> None:
         """Print variants of several studies ranked together."""

@@ -110,15 +110,10 @@ def find_frames(
     """
     if not instruments:
         return FoundFrames(instruments)
-    unstated = {name: one.unstated for name, one in instruments.items()}
+    unstated, wide = {name: one.unstated for name, one in instruments.items()}, list_unstated(instruments)
     zero = {name: settle_unstated(one) for name, one in instruments.items()}
     placed = place(machine, zero)
     assert isinstance(placed, Placed)
-    wide = {
-        symbol: placed.layout.block(symbol).unit
-        for name, some in unstated.items()
-        for symbol in (f"{name}_{one}" if name else one for one in some)
-    }
     for symbol in wide:
         if isinstance(config.parameters.get(symbol), FixedConfig):
             raise InputError(f"parameters.{symbol}: found it fixed, expected its value in [instruments]")
@@ -144,6 +139,16 @@ def find_frames(
             names = placed.layout.names[search.start_of(k) : search.start_of(k) + one.layout.size]
             begin |= {own: float(v) for own, v, free in zip(names, fit.values, fit.free, strict=True) if free}
     return FoundFrames(values, wide, begin, "; ".join(told))
+
+
+def list_unstated(instruments: Mapping[str, Instrument]) -> dict[str, str]:
+    """Return the units of what nobody states, by symbol."""
+    return {
+        f"{name}_{block.symbol}" if name else block.symbol: block.unit
+        for name, one in instruments.items()
+        for block in (one.parameters if one.unstated else ())
+        if block.symbol in one.unstated
+    }
 
 
 def settle_unstated(instrument: Instrument) -> Instrument:

@@ -80,7 +80,7 @@ def read_model(
 
 
 def _list_seen(config: StudyConfig, folder: Path) -> list[Path]:
-    """Return what variants see a mechanism by besides its file: K, and classes of one's own."""
+    """Return what machines are seen by besides their files: K, and classes of one's own, instruments' among them."""
     seen = [one for one in config.variants if one.model is not None]
     files = [
         folder / file
@@ -88,6 +88,8 @@ def _list_seen(config: StudyConfig, folder: Path) -> list[Path]:
         for what, name in zip(("MODELS", "DEFORMATIONS"), one.seen, strict=True)
         for file in list_sources(what, name, folder)
     ]
+    for one in config.instruments.values():
+        files += [folder / file for file in list_sources("INSTRUMENTS", one.kind, folder)]
     if config.deformation.matrix != "targets" and any(one.deformation == "matrix" for one in seen):
         files.append(folder / config.deformation.matrix)
     return list(dict.fromkeys(files))
