@@ -4,9 +4,11 @@ from typing import Final
 
 # what a posterior has to reach to count as converged
 RHAT_LIMIT = 1.01
-ESS_BULK_LIMIT = 1000.0
+ESS_BULK_LIMIT = 400.0
 ESS_TAIL_LIMIT = 400.0
 PARETO_K_LIMIT = 0.7
+ESS_BULK_WANTED = 1000.0
+"""Bulk effective sample size below which means are said to be rough: to more than 3 % of a standard deviation."""
 MOVED_LIMIT = 0.5
 """Smallest share of effective draws among those moved to the exact density."""
 ALIKE_LIMIT = 0.9

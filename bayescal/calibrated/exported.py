@@ -33,6 +33,7 @@ from bayescal.machines.mechanism import ExternalLoad, Mechanism
 from bayescal.machines.read import LEGS, build_named_machine, list_machine_sources, load_mechanism, read_reading_model
 from bayescal.machines.readings import Legs, ReadingModel
 from bayescal.numerics.geometry import Array
+from bayescal.numerics.units import units_like
 
 CALIBRATED, MECHANISM, MATRIX = "calibrated.toml", "mechanism.toml", "deformation_matrix.csv"
 PARAMETERS, COVARIANCE, DRAWS, MEASURED = "parameters.csv", "covariance.csv", "draws.nc", "measured.csv"
@@ -77,6 +78,7 @@ class ExportedConfig(Section):
     sha256: list[str] = Field(default=[])
     parameters: InputFile | None = None
     workspace: dict[str, Annotated[list[Number], Field(min_length=2, max_length=2)]] = Field(default={})
+    units: dict[str, str] = Field(default={})
     covariance: InputFile | None = None
     draws: InputFile | None = None
     functions: InputFile | None = None
@@ -132,6 +134,7 @@ def _format_calibrated(calibrated: CalibratedMachine, machine: Mapping[str, Any]
     content = {
         "kind": "calibrated_machine",
         **machine,
+        **({"units": dict(calibrated.units)} if calibrated.units else {}),
         **{key: name for key, name in beside.items() if getattr(calibrated, key) is not None},
         "source": {key: value for key, value in vars(source).items() if value != ""},
         "errors": {
@@ -271,7 +274,16 @@ def read_exported(folder: Path) -> CalibratedMachine:
         config.machine or "",
         {name: (folder / name).read_bytes() for name in kept},
         functions=None if config.functions is None else _read_functions(folder / config.functions, names),
+        units=_read_units(config.units, path, model),
     )
+
+
+def _read_units(units: Mapping[str, str], path: Path, model: ReadingModel) -> Mapping[str, str]:
+    known = {one.name: units_like(one.unit) for one in model.channels}
+    for name, unit in units.items():
+        if unit not in known.get(name, ()):
+            raise InputError(f"{path}: units: found {unit!r} of {name!r}, expected a unit of one of {', '.join(known)}")
+    return units
 
 
 def _read_legs(config: ExportedConfig, folder: Path) -> Legs:

@@ -258,6 +258,8 @@ class CalibratedMachine:
         Of each channel as the calibration found it; NaN where that is not known. None where nothing is.
     functions : KnownFunctions or None
         What is known of errors that are functions of the pose, together with the uncertain parameters.
+    units : mapping of str to str
+        Units that channels have in the data's tables, by name, where these are not their own; tables are written so.
 
     Examples
     --------
@@ -279,6 +281,7 @@ class CalibratedMachine:
     files: Mapping[str, bytes] = field(default_factory=dict)
     noise: Array | None = None
     functions: KnownFunctions | None = None
+    units: Mapping[str, str] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         known = 0 if self.covariance is None else len(self.free)
@@ -335,6 +338,14 @@ class CalibratedMachine:
     def names(self) -> tuple[str, ...]:
         """Names of the uncertain parameters."""
         return tuple(self.model.layout.names[k] for k in self.free)
+
+    @cached_property
+    def usual_units(self) -> Mapping[str, str]:
+        """Units of tables by inner ones: that of all channels of a kind, where they have the same one."""
+        found = dict[str, set[str]]()
+        for one in self.model.channels:
+            found.setdefault(one.unit, set()).add(self.units.get(one.name, one.unit))
+        return {unit: next(iter(shown)) for unit, shown in found.items() if len(shown) == 1}
 
     def typical(self, n: int) -> dict[str, Array]:
         """Return what a pose has to know besides, n times the median of the poses that calibrated it.

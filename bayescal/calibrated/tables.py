@@ -30,6 +30,9 @@ TOOL = "tool_"
 FINE = {"mm": ("um", 1e3), "rad": ("urad", 1e6)}
 """Units of standard deviations and covariances in files, and how many of them make an inner one."""
 TURNED = ("rx", "ry", "rz")
+TOGETHER = 1e-3
+"""Share of the tool's way over the workspace by which it may be off from where coordinates have it: a predicted tool is
+a mean over the posterior."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,23 +127,40 @@ def read_commanded(path: Path, calibrated: CalibratedMachine) -> Commanded:
     of_tool, _ = name_covariances([f"{TOOL}{one.stem}" for one in model.tool_channels])
     sds = [*(f"sd_{one}" for one in pose), *_name_sd(model.pose_channels)]
     others = ("use", *sds, *upper, *lower, *of_tool, *list_columns(calibrated.command_channels))
-    expected = [name_column(one) for one in model.pose_channels]
-    expected += [f"or {', '.join(TOOL + name_column(one) for one in model.tool_channels)}"] if tool else []
+    expected = [name_column(calibrated, one) for one in model.pose_channels]
+    expected += [f"or {', '.join(TOOL + name_column(calibrated, one) for one in model.tool_channels)}"] if tool else []
     table, names = read_named(path, [*pose, *tool, *model.given, *others], [*expected, *model.given])
     by_tool = any(name in tool for name in table.columns)
-    if by_tool and any(name in pose for name in table.columns):
-        first, second = (next(name for name in table.columns if name in some) for some in (tool, pose))
-        raise InputError(f"{path}: found columns {first!r} and {second!r}, expected the tool's or the coordinates")
+    if by_tool and any(name in pose for name in table.columns):  # as predictions are written
+        by_tool = False
+        check_both(calibrated, table)
     wanted = model.tool_channels if by_tool else model.pose_channels
     values = read_quantities(table, wanted, TOOL if by_tool else "")
     return Commanded(table, names, values, read_given(table, model.given), not by_tool)
+
+
+def check_both(calibrated: CalibratedMachine, table: Table) -> None:
+    """Raise InputError for a table of tools and coordinates that the machine does not have at the same pose."""
+    model = calibrated.model
+    pose, tool = read_quantities(table, model.pose_channels), read_quantities(table, model.tool_channels, TOOL)
+    with np.errstate(all="ignore"):
+        own, by_pose, _ = model.tool(calibrated.theta, pose)
+        off = np.abs(calibrated.comparison.subtract(tool, own))
+        least = TOGETHER * np.abs(by_pose * model.pose_scale).sum(axis=-1)
+    for k, m in np.argwhere(~(off <= least))[:1]:
+        one = model.tool_channels[m]
+        unit, size = show_unit(calibrated, one)
+        raise InputError(
+            f"{table.where(int(k))}: {TOOL}{name_column(calibrated, one)}: found {tool[k, m] / size:.6g} where the "
+            f"coordinates have it at {own[k, m] / size:.6g} {unit}, expected the same pose, or one of both alone"
+        )
 
 
 def read_commands(path: Path, calibrated: CalibratedMachine) -> tuple[tuple[str, ...], Array, dict[str, Array]]:
     """Return names (P), commands (P, C) in the channels' units and what is given; InputError where out of range."""
     model, channels = calibrated.model, calibrated.command_channels
     others = ("use", REACHED, *_name_sd(channels))
-    expected = [name_column(one) for one in channels]
+    expected = [name_column(calibrated, one) for one in channels]
     table, names = read_named(path, [*list_columns(channels), *model.given, *others], [*expected, *model.given])
     commands = read_quantities(table, channels)
     with name_faults(path):
@@ -184,17 +204,17 @@ def format_command(
     """Return commands as CSV text, with standard deviations, and which poses are out of reach."""
     channels = calibrated.command_channels
     sd = np.full(command.commands.shape, np.nan) if command.sd is None else command.sd * _fine(channels)
-    known = _list_given(given, len(names))
+    known, shown = _list_given(given, len(names)), show_values(calibrated, command.commands, channels)
     rows = [
         (name, fault or "yes", *own, *_format_cells(value, ".9f", fault), *_format_cells(spread, ".6g", fault))
-        for name, fault, own, value, spread in zip(names, command.faults, known, command.commands, sd, strict=True)
+        for name, fault, own, value, spread in zip(names, command.faults, known, shown, sd, strict=True)
     ]
     comments = [
         *calibrated.source.describe(),
         "Commands that hold the poses: posterior mean, and standard deviation (sd) by geometry, model error and noise",
         "of the actuators' readings.",
     ]
-    columns = ["pose", REACHED, *given, *(name_column(one) for one in channels), *_name_sd(channels)]
+    columns = ["pose", REACHED, *given, *(name_column(calibrated, one) for one in channels), *_name_sd(channels)]
     return format_table(comments, columns, rows)
 
 
@@ -208,11 +228,13 @@ def format_prediction(
     model, whole = calibrated.model, is_pose(calibrated)
     tool, pose = model.tool_channels, model.pose_channels
     prefix = "" if whole else TOOL
-    columns = ["pose", *given, *(prefix + name_column(one) for one in tool), *(() if whole else map(name_column, pose))]
+    columns = ["pose", *given, *(prefix + name_column(calibrated, one) for one in tool)]
+    columns += [] if whole else [name_column(calibrated, one) for one in pose]
     values = np.concatenate([prediction.tool, prediction.pose], axis=1)[:, : len(columns) - 1 - len(given)]
     known = _list_given(given, len(names))
     rows: list[list[str]] = [
-        [name, *own, *_format_values(row, [*tool, *pose])] for name, own, row in zip(names, known, values, strict=True)
+        [name, *own, *_format_values(calibrated, row, [*tool, *pose])]
+        for name, own, row in zip(names, known, values, strict=True)
     ]
     if prediction.covariance is not None and prediction.pose_covariance is not None:
         columns += name_covariances([f"{prefix}{one.stem}" for one in tool])[0]
@@ -249,14 +271,28 @@ def format_draws(calibrated: CalibratedMachine, names: Sequence[str], tools: Arr
     channels, prefix = calibrated.model.tool_channels, "" if is_pose(calibrated) else TOOL
     rows: list[tuple[object, ...]] = []
     for draw, some in enumerate(tools, start=1):
-        rows += [(name, draw, *_format_values(row, channels)) for name, row in zip(names, some, strict=True)]
+        rows += [
+            (name, draw, *_format_values(calibrated, row, channels)) for name, row in zip(names, some, strict=True)
+        ]
     comments = [*calibrated.source.describe(), "Poses by draws of the posterior; rotation vectors in degrees."]
-    return format_table(comments, ["pose", "draw", *(prefix + name_column(one) for one in channels)], rows)
+    return format_table(comments, ["pose", "draw", *(prefix + name_column(calibrated, one) for one in channels)], rows)
 
 
-def name_column(channel: Channel) -> str:
-    """Return the column that a quantity is written to: a rotation vector in degrees, all else in its own unit."""
-    return f"{channel.stem}_{'deg' if channel.rotation else channel.unit}"
+def show_unit(calibrated: CalibratedMachine, channel: Channel) -> tuple[str, float]:
+    """Return the unit that a quantity is written in, and its size: the data's, and degrees of a rotation vector."""
+    usual = calibrated.units.get(channel.name, calibrated.usual_units.get(channel.unit, channel.unit))
+    unit = "deg" if channel.rotation else usual
+    return unit, units_like(channel.unit)[unit]
+
+
+def show_values(calibrated: CalibratedMachine, values: Array, channels: Sequence[Channel]) -> Array:
+    """Return values (..., n) of quantities in the units that they are written in."""
+    return values / [show_unit(calibrated, one)[1] for one in channels]
+
+
+def name_column(calibrated: CalibratedMachine, channel: Channel) -> str:
+    """Return the column that a quantity is written to."""
+    return f"{channel.stem}_{show_unit(calibrated, channel)[0]}"
 
 
 def _name_sd(channels: Sequence[Channel]) -> list[str]:
@@ -268,9 +304,9 @@ def _fine(channels: Sequence[Channel]) -> Array:
     return np.array([FINE.get(one.unit, ("", 1.0))[1] for one in channels])
 
 
-def _format_values(values: Array, channels: Sequence[Channel]) -> list[str]:
-    pairs = zip(values, channels, strict=False)
-    return [f"{np.degrees(x):.10f}" if one.rotation else f"{x:.9f}" for x, one in pairs]
+def _format_values(calibrated: CalibratedMachine, values: Array, channels: Sequence[Channel]) -> list[str]:
+    shown = show_values(calibrated, values, channels[: len(values)])
+    return [f"{x:.10f}" if one.rotation else f"{x:.9f}" for x, one in zip(shown, channels, strict=False)]
 
 
 def _format_cells(values: Array, digits: str, fault: str) -> list[str]:

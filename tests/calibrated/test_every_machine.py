@@ -31,6 +31,7 @@ from bayescal.calibrated.machine import (
     build_calibrated,
 )
 from bayescal.calibrated.predict import bound_workspace, command_poses, draw_poses, is_pose, predict_poses
+from bayescal.calibrated.tables import format_command, format_prediction, read_commanded, read_commands
 from bayescal.errors import InputError
 from bayescal.experiments.shared.certificate import Wishes, build_certificate, certify, state_headline
 from bayescal.machines.deformations import NoDeformation
@@ -127,6 +128,40 @@ def test_commands_of_predicted_poses_are_those_given(machine):
         np.testing.assert_allclose(by_tool.commands / size, commands / size, rtol=0, atol=2e-6)
 
 
+@pytest.mark.parametrize("unit", ["own", "data's"])
+def test_a_predicted_table_is_one_of_poses_to_command(machine, tmp_path, unit):
+    """The table that predict writes leads back to the commands, in the units of the data's tables."""
+    if unit != "own":
+        shown = {"rad": "deg", "mm": "um"}
+        machine = replace(machine, units={one.name: shown[one.unit] for one in machine.command_channels})
+    commands, given = visit(machine, 6)
+    names, found = [f"P{k}" for k in range(len(commands))], predict_poses(machine, commands, given)
+    table, answer = tmp_path / "poses.csv", tmp_path / "commands.csv"
+    table.write_text(format_prediction(machine, names, found, given))
+    wanted = read_commanded(table, machine)
+    again = command_poses(machine, wanted.poses, wanted.given, wanted.coordinates)
+    answer.write_text(format_command(machine, wanted.names, again, wanted.given))
+    ends = {"own": ("_mm", "_rad"), "data's": ("_um", "_deg")}[unit]
+    for one in machine.command_channels:
+        assert f"{one.stem}{ends[one.unit == 'rad']}" in answer.read_text().splitlines()[4].split(",")
+    assert read_commands(answer, machine)[0] == tuple(names)
+    size = 1.0 + np.abs(commands)
+    np.testing.assert_allclose(read_commands(answer, machine)[1] / size, commands / size, rtol=0, atol=3e-6)
+
+
+def test_a_table_of_two_poses_at_once_is_refused(machine, tmp_path):
+    if is_pose(machine):
+        pytest.skip("its tool is its coordinates")
+    commands, given = visit(machine, 3)
+    found = predict_poses(machine, commands, given)
+    tool = found.tool.copy()
+    tool[1, 0] += 0.2 * np.ptp(tool[:, 0]) + 20.0
+    table = tmp_path / "poses.csv"
+    table.write_text(format_prediction(machine, ["A", "B", "C"], replace(found, tool=tool), given))
+    with pytest.raises(InputError, match=r"line \d+: tool_.*expected the same pose"):
+        read_commanded(table, machine)
+
+
 def test_covariances_are_those_of_drawn_machines(machine):
     """Simulated machines, each with errors of its own: 600 draws tell a standard deviation to 2.9 %."""
     commands, given = visit(machine, 3)
@@ -163,8 +198,13 @@ def _exact(machine: CalibratedMachine) -> CalibratedMachine:
 
 
 def test_exported_and_read_again_predicts_alike(machine, tmp_path):
+    machine = replace(
+        machine,
+        units=dict.fromkeys(machine.model.commanded, "um" if machine.command_channels[0].unit == "mm" else "deg"),
+    )
     written = export_machine(machine, tmp_path / "out")
     again = read_exported(tmp_path / "out")
+    assert again.units == machine.units
     assert {path.suffix for path in written} >= {".toml", ".csv", ".nc"}
     assert (again.source, again.names) == (machine.source, machine.names)
     np.testing.assert_array_equal(again.draws, machine.draws)

@@ -24,7 +24,7 @@ from bayescal.calibrated.recheck.statistics import (
     say_shift,
     say_size,
 )
-from bayescal.calibrated.tables import name_column, read_commands
+from bayescal.calibrated.tables import name_column, read_commands, show_values
 from bayescal.data.actuators import check_range
 from bayescal.data.instruments.read_poses import (
     DEVIATIONS,
@@ -352,12 +352,13 @@ def format_plan(calibrated: CalibratedMachine, plan: RecheckPlan, title: str) ->
     else:
         how = ["Read the channels at each, as in the data of the calibration;", back]
     comments = [*calibrated.source.describe(), title, *how]
-    columns = ["pose", "use", *plan.given, *map(name_column, channels)]
-    turned = np.array([180.0 / np.pi if one.rotation else 1.0 for one in channels])
+    columns = ["pose", "use", *plan.given, *(name_column(calibrated, one) for one in channels)]
     known = list(zip(*plan.given.values(), strict=True)) or [()] * len(plan.commands)
     rows = [
         (f"R{k:02d}", "calibration", *map(repr, map(float, own)), *(f"{x:.6f}" for x in one))
-        for k, (own, one) in enumerate(zip(known, plan.commands * turned, strict=True), start=1)
+        for k, (own, one) in enumerate(
+            zip(known, show_values(calibrated, plan.commands, channels), strict=True), start=1
+        )
     ]
     return format_table(comments, columns, rows)
 

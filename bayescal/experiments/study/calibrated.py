@@ -191,13 +191,14 @@ def calibrate_machine(
     problems = () if fit["converged"] else tuple(str(fit["problems"] or "not converged").split("; "))
     source = Source(config.name, chosen.name, name_origin(config.origin.model_dump()), problems, solution.say())
     functions = _read_functions(results, chosen.name, solution)
+    units = {name: unit for name, unit in results.summary.get("units", {}).items() if name in model.names}
     if isinstance(model, Legs):  # a mechanism on legs is one whatever calibrated it
         machine, size = model.machine, model.machine.layout.size
         covariance = covariance if machine.deformation.uses_matrix else None
         by_legs = LegErrors(errors.noise, errors.model_variance, machine, theta[:size], covariance)
         some = None if draws is None else draws[:, :size]
         legs = build_calibrated(Legs(machine), theta[:size], some, by_legs, source, commands)
-        legs = replace(legs, functions=_change(functions, legs))
+        legs = replace(legs, functions=_change(functions, legs), units=units)
         return replace(legs, noise=noise[model.select(legs.model.names)]) if np.isfinite(noise).any() else legs
     workspace = build_workspace(model, config.workspace, config.units)
     own = [path.name, *list_machine_sources(path)]
@@ -213,7 +214,7 @@ def calibrate_machine(
         path.name,
         {one: (path.parent / one).read_bytes() for one in own},
     )
-    return replace(found, noise=noise, functions=_change(functions, found))
+    return replace(found, noise=noise, functions=_change(functions, found), units=units)
 
 
 def _keep_instruments(

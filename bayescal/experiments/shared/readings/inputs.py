@@ -123,6 +123,7 @@ class ReadingInputs:
     unused: str = ""  # which columns of the tables no variant takes in, in a line; empty where it takes in all
     # which terms of the model error there cannot be, by variant, in a line; empty where there are all
     missing: str = ""
+    units: Mapping[str, str] = field(default_factory=dict)  # of columns, by channel, where they are not the channel's
     found: str = ""  # values of instruments that were found from the data, in a line
     seen: SeenLegs | None = None  # what an instrument measured of a platform on legs, where it is no table of readings
 
@@ -171,8 +172,21 @@ def read_inputs(config: StudyConfig, folder: Path, only: Collection[str] | None 
     unused = readings.tell_unused({name for one in variants.values() for name in one.model.names})
     missing = join_outlooks({name: one.missing for name, one in variants.items() if one.missing})
     name = getattr(model, "name", config.machine)
-    said = unused, "; ".join(missing), found.told
-    return ReadingInputs(config, name, variants, beside, *keep_files(config, folder), *said, seen)
+    units = readings.list_units(model.channels)
+    kept, place_of_config = keep_files(config, folder)
+    return ReadingInputs(
+        config,
+        name,
+        variants,
+        beside,
+        kept,
+        place_of_config,
+        unused=unused,
+        missing="; ".join(missing),
+        units=units,
+        found=found.told,
+        seen=seen,
+    )
 
 
 def _build(

@@ -42,6 +42,12 @@ class PoseReadings:
     given: dict[str, Array] = field(default_factory=dict)  # (P,): NaN where it is not known
     columns: list[tuple[str, str, str]] = field(default_factory=list)  # where the channels' readings come from
 
+    def list_units(self, channels: Sequence[Channel]) -> dict[str, str]:
+        """Return the units that columns have by channel, of those in another one than the channel's own."""
+        known = {one.name: one for one in channels}
+        found = {name: column.removeprefix(f"{known[name].stem}_") for name, column, _ in self.columns}
+        return {name: unit for name, unit in found.items() if unit != known[name].unit}
+
     def tell_unused(self, taken: Collection[str]) -> str:
         """Return in a line which columns are of other channels than those taken in; nothing where there are none."""
         files: dict[str, list[str]] = {}

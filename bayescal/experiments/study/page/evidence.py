@@ -20,8 +20,16 @@ from matplotlib.ticker import FuncFormatter, NullFormatter
 from bayescal.experiments.study.page.results import VARIANT, StudyResults
 from bayescal.experiments.study.page.soundness import list_failures, measure_gap
 from bayescal.experiments.study.page.styles import Styles, add_legend, assign_styles
-from bayescal.limits import AGREEMENT, ESS_BULK_LIMIT, ESS_TAIL_LIMIT, MOVED_LIMIT, PARETO_K_LIMIT, RHAT_LIMIT
-from bayescal.report.blocks import Block, Cell, Column, Figure, Fold, Section, Statement, Table, make_table
+from bayescal.limits import (
+    AGREEMENT,
+    ESS_BULK_LIMIT,
+    ESS_BULK_WANTED,
+    ESS_TAIL_LIMIT,
+    MOVED_LIMIT,
+    PARETO_K_LIMIT,
+    RHAT_LIMIT,
+)
+from bayescal.report.blocks import Block, Cell, Column, Figure, Fold, Level, Section, Statement, Table, make_table
 from bayescal.report.numbers import NOTHING, count_decimals, format_estimate, format_fixed, format_plain, join_words
 from bayescal.report.style import GREY, LEG_COLOURS, PALE, RED
 from bayescal.report.symbols import split_name
@@ -138,6 +146,13 @@ def _describe_correction(fit: Mapping[str, Any]) -> Row:
     return list(zip(columns, (shift, _limited(100 * efficiency, fine, 0)), strict=True))
 
 
+def rate_bulk(bulk: float) -> Level:
+    """Return how good a bulk effective sample size is."""
+    if not bulk > ESS_BULK_LIMIT:
+        return "bad"
+    return "plain" if bulk >= ESS_BULK_WANTED else "warning"
+
+
 def _limited(value: float, fine: bool, decimals: int) -> Cell:
     return Cell(format_fixed(value, decimals), "plain" if fine else "bad")
 
@@ -153,7 +168,7 @@ def _tabulate_diagnostics(study: StudyResults) -> Table:
         )
         row: Row = [
             (Column("R-hat", f"limit {RHAT_LIMIT}"), _limited(fit["rhat_max"], fit["rhat_max"] < RHAT_LIMIT, 4)),
-            (bulk_column, _limited(bulk, bulk > ESS_BULK_LIMIT, 0)),
+            (bulk_column, Cell(format_fixed(bulk, 0), rate_bulk(bulk))),
             (tail_column, _limited(tail, tail > ESS_TAIL_LIMIT, 0)),
         ]
         if "acceptance" in fit:

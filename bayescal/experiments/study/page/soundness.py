@@ -15,7 +15,7 @@ from bayescal.experiments.shared.slips import state_slip
 from bayescal.experiments.shared.soundness import ChiSquare, format_chance
 from bayescal.experiments.study.page.results import NOISE, StudyResults, get_number
 from bayescal.experiments.study.page.solutions import state_solutions
-from bayescal.limits import AGREEMENT, ESS_BULK_LIMIT, RHAT_LIMIT
+from bayescal.limits import AGREEMENT, ESS_BULK_LIMIT, ESS_BULK_WANTED, RHAT_LIMIT
 from bayescal.report.blocks import Level, Statement
 from bayescal.report.numbers import format_fixed, format_percent, format_significant, join_words
 
@@ -276,6 +276,9 @@ def state_convergence(study: StudyResults) -> list[Statement]:
         f"at least {format_fixed(bulk, 0)} (limit {format_fixed(ESS_BULK_LIMIT, 0)}). Both evidence estimators agree "
         f"to {format_fixed(gap, 3)} nat or better (limit {AGREEMENT})."
     )
+    if bulk < ESS_BULK_WANTED:
+        rough = f"Means are known to {format_significant(100.0 / math.sqrt(bulk), 2)} % of a standard deviation; more"
+        return [Statement(f"{text} {rough} steps of [sampler] make them surer.", "warning", "Checks")]
     if has_warnings(study):
         caveat = "That follows from what was stated of noise and tolerances; what speaks against it is said above."
         return [Statement(f"{text} {caveat}", "plain", "Checks")]
