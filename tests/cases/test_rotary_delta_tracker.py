@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 import re
+import shutil
+import sys
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
+from bayescal import cli
+from bayescal.calibrated.predict import predict_poses
 from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load
+from bayescal.experiments.shared.calibrating import load_calibrated
 from bayescal.experiments.shared.readings.inputs import read_inputs
 from bayescal.experiments.shared.slip_search import find_slip
 
+HERE = Path(__file__).parent / "rotary_delta_tracker"
 FRAME_MM = np.array([2310.8, -1479.4, 654.8])  # as stated, within a few mm and tenths of a degree of the truth
 FRAME = np.radians([-4.48, -0.18, 112.04])
 
@@ -122,3 +129,72 @@ def test_another_kind_of_experiment_needs_the_frame(study, call, tmp_path):
     code, _, error = call("simulate", study.parent / "simulate.toml", "--out", tmp_path / "out")
     assert (code, error.count("\n")) == (2, 1), error
     assert "frame_r" in error
+
+
+SMALL = """
+[sampler]
+walkers = 64
+burn_in = 10
+steps = 20
+
+[evidence]
+draws = 1000
+max_draws = 1000
+"""
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """The study of the variant with everything free, its frame found: its folder, and its results."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setenv("BAYESCAL_TRUST", "1")
+        folder = tmp_path_factory.mktemp("run")
+        study = Path(shutil.copytree(HERE, folder / "case")) / "study.toml"
+        edit(study, *forget("frame_mm", "frame_deg"), (r"(?s)\[\[variants\]\]\nname = \"no_tilt\".*", SMALL))
+        patched.setattr(sys, "argv", ["bayescal", "run", str(study), "--out", str(folder / "out"), "--workers", "1"])
+        with pytest.raises(SystemExit):
+            cli.main()
+        return load_calibrated(folder / "out", force=True), folder / "out"
+
+
+@pytest.mark.runs
+def test_intervals_of_a_found_frame_are_honest(run):
+    calibrated, _ = run
+    fresh = pd.read_csv(HERE / "data" / "fresh_true.csv", comment="#")
+    commands = np.radians(fresh[[f"theta_{k}_deg" for k in (1, 2, 3)]].to_numpy())
+    found = predict_poses(calibrated, commands)
+    off = (found.tool - fresh[["true_x_mm", "true_y_mm", "true_z_mm"]].to_numpy()) / found.sd
+    assert np.mean(np.abs(off) < 1.645) > 0.8
+    assert np.sqrt(np.mean(off**2)) > 0.2  # nor wider than they need be, though errors of a frame are common to all
+
+
+def write_session(calibrated, path, rng, shift_arcsec, symbol="theta0[2]"):
+    """Write ten poses that a draw of the posterior reads, one of its parameters shifted."""
+    model, theta = calibrated.model, calibrated.theta.copy()
+    theta[calibrated.free] = calibrated.draws[int(rng.integers(len(calibrated.draws)))]
+    theta[model.layout.names.index(symbol)] += shift_arcsec * np.pi / 180.0 / 3600.0
+    pose = np.column_stack([rng.uniform(-180.0, 180.0, (10, 2)), rng.uniform(-800.0, -640.0, 10)])
+    values = model.read(theta, pose) + rng.standard_normal((10, 6)) * ([np.radians(0.003)] * 3 + [0.015] * 3)
+    columns = [*(f"theta_{k}_deg" for k in (1, 2, 3)), *(f"tracker_{axis}_mm" for axis in "xyz")]
+    rows = pd.DataFrame(values * ([np.degrees(1.0)] * 3 + [1.0] * 3), columns=columns)
+    rows.insert(0, "pose", [f"S{k}" for k in range(10)])
+    rows.to_csv(path, index=False)
+
+
+@pytest.mark.runs
+def test_a_recheck_reads_the_instrument(run, call, tmp_path, rng):
+    _, out = run
+    calibrated = load_calibrated(out, force=True, with_instruments=True)
+    assert "tracker[x]" in calibrated.model.names
+    assert "tracker_frame[1]" in calibrated.names
+    write_session(calibrated, tmp_path / "moved.csv", rng, 103.0)
+    write_session(calibrated, tmp_path / "same.csv", rng, 0.0)
+    asked = ("recheck", out, "--force", "--sessions", 1, "--shift-of", "theta0", "--measured")
+    code, said, error = call(*asked, tmp_path / "moved.csv")
+    assert code == 0, error
+    size, sd = map(float, re.search(r"theta0\[2\] shifted by ([+-][\d.]+) ± ([\d.]+) arcsec", said).groups())
+    assert abs(size - 103.0) < 3.5 * sd < 100.0
+    assert "holds" in call(*asked, tmp_path / "same.csv")[1]
+    code, plan, error = call("recheck", out, "--force", "--shift-of", "theta0", "--shift-arcsec", 100)
+    assert code == 0, error
+    assert "theta_1_deg" in plan  # as the data have it

@@ -191,7 +191,7 @@ def calibrate_machine(
     problems = () if fit["converged"] else tuple(str(fit["problems"] or "not converged").split("; "))
     source = Source(config.name, chosen.name, name_origin(config.origin.model_dump()), problems, solution.say())
     functions = _read_functions(results, chosen.name, solution)
-    units = {name: unit for name, unit in results.summary.get("units", {}).items() if name in model.names}
+    units = {name: unit for name, unit in results.summary.get("column_units", {}).items() if name in model.names}
     if isinstance(model, Legs):  # a mechanism on legs is one whatever calibrated it
         machine, size = model.machine, model.machine.layout.size
         covariance = covariance if machine.deformation.uses_matrix else None

@@ -391,7 +391,7 @@ def describe_readings(
         **describe_legs(inputs),
         "member": next(iter(inputs.variants.values())).model.member,
         "states_tool": all(one.model.states_tool for one in inputs.variants.values()),
-        **({"units": dict(inputs.units)} if inputs.units else {}),
+        **({"column_units": dict(inputs.units)} if inputs.units else {}),
         **({"found": inputs.found} if inputs.found else {}),
         **({"unused": inputs.unused} if inputs.unused else {}),
         **({"missing_terms": inputs.missing} if inputs.missing else {}),
