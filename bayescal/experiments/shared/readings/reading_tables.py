@@ -44,9 +44,10 @@ class PoseReadings:
 
     def list_units(self, channels: Sequence[Channel]) -> dict[str, str]:
         """Return the units that columns have by channel, of those in another one than the channel's own."""
-        known = {one.name: one for one in channels}
-        found = {name: column.removeprefix(f"{known[name].stem}_") for name, column, _ in self.columns}
-        return {name: unit for name, unit in found.items() if unit != known[name].unit}
+        named = {(one.name, f"{one.stem}_{unit}"): unit for one in channels for unit in units_like(one.unit)}
+        own = {one.name: one.unit for one in channels}
+        found = {name: named[name, column] for name, column, _ in self.columns if (name, column) in named}
+        return {name: unit for name, unit in found.items() if unit != own[name]}
 
     def tell_unused(self, taken: Collection[str]) -> str:
         """Return in a line which columns are of other channels than those taken in; nothing where there are none."""
