@@ -29,7 +29,7 @@ from bayescal.inference.diagnostics import (
     measure_longest_stand,
     measure_sensitivity,
 )
-from bayescal.inference.exploration import CORRECTABLE, FINE_ENOUGH, GOOD_ENOUGH, Exploration, integrate_posterior
+from bayescal.inference.exploration import CORRECTABLE, FINE_ENOUGH, Exploration, integrate_posterior
 from bayescal.inference.importance import ImportanceEvidence
 from bayescal.inference.leave_one_out import LeftOut, leave_out, refit_doubtful
 from bayescal.inference.overdispersed import (
@@ -56,8 +56,9 @@ if TYPE_CHECKING:
     import xarray as xr
 
 TREE = "tree"
-EASY_PARETO_K = 0.5
-"""Of the importance weights, up to which their variance is finite: with an efficiency of a half ensembles are short."""
+EASY_EFFICIENCY, EASY_PARETO_K = 0.3, 0.5
+"""Efficiency of importance sampling from which on, and Pareto k up to which, ensembles are short: the weights have a
+variance, and most jumps of the proposal are accepted."""
 TIMED = 16  # densities by which the time of a fit is estimated
 SEARCHED, JUDGED = 1.8, 1.3
 """Time of a fit in that of its planned densities, search and correction among it, and in that of its rows' densities at
@@ -400,7 +401,7 @@ def _sample(
     sampler: SamplerConfig,
 ) -> Sample:
     """Return draws of ensembles, as many steps as are stated; where none are, as many as the diagnostics ask for."""
-    is_easy = min(found.efficiency, importance.efficiency) >= GOOD_ENOUGH and importance.pareto_k <= EASY_PARETO_K
+    is_easy = min(found.efficiency, importance.efficiency) >= EASY_EFFICIENCY and importance.pareto_k <= EASY_PARETO_K
     sample = sample_posterior(found, seed, sampler.ensembles, sampler.walkers, *sampler.plan(is_easy))
     while sampler.steps is None and 2 * sample.log_density.shape[2] <= sampler.most_steps:
         n_steps, stand = sample.log_density.shape[2], _measure_stand(found, sample, far, importance.log_evidence)
