@@ -44,7 +44,7 @@ class TableConfig(OfAnotherConfig):
     """
     plan: TablePlanConfig = TablePlanConfig()
     """Where to measure next."""
-    mode: Annotated[int, Field(ge=1)] | None = None
+    mode: Annotated[int, Field(ge=1, le=100)] | None = Field(default=None, exclude_if=lambda value: value is None)
     """Which of several solutions of the posterior, the most probable first; needed where it has several."""
     force: bool = False
     """Make the table of a posterior that did not converge, too."""
