@@ -96,29 +96,48 @@ class Found:
         """Free parameters of every session, shape (T, S, m)."""
         return self.inputs.model.mean + self._states[0]
 
+    @cached_property
+    def expected(self) -> Array:
+        """The same by the priors alone, shape (T, S, m)."""
+        model, rng = self.inputs.model, np.random.default_rng(self.inputs.config.seed)
+        z, zeta = (rng.standard_normal(one.shape) for one in (self.fit.z, self.fit.zeta))
+        return model.mean + model.split(z, model.read_scales(zeta)[1])[0]
+
     @property
     def expansion(self) -> Array:
         """Coefficients α, shape (T, A), 1/K."""
         return self._states[1]
 
-    def list_moves(self) -> list[tuple[dict[str, str], Array]]:
+    def list_moves(self) -> list[tuple[dict[str, str], Array, Array]]:
         """Return which sessions are compared, and by how much parameters moved between them, shape (T, m).
 
-        Neighbours, then first and last; machines with the mean of all.
+        By the posterior and by the prior. Neighbours, then first and last; machines with the mean of all.
         """
-        x, n, labels = self.parameters, self.inputs.model.n_sessions, self.inputs.labels
+        n, labels = self.inputs.model.n_sessions, self.inputs.labels
+        x, before = self.parameters, self.expected
         if self.inputs.config.drift.hierarchy == "machines":
-            return [({"since": "mean", "session": labels[k]}, x[:, k] - x.mean(axis=1)) for k in range(n)]
+            off, apart = x - x.mean(axis=1, keepdims=True), before - before.mean(axis=1, keepdims=True)
+            return [({"since": "mean", "session": labels[k]}, off[:, k], apart[:, k]) for k in range(n)]
         pairs = [(k - 1, k) for k in range(1, n)] + ([(0, n - 1)] if n > 2 else [])
-        return [({"since": labels[one], "session": labels[other]}, x[:, other] - x[:, one]) for one, other in pairs]
+        return [
+            ({"since": labels[i], "session": labels[j]}, x[:, j] - x[:, i], before[:, j] - before[:, i])
+            for i, j in pairs
+        ]
 
-    def compare(self, ends: dict[str, str], what: dict[str, Any], draws: Array, unit: str) -> dict[str, Any]:
-        """Return a row of what moved between two sessions by draws (T,), and how probably beyond the limit."""
+    def compare(
+        self, ends: dict[str, str], what: dict[str, Any], draws: Array, expected: Array, unit: str
+    ) -> dict[str, Any]:
+        """Return a row of what moved between two sessions by draws (T,), and how probably beyond the limit.
+
+        ``learnt`` is the share of the prior's 90 % interval, by draws of it (T,), that the data take off.
+        """
         config, (shown, size) = self.inputs.config, show_in(unit)
         limit = {"mm": config.shift_um, "rad": config.shift_arcsec or SHIFT_ARCSEC}.get(unit, np.inf)
         beyond = float(np.mean(np.abs(draws) > limit * size))
         shown_in = {} if self.inputs.by_leg else {"unit": shown}
-        return {**ends, **what, **shown_in, **_describe(draws, size), "beyond": beyond}
+        before, after = (float(np.ptp(np.quantile(one, [LOW, HIGH]))) for one in (expected, draws))
+        learnt = 1.0 - after / before if before > 0.0 else 1.0
+        return {**ends, **what, **shown_in, **_describe(draws, size), "beyond": beyond, "learnt": learnt}
 
 
 def show_in(unit: str) -> tuple[str, float]:
@@ -139,8 +158,8 @@ def tabulate(found: Found) -> dict[str, pd.DataFrame]:
     ]
     motions, nothing, model = _tabulate_motions(found), pd.DataFrame(), inputs.model
     shifts = [
-        found.compare(ends, {"parameter": model.names[k]}, moved[:, k], model.units[k])
-        for ends, moved in found.list_moves()
+        found.compare(ends, {"parameter": model.names[k]}, moved[:, k], expected[:, k], model.units[k])
+        for ends, moved, expected in found.list_moves()
         for k in model.drift.index
     ]
     return {
@@ -177,11 +196,11 @@ def _tabulate_motions(found: Found) -> pd.DataFrame:
     rows, model, x = [], found.inputs.model, found.parameters.mean(axis=(0, 1))
     start = model.start + (x - model.mean) @ model.moves
     names, units, slope = find_motions(found.inputs.first, start, model.moves)
-    for ends, moved in found.list_moves():
-        by = moved @ slope.T
+    for ends, moved, expected in found.list_moves():
+        by, before = moved @ slope.T, expected @ slope.T
         for k, (name, unit) in enumerate(zip(names, units, strict=True)):
             what = {"leg": k + 1} if found.inputs.by_leg else {"channel": name}
-            rows.append(found.compare(ends, what, by[:, k], unit))
+            rows.append(found.compare(ends, what, by[:, k], before[:, k], unit))
     return pd.DataFrame(rows)
 
 

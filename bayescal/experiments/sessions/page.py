@@ -27,6 +27,8 @@ from bayescal.report.symbols import name_parameter
 
 CLEAR = 3.0
 """Nats, odds of twenty to one, from which on evidence is called clear."""
+LEARNT = 0.3
+"""Share of the prior's interval that data have to take off for a motion to be a finding: half of the variance."""
 METHOD = (
     (
         "What is shared?",
@@ -84,6 +86,7 @@ def _find_motions(results: Results) -> tuple[str, pd.DataFrame, list[str]]:
     """Return whether legs move or channels, by how much, and the unit of each row."""
     what = "leg" if len(results.table("legs")) else "channel"
     table = results.table(f"{what}s")
+    table = table if "learnt" in table else table.assign(learnt=1.0)  # results that do not say
     return what, table, [str(one) for one in table["unit"]] if "unit" in table else ["µm"] * len(table)
 
 
@@ -116,20 +119,31 @@ def _list_statements(results: Results, walk: bool) -> list[Statement]:
     moved = moved.assign(unit=units)
     last = moved[moved["session"] == moved["session"].iloc[-1]]
     last = last[last["since"] == last["since"].iloc[-1]] if walk else moved
-    largest = last.iloc[int(np.argmax(np.abs(last["mean"])))]
-    where = f"between {largest['since']} and {largest['session']}" if walk else f"in {largest['session']}"
-    text = (
-        f"{what.capitalize()} {largest[what]} is off most {where}: "
-        f"{format_estimate(largest['mean'], largest['sd'], sign=True)} {largest['unit']}; "
-        f"beyond {_name_shift(summary, str(largest['unit']))} with a probability of "
-        f"{format_percent(largest['beyond'], 1)}."
-    )
-    found.append(Statement(text, "plain", "Largest motion"))
+    known = last[last["learnt"] >= LEARNT]
+    if known.empty:
+        text = f"The data do not determine by how much any {what} moved: posteriors are as wide as their priors."
+        found.append(Statement(text, "warning", "Largest motion"))
+    else:
+        largest = known.iloc[int(np.argmax(np.abs(known["mean"])))]
+        where = f"between {largest['since']} and {largest['session']}" if walk else f"in {largest['session']}"
+        text = (
+            f"{what.capitalize()} {largest[what]} is off most {where}: "
+            f"{format_estimate(largest['mean'], largest['sd'], sign=True)} {largest['unit']}; "
+            f"beyond {_name_shift(summary, str(largest['unit']))} with a probability of "
+            f"{format_percent(largest['beyond'], 1)}."
+        )
+        if len(known) < len(last):
+            few = [str(one) for one in last.loc[last["learnt"] < LEARNT, what]]
+            text += f" The data do not determine by how much {what}{'s' * (len(few) > 1)} {join_words(few)} moved."
+        found.append(Statement(text, "plain", "Largest motion"))
     for _, one in results.table("expansion").iterrows():
+        expected = format_estimate(one["prior_mean"], one["prior_sd"])
         text = (
             f"{str(one['body']).capitalize()} expand by {format_estimate(one['mean'], one['sd'])} ppm/K; "
-            f"{format_estimate(one['prior_mean'], one['prior_sd'])} were expected."
+            f"{expected} were expected."
         )
+        if one["sd"] > (1.0 - LEARNT) * one["prior_sd"]:
+            text = f"The data do not determine how {one['body']} expand; {expected} ppm/K are expected."
         found.append(Statement(text, "plain", "Temperature"))
     models = results.table("models")
     worst = float(max(models["pareto_k"].max(), models["exact_pareto_k"].max()))
@@ -170,6 +184,7 @@ def _tabulate_motions(results: Results, walk: bool) -> Table:
     for one, own in zip(table.to_dict("records"), units, strict=True):
         interval = f"{format_fixed(one['q05'], 1)} to {format_fixed(one['q95'], 1)}"
         sure = Cell(format_percent(one["beyond"], 1), "warning" if one["beyond"] > 0.5 else "plain")
+        sure = sure if one["learnt"] >= LEARNT else Cell("not determined")
         moved = format_estimate(one["mean"], one["sd"], sign=True)
         unit_of = [] if by_leg else [own]
         rows.append([str(one["since"]), str(one["session"]), str(one[what]), moved, interval, *unit_of, sure])

@@ -42,7 +42,9 @@ from bayescal.calibrated.predict import check_determined
 from bayescal.errors import InputError
 from bayescal.experiments.frame.results import PROVENANCE_FILE, SUMMARY_FILE
 from bayescal.experiments.shared.headline import say_accuracy, write_headline
+from bayescal.experiments.shared.soundness import span_shares
 from bayescal.files.atomic import read_json
+from bayescal.limits import COVERAGE
 from bayescal.machines.readings import Legs
 from bayescal.numerics.geometry import Array
 from bayescal.report.blocks import Cell, Column, Definitions, Figure, Page, Section, Statement, Table, make_table
@@ -333,7 +335,8 @@ def _state_verdict(found: Certificate) -> list[Statement]:
         text = (
             f"{format_percent(inside)} of the pose components of {n} held-back poses lie within their 90 % intervals."
         )
-        good = abs(inside - 0.9) <= 3 * np.sqrt(0.09 / (6 * n))
+        low, high = span_shares(COVERAGE, n)
+        good = low <= inside <= high
         said.append(Statement(text, "good" if good else "warning", "Confirmed by held-back data"))
     return said
 

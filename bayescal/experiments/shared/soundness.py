@@ -28,6 +28,8 @@ WORTH_SAYING = 1.1
 """Factor on noise or tolerance below which a deviation changes no interval that matters."""
 LEARNT = 0.5
 """Share of the prior variance that the measurements have to take off a direction for its mean to say something."""
+SHARES = 0.99
+"""Probability of a share within what is expected of it."""
 FAR_OUT = 8.0
 """Standard deviations: a draw at the very end of a uniform prior counts so much."""
 
@@ -60,6 +62,19 @@ class ChiSquare:
 def format_chance(chance: float) -> str:
     """Return a probability in words."""
     return "p < 0.0001" if chance < 1e-4 else f"p = {format_significant(chance, 1)}"
+
+
+def span_shares(expected: float, n_poses: int, probability: float = SHARES) -> tuple[float, float]:
+    """Return between which shares of readings in their intervals lie, with a probability, where intervals are right.
+
+    Readings of a pose count as one trial: what is not known of the pose, or of the machine there, moves them together,
+    so that ten of six each scatter like ten, and not like sixty.
+    """
+    from scipy.stats import binom  # a second to import, for those who judge shares
+
+    n = max(n_poses, 1)
+    low, high = binom.interval(probability, n, expected)
+    return float(low) / n, float(high) / n
 
 
 def fit_rows(white: Array, slope: Array, prior: Array, prior_slope: Array, n_measured: int) -> tuple[Array, ChiSquare]:

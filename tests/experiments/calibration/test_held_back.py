@@ -97,6 +97,19 @@ def test_the_tool_is_predicted_by_the_machines_own_readings_alone(inputs, held):
 
 
 @pytest.mark.parametrize(
+    ("inside", "n_poses", "level"),
+    [(1.0, 10, "good"), (1.0, 60, "warning"), (0.7, 10, "good"), (0.5, 10, "warning"), (0.75, 60, "warning")],
+)
+def test_readings_of_a_pose_count_as_one_trial(inside, n_poses, level):
+    """Six of each: 60 of 60 at ten poses are as rare as ten of ten, one time in three."""
+    poses = np.repeat([f"V{k}" for k in range(n_poses)], 6)
+    right = np.arange(6 * n_poses) < 6 * n_poses * inside
+    rows = pd.DataFrame({"variant": "all", "pose": poses, "channel": "s", "inside": right, "external": False})
+    (said,) = state_held_back(make_study(pd.DataFrame(), rows, pd.DataFrame()))
+    assert said.level == level
+
+
+@pytest.mark.parametrize(
     ("inside", "level", "words"),
     [
         (0.9, "good", "90 of 100 readings of the tool by the instrument at 50 held-back poses (90 %)"),

@@ -15,9 +15,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Drawing
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-from scipy import stats
 
 from bayescal.experiments.frame.results import Row
+from bayescal.experiments.shared.soundness import span_shares
 from bayescal.experiments.study.page.results import (
     POSITION,
     USES,
@@ -42,9 +42,8 @@ LABEL, LINE = 24, 0.15  # letters in a line of a variant's label, and its height
 CROWDED_MARGINS = MARGINS | {"bottom": 0.34, "top": 0.93}
 SLANTED: dict[str, Any] = {"rotation": 25, "ha": "right", "rotation_mode": "anchor", "fontsize": 7}
 NINETY = 1.645
-FAR = 2.5  # binomial deviations of a coverage that are no chance
 RANGE = 0.95  # of the binomial distribution, where a coverage is as expected
-FEW = 40  # held-back readings, from which little can be said of coverage
+FEW = 40  # held-back poses, from which little can be said of coverage
 MOST_NAMED = 25  # poses with a name below the axis, legible on a telephone too
 BARS = (
     "each bar is as high as the largest error, the line across it is the mean, both as numbers. Errors of the "
@@ -245,12 +244,14 @@ def state_held_back(study: StudyResults) -> list[Statement]:
     if mine.empty:
         return others
     share, n, lead = float(mine["inside"].mean()), len(mine), "Prediction"
+    n_poses = int(mine["pose"].nunique())
+    low, high = span_shares(COVERAGE, n_poses)
     words = (
         f"{int(mine['inside'].sum())} of {n} held-back readings of the machine's own sensors ({format_percent(share)}) "
         "lie in their 90 % intervals"
     )
-    if abs(share - COVERAGE) <= FAR * math.sqrt(COVERAGE * (1.0 - COVERAGE) / n):
-        return [Statement(f"{words}, as expected{'' if n >= FEW else '; small sample'}.", "good", lead), *others]
+    if low <= share <= high:
+        return [Statement(f"{words}, as expected{'' if n_poses >= FEW else '; small sample'}.", "good", lead), *others]
     tendency = "too small" if share < COVERAGE else "too large"
     return [Statement(f"{words}: the stated uncertainty is {tendency}.", "warning", lead), *others]
 
@@ -276,13 +277,13 @@ def _state_tool(study: StudyResults) -> list[Statement]:
     if mine.empty:
         return []
     n, n_poses, share = len(mine), mine["pose"].nunique(), float(mine["inside"].mean())
-    low, high = stats.binom.interval(RANGE, n_poses, COVERAGE)
+    low, high = span_shares(COVERAGE, n_poses, RANGE)
     text = (
         f"{int(mine['inside'].sum())} of {n} readings of the tool by the instrument at {n_poses} held-back poses "
         f"({format_percent(share)}) lie in the 90 % intervals that the machine's own sensors predict; expected "
-        f"{format_percent(low / n_poses)} to {format_percent(high / n_poses)} (binomial, a pose counted as one trial)"
+        f"{format_percent(low)} to {format_percent(high)} (binomial, a pose counted as one trial)"
     )
-    if low <= share * n_poses <= high:
+    if low <= share <= high:
         return [Statement(f"{text}.", "good", "Coverage")]
     tendency = "too narrow" if share < COVERAGE else "too wide"
     return [Statement(f"{text}: intervals of the tool's position are {tendency}.", "warning", "Coverage")]

@@ -151,8 +151,8 @@ def _state_tolerances(study: StudyResults) -> list[Statement]:
 # --- bounds and coverage ---------------------------------------------------------------------------------------------
 
 
-def _count_beyond(study: StudyResults) -> tuple[int, int]:
-    """Return how many errors of the best variant's poses lie beyond their 95 % bounds, of how many.
+def _count_beyond(study: StudyResults) -> tuple[int, int, int]:
+    """Return how many errors of the best variant's poses lie beyond their 95 % bounds, of how many, at how many poses.
 
     Of poses that were held back where there are any.
     """
@@ -162,25 +162,30 @@ def _count_beyond(study: StudyResults) -> tuple[int, int]:
     for scale in study.error_scales:
         known += int(rows[scale.column].notna().sum())
         beyond += int((rows[scale.column] > rows[scale.bound]).sum())
-    return beyond, known
+    return beyond, known, len(rows)
 
 
-def judge_bounds(beyond: int, total: int) -> float:
-    """Return the probability of as many or more, or as few or fewer where they are too few (binomial)."""
+def judge_bounds(beyond: int, total: int, n_poses: int) -> float:
+    """Return the probability of as many or more, or as few or fewer where they are too few (binomial).
+
+    Errors of a pose count as one trial together: its position and its orientation err alike.
+    """
     if not total:
         return 1.0
-    few = beyond < (1 - BOUND) * total
-    return float(stats.binomtest(beyond, total, 1 - BOUND, "less" if few else "greater").pvalue)
+    few, n = beyond < (1 - BOUND) * total, min(n_poses, total)
+    share = beyond * n / total
+    beyond = math.ceil(share) if few else math.floor(share)
+    return float(stats.binomtest(beyond, n, 1 - BOUND, "less" if few else "greater").pvalue)
 
 
-def _describe_bounds(study: StudyResults, beyond: int, total: int) -> str:
+def _describe_bounds(study: StudyResults, beyond: int, total: int, n_poses: int) -> str:
     """Return how many errors lie beyond their bounds, how many are expected, and with what probability."""
     held = "held back" if study.n_verification else "that were fitted"
     kinds = join_words([scale.what for scale in study.error_scales])
     return (
         f"{study.label(study.best_name)}: {beyond} of {total} {kinds} errors of poses {held} lie "
         f"beyond their 95 % bounds, where {format_fixed((1 - BOUND) * total, 1)} are expected "
-        f"({format_chance(judge_bounds(beyond, total))})"
+        f"({format_chance(judge_bounds(beyond, total, n_poses))})"
     )
 
 
@@ -189,11 +194,11 @@ def _state_bounds(study: StudyResults) -> list[Statement]:
 
     Of poses that were fitted too few say nothing: a posterior that has seen a pose lies nearer to it.
     """
-    beyond, total = _count_beyond(study)
+    beyond, total, n_poses = _count_beyond(study)
     too_few = beyond < (1 - BOUND) * total
-    if judge_bounds(beyond, total) >= RARE_BOUND or (too_few and not study.n_verification):
+    if judge_bounds(beyond, total, n_poses) >= RARE_BOUND or (too_few and not study.n_verification):
         return []
-    text = _describe_bounds(study, beyond, total)
+    text = _describe_bounds(study, beyond, total, n_poses)
     if too_few:
         text += (
             ": the bounds are too wide, as from a noise stated too large, or from errors that poses share, as those "
@@ -217,9 +222,9 @@ def state_coverage(study: StudyResults) -> list[Statement]:
         shares = [f"{study.label(name)} ({_cover_both(fits[name])})" for name in narrow]
         text += f": intervals too narrow for {name_or_count(shares, len(coverage))}"
     statements = [Statement(f"{text}.", "warning" if narrow else "plain", "Coverage")]
-    beyond, total = _count_beyond(study)
-    if total and not _state_bounds(study):
-        statements.append(Statement(f"{_describe_bounds(study, beyond, total)}.", lead="Coverage"))
+    counts = _count_beyond(study)
+    if counts[1] and not _state_bounds(study):
+        statements.append(Statement(f"{_describe_bounds(study, *counts)}.", lead="Coverage"))
     return statements
 
 

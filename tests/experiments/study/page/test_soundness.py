@@ -159,11 +159,12 @@ def test_nothing_is_called_good_without_a_word_of_warning(make_results, chi2, le
     assert f'class="{mark}"' in render_text(folder)
 
 
-def test_none_of_46_poses_beyond_both_bounds_is_rare():
-    assert judge_bounds(0, 92) == pytest.approx(0.95**92)
-    assert judge_bounds(0, 92) < 0.01 < judge_bounds(0, 46)
-    assert judge_bounds(14, 92) == pytest.approx(stats.binom.sf(13, 92, 0.05))
-    assert judge_bounds(0, 0) == 1.0
+def test_none_of_92_poses_beyond_their_bounds_is_rare():
+    assert judge_bounds(0, 92, 92) == pytest.approx(0.95**92)
+    assert judge_bounds(0, 92, 92) < 0.01 < judge_bounds(0, 46, 46)
+    assert judge_bounds(14, 92, 92) == pytest.approx(stats.binom.sf(13, 92, 0.05))
+    assert judge_bounds(14, 92, 46) == judge_bounds(7, 46, 46)  # a position and an orientation are one trial
+    assert judge_bounds(0, 0, 0) == 1.0
 
 
 @pytest.mark.parametrize("dof", [5, 72, 200])
