@@ -1,9 +1,9 @@
 """Whether noise and tolerances that are stated wrong are told: machines by what is stated, in simulated studies.
 
 `python benchmarks/stated.py --seed 1 --studies 2 --out benchmarks/results/stated.csv`; `--machines` and `--changes` do
-a part. Readings are those of a machine drawn from its tolerances, with noise as stated; then a tolerance, or the noise of
-some channels, is stated so many times as large. Right is what names the kind and, where it is a letter's or a group's
-own, the letter or the group; where all is as stated, nothing but tolerances that are too wide may be said.
+a part. Readings are those of a machine drawn from its tolerances, with noise as stated; then a tolerance, or the noise
+of some channels, is stated so many times as large. Right is what names the kind and, where it is one of a letter, the
+letter; where all is as stated, nothing but tolerances that are too wide may be said.
 """
 
 from __future__ import annotations

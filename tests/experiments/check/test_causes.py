@@ -91,6 +91,7 @@ def restate(subject, noise=1.0, tolerance=1.0, symbols=(), seed=1):
     return replace(measured, posterior=replace(posterior, likelihood=likelihood, priors=priors)).readings
 
 
+@pytest.mark.runs
 @pytest.mark.parametrize(
     ("fault", "changes"),
     [
