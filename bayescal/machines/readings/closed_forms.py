@@ -100,11 +100,17 @@ def fit_hand_eye(position: Array, rotation: Array, seen: Array, turned: Array) -
     first, second = right[-1].reshape(2, 3, 3)
     sign = np.sign(np.linalg.det(first))
     axes, own = _orthogonalise(sign * first), _orthogonalise(sign * second)
-    # o + R_Z s = p + R_B t
-    rows = [np.hstack([eye, -b]) for b in rotation]
-    side = position - seen @ axes.T
-    found = np.linalg.lstsq(np.concatenate(rows), side.ravel(), rcond=None)[0]
-    return (found[:3], axes), (found[3:], own)
+    place, target = fit_places(position, rotation, seen, axes)
+    return (place, axes), (target, own)
+
+
+def fit_places(position: Array, rotation: Array, seen: Array, axes: Array) -> tuple[Array, Array]:
+    """Return an instrument's origin (3,) and its target's place (3,), of known axes: o + R_Z s = p + R_B t."""
+    there = np.isfinite(seen).all(axis=1) & np.isfinite(position).all(axis=1)
+    rows = [np.hstack([np.eye(3), -b]) for b in rotation[there]]
+    side = (position - seen @ axes.T)[there]
+    found = np.linalg.lstsq(np.concatenate(rows), side.ravel(), rcond=1e-9)[0] if len(rows) else np.zeros(6)
+    return found[:3], found[3:]
 
 
 def fit_anchor(points: Array, distance: Array, with_zero: bool) -> list[Array]:

@@ -39,6 +39,7 @@ from bayescal.machines.readings.base import (
 from bayescal.machines.readings.closed_forms import (
     fit_anchor,
     fit_hand_eye,
+    fit_places,
     fit_point_frame,
     fit_turned_frame,
     list_turns,
@@ -196,7 +197,14 @@ class PointInstrument(Instrument):
     ) -> Sequence[Mapping[str, Array]]:
         """Return the frame that fits points best, by Kabsch's algorithm; see `Instrument.propose`."""
         frame, _ = fit_point_frame(_find_target(stated, position, rotation), seen[:, :3])
-        return [{}, _list_frame("frame", *frame)]
+        found = [{}, _list_frame("frame", *frame)]
+        if (
+            "target" in stated
+        ):  # a target far from the tool's centre moves as it turns: all turns of the frame are tried
+            for vector in list_turns(vector_of(frame[1])):
+                place, target = fit_places(position, rotation, seen[:, :3], rotation_matrix(vector))
+                found.append({"frame": place, "frame_r": vector, "target": target})
+        return found
 
     def find_mirrored(self, seen: Array, position: Array, rotation: Array) -> bool:
         """Return whether positions fit a left-handed frame alone; see `Instrument.find_mirrored`."""
@@ -252,7 +260,8 @@ class DistanceInstrument(Instrument):
         """Lay out both points and the zero."""
         super().__init__(config)
         zero = ParameterBlock("zero", (_state(config.zero_mm, UNSTATED[:1])[0],), per_leg=False)
-        self.parameters = [*_points("anchor", config.anchor_mm), *_points("target", config.target_mm), zero]
+        anchor = ParameterBlock("anchor", _state(config.anchor_mm, UNSTATED))
+        self.parameters = [anchor, *_points("target", config.target_mm), zero]
         self.channels = [Channel("", "mm")]
 
     def see(self, parameters: Parameters, position: Any, rotation: Any) -> Any:

@@ -40,6 +40,7 @@ SCALE = {"mm": 100.0, "rad": 0.3}
 """What steps of least squares are small against."""
 MOST_ROWS = 120  # of the data from which frames are found
 POLISHED = 4  # proposals that are fitted
+MOST_STEPS = 200  # of such a fit
 OUTLYING = 3.0  # times the usual residual, from which on least squares take less account of it
 FITS = 5.0  # rms of readings over what tolerances and noise explain, up to which a frame is said to fit
 TRAVEL = 0.02  # of how far the tool moves, that a frame has to miss readings by to be said not to fit
@@ -417,10 +418,10 @@ class _Problem:
                 lambda x: self.miss(x).ravel(),
                 x,
                 lambda x: self.slope(x).reshape(-1, n),
-                x_scale=self._steps,
+                x_scale="jac",
                 loss="soft_l1",
                 f_scale=OUTLYING * max(self.rms(x), 1e-6),
-                max_nfev=60,
+                max_nfev=MOST_STEPS,
             )
             x = found.x
         return np.asarray(x)
