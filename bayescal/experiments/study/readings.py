@@ -53,6 +53,7 @@ from bayescal.experiments.study.tables import (
     describe_legs,
     describe_solutions,
     find_seen,
+    has_lengths,
     join_tables,
     tabulate_comparison,
     tabulate_legs,
@@ -171,7 +172,7 @@ def _predict_poses(
     """Return how far poses that an instrument saw lie from where the machine's own channels have them."""
     seen, internal = find_seen(variant.model), variant.internal
     told = (variant.data.present[:, internal].sum(axis=1) >= len(variant.model.coordinates)).all()
-    if seen[0] is None or not told or not len(variant.model.coordinates):
+    if all(one is None for one in seen[:3]) or not told or not len(variant.model.coordinates):
         return None
     every, some = np.ones(variant.data.n_poses, dtype=bool), y[spread(len(y), POSE_DRAWS)]
     with np.errstate(all="ignore"):
@@ -393,6 +394,7 @@ def describe_readings(
         "states_tool": all(one.model.states_tool for one in inputs.variants.values()),
         **({"column_units": dict(inputs.units)} if inputs.units else {}),
         **({"found": inputs.found} if inputs.found else {}),
+        **({} if all(has_lengths(one.model) for one in inputs.variants.values()) else {"model_error_in": "noise"}),
         **({"unused": inputs.unused} if inputs.unused else {}),
         **({"missing_terms": inputs.missing} if inputs.missing else {}),
     }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -37,6 +38,8 @@ if TYPE_CHECKING:
 
 BENDING, N_BENDINGS = 1.0, 51  # deg
 COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
+AXIS = re.compile(r"(?P<before>|.*[\W_]|.*[a-z0-9](?=[XYZ]))(?P<axis>[xyzXYZ])(?P<after>[\[_]?\d*\]?)")
+"""Name of a position's channel."""
 USES = ("calibration", "verification")
 NOISE = "noise"
 """Verdict on a parameter that is not one of the machine's."""
@@ -202,12 +205,25 @@ def tabulate_comparison(variants: pd.DataFrame, left_out: Mapping[str, LeftOut])
 # --- errors of poses that an instrument saw --------------------------------------------------------------------------
 
 
+def has_lengths(model: ReadingModel) -> bool:
+    """Whether errors of own channels have a size in mm at the tool, and not by the channels' noise alone."""
+    return bool(model.tool_lengths) and bool(model.coordinates)
+
+
 def find_seen(model: ReadingModel) -> list[int | None]:
-    """Return the channels (6,) by which an instrument sees position and rotation, None where it sees none of them."""
+    """Return the channels (6,) by which an instrument sees position and rotation, None where it sees none of them.
+
+    Channels are a position where their names end with different axes and share all else, as ``cam_x`` and ``cam_y``,
+    ``tracker[x]`` or ``x[1]``: of several targets that of the first, of which most axes are seen.
+    """
     outside = [(k, one) for k, one in enumerate(model.channels) if one.external]
     found: list[int | None] = [None] * len(COMPONENTS)
-    for place, k in enumerate([k for k, one in outside if one.unit == "mm"][:3]):
-        found[place] = k
+    targets: dict[str, dict[str, int]] = {}
+    for k, one in outside:
+        if one.unit == "mm" and (named := AXIS.fullmatch(one.name)):
+            targets.setdefault(named["before"] + named["after"], {}).setdefault(named["axis"].lower(), k)
+    for axis, k in max(targets.values(), key=len, default={}).items():
+        found["xyz".index(axis)] = k
     turned = [k for k, one in outside if one.rotation][:3]
     if len(turned) == 3:
         found[3:] = turned

@@ -265,7 +265,7 @@ def show_tau_scale(study: StudyResults) -> list[Block]:
         return []
     wide = study.table("tau_scale").pivot(index="tau_scale_um", columns="variant", values="log_evidence")
     wide = wide[[name for name in study.ranking if name in wide.columns]].sort_index()
-    columns = [Column(f"{scale:g} µm", "nat (rank)", "Scale of τ's prior") for scale in wide.index]
+    columns = [Column(f"{scale:g} {study.error_unit}", "nat (rank)", "Scale of τ's prior") for scale in wide.index]
     caption = "Log-evidence for other scales of τ's prior, by weighted draws of each posterior."
     return [_state_order(study, wide, own), _tabulate_grid(study, wide, columns, caption)]
 
@@ -280,19 +280,20 @@ def _state_order(study: StudyResults, wide: pd.DataFrame, own: float) -> Stateme
         else ""
     )
     overtaken = _find_overtaken(wide, own)
+    unit = study.error_unit
     if overtaken is None:
         text = (
-            f"Keep the scale of τ's prior, {own:g} µm, and the order of the variants: from {wide.index[0]:g} to "
-            f"{wide.index[-1]:g} µm none that is ahead by more than {format_fixed(TIED, 0)} nat falls behind by as "
+            f"Keep the scale of τ's prior, {own:g} {unit}, and the order of the variants: from {wide.index[0]:g} to "
+            f"{wide.index[-1]:g} {unit} none that is ahead by more than {format_fixed(TIED, 0)} nat falls behind by as "
             f"much.{reliable}"
         )
         return Statement(text, "plain" if reliable else "good", LEAD)
     scale, ahead, behind = overtaken
     lead = wide[ahead] - wide[behind]
     text = (
-        f"State the scale of τ's prior with the order of the variants: at {own:g} µm "
-        f"{study.label(ahead)} is ahead of {study.label(behind)} by {format_fixed(lead[own], 1)} nat, at {scale:g} µm "
-        f"behind by {format_fixed(-lead[scale], 1)} nat.{reliable}"
+        f"State the scale of τ's prior with the order of the variants: at {own:g} {unit} "
+        f"{study.label(ahead)} is ahead of {study.label(behind)} by {format_fixed(lead[own], 1)} nat, at {scale:g} "
+        f"{unit} behind by {format_fixed(-lead[scale], 1)} nat.{reliable}"
     )
     return Statement(text, "warning", LEAD)
 

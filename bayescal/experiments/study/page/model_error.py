@@ -128,7 +128,7 @@ FLOOR = (
     "An error that the parameters can imitate leaves no trace in any data: as stated (at_least_um), {} are allowed for "
     "even where none is seen."
 )
-MEMBERS = "Rms over the calibration poses of the posterior mean, in µm: what is known of the error's course."
+MEMBERS = "Rms over the calibration poses of the posterior mean: what is known of the error's course."
 POSES = (
     "{label}: systematic error of each channel at the poses in the order of the data, with 90 % intervals; full: "
     "calibration, open: verification."
@@ -165,9 +165,9 @@ def name_cause(alone: Mapping[str, float]) -> str:
 class _Found(NamedTuple):
     """What was found of one variant's model error.
 
-    Rows of its table by term; rms of each member's mean, µm; evidence of each cause alone less that of all, nat, and
-    rows of the sizes of those without a term; the least size of each term that is stated, µm; of how many τ its random
-    errors are.
+    Rows of its table by term; rms of each member's mean; evidence of each cause alone less that of all, nat, and
+    rows of the sizes of those without a term; the least size of each term that is stated; of how many τ its random
+    errors are; the unit of sizes.
     """
 
     label: str
@@ -177,6 +177,7 @@ class _Found(NamedTuple):
     directions: dict[str, Row]
     floors: dict[str, float]
     n_taus: int
+    unit: str
 
     @property
     def functions(self) -> dict[str, Row]:
@@ -250,16 +251,17 @@ def _find(study: StudyResults, name: str) -> _Found:
     odds = {term: float(row["log_odds"]) for term, row in alone.items()}
     rows = study.parameters
     n_taus = int(((rows["variant"] == name) & (rows["symbol"] == MODEL_ERROR)).sum())
-    return _Found(study.label(name), sizes, members, odds, directions, floors, n_taus)
+    return _Found(study.label(name), sizes, members, odds, directions, floors, n_taus, study.error_unit)
 
 
 def _list_floors(study: StudyResults, name: str) -> dict[str, float]:
-    """Return the least size of each term of a variant that is stated, µm."""
+    """Return the least size of each term of a variant that is stated, in the unit of errors."""
     stated, terms = study.config.get("model_error", {}).get("at_least_um", 0.0), study.list_terms(name)
+    factor = study.error_factor
     if isinstance(stated, dict):
-        return {term: float(size) for term, size in stated.items() if size > 0.0 and term in terms}
+        return {term: factor * float(size) for term, size in stated.items() if size > 0.0 and term in terms}
     lasting = [term for term in LASTING if term in terms]
-    return {term: stated / math.sqrt(len(lasting)) for term in lasting if stated > 0.0}
+    return {term: factor * stated / math.sqrt(len(lasting)) for term in lasting if stated > 0.0}
 
 
 def state_terms(study: StudyResults) -> list[Statement]:
@@ -283,7 +285,7 @@ def _advise(found: _Found) -> Statement:
     members = "" if found.cause in found.directions else f", {_describe_members(found)}"
     text = (
         f"{advice}. {found.label} leaves out a "
-        f"systematic error of {_format_size(found.whole)} µm rms (90 % interval){members}; "
+        f"systematic error of {_format_size(found.whole)} {found.unit} rms (90 % interval){members}; "
         f"{_describe_cause(found, main)}. The intervals allow for it. {_describe_independent(found)}"
     )
     return Statement(text.rstrip(), lead=LEAD)
@@ -308,9 +310,9 @@ def _describe_absent(found: _Found) -> str:
         text = f"{found.label} has no term for systematic errors: its intervals do not allow for them."
     else:
         most, stated = (format_significant(one, 2) for one in (found.whole["q95_um"], found.floors[TOGETHER]))
-        seen = f"is seen (95 % upper limit {most} µm rms over all channels)"
+        seen = f"is seen (95 % upper limit {most} {found.unit} rms over all channels)"
         if found.floors[TOGETHER]:
-            seen = f"beyond the {stated} µm rms that are stated is seen; the intervals allow for these"
+            seen = f"beyond the {stated} {found.unit} rms that are stated is seen; the intervals allow for these"
         text = f"{found.label}: no systematic error {seen}."
     return f"{text} {_describe_independent(found)}".rstrip()
 
@@ -321,9 +323,9 @@ def _describe_independent(found: _Found) -> str:
     if size is None:
         return ""
     if INDEPENDENT in found.seen:
-        return f"Random errors from pose to pose have τ = {_format_size(size)} µm beyond the noise."
+        return f"Random errors from pose to pose have τ = {_format_size(size)} {found.unit} beyond the noise."
     most = format_significant(size["q95_um"], 2)
-    return f"No random error from pose to pose is seen beyond the noise (τ: 95 % upper limit {most} µm)."
+    return f"No random error from pose to pose is seen beyond the noise (τ: 95 % upper limit {most} {found.unit})."
 
 
 def _name_outstanding(found: _Found) -> str:
@@ -340,8 +342,8 @@ def _describe_members(found: _Found) -> str:
     span = " to ".join(dict.fromkeys(format_significant(one, 2) for one in (min(others), max(others))))
     if outstanding:
         most = format_significant(found.members[outstanding], 2)
-        return f"most of it in {outstanding} ({most} µm rms, the others {span} µm)"
-    return f"in all channels ({span} µm rms each)" if len(others) > 1 else f"in {next(iter(found.members))}"
+        return f"most of it in {outstanding} ({most} {found.unit} rms, the others {span} {found.unit})"
+    return f"in all channels ({span} {found.unit} rms each)" if len(others) > 1 else f"in {next(iter(found.members))}"
 
 
 def _format_size(size: Mapping[str, Any]) -> str:
@@ -364,7 +366,7 @@ def _show_terms(study: StudyResults, described: list[str]) -> list[Block]:
             caption += f" Shown are the {len(chosen)} that err most."
         place = rows.assign(place=rows.groupby("member").cumcount() + 1)
         panels = {member: place[place["member"] == member] for member in chosen}
-        draw = partial(_draw_errors, panels)
+        draw = partial(_draw_errors, panels, study.error_unit)
         blocks.append(Figure("model_error", caption, draw))
     if found.functions:
         blocks.append(WHY)
@@ -381,7 +383,7 @@ def _show_terms(study: StudyResults, described: list[str]) -> list[Block]:
 
 def _tabulate_terms(found: _Found) -> Table:
     """Return the size of each term, along what it changes and what usually causes it."""
-    columns = [Column("Along what", kind="text"), Column("Size", "µm rms", "median [5 %, 95 %]")]
+    columns = [Column("Along what", kind="text"), Column("Size", f"{found.unit} rms", "median [5 %, 95 %]")]
     columns += [Column("Alone", "nat")] if found.alone else []
     columns += [Column("In the data", kind="text"), Column("Usual causes", kind="text")]
     rows = []
@@ -404,12 +406,13 @@ def _tabulate_terms(found: _Found) -> Table:
 def _show_floor(study: StudyResults, name: str) -> list[Block]:
     """Say what errors that leave no trace would hide, and which of them are allowed for."""
     stated, floors = study.config.get("model_error", {}).get("at_least_um", 0.0), _list_floors(study, name)
-    sizes = [f"{format_plain(size)} µm rms {KINDS[term].along}" for term, size in floors.items()]
+    unit = study.error_unit
+    sizes = [f"{format_plain(size)} {unit} rms {KINDS[term].along}" for term, size in floors.items()]
     if floors and not isinstance(stated, dict):
-        sizes = [f"{format_plain(stated)} µm rms"]
+        sizes = [f"{format_plain(study.error_factor * stated)} {unit} rms"]
     if not study.has("model_error_hidden"):
         return [Statement(FLOOR.format(join_words(sizes)) if sizes else NO_FLOOR)]
-    size = join_words(sizes) if sizes else f"{format_plain(UNSEEN_UM)} µm rms"
+    size = join_words(sizes) if sizes else f"{format_plain(study.error_factor * UNSEEN_UM)} {unit} rms"
     return show_hidden(study.table("model_error_hidden", name), size, bool(sizes), study.shown_in)
 
 
@@ -417,7 +420,8 @@ def _tabulate_members(found: _Found, rows: pd.DataFrame) -> Table:
     """Return how much of each term is in which channel."""
     wide = rows.pivot(index="member", columns="term", values="rms_um")
     terms = [name for name in TERMS if name in wide.columns]
-    columns = [Column("", kind="text"), *(Column(KINDS[name].along, "µm") for name in terms), Column("all", "µm")]
+    columns = [Column("", kind="text"), *(Column(KINDS[name].along, found.unit) for name in terms)]
+    columns.append(Column("all", found.unit))
     cells = [
         [member, *(format_significant(wide[name].get(member), 2) for name in terms), format_significant(size, 2)]
         for member, size in found.members.items()
@@ -429,7 +433,7 @@ def _tabulate_variants(study: StudyResults, names: list[str]) -> Table:
     """Return the sizes of the terms of every variant."""
     there = {row["term"] for name in names for row in study.rows("model_error", name)}
     terms = [term for term in (*TERMS, TOGETHER) if term in there]
-    columns = [VARIANT, *(Column(term, "µm rms", "median [5 %, 95 %]") for term in terms)]
+    columns = [VARIANT, *(Column(term, f"{study.error_unit} rms", "median [5 %, 95 %]") for term in terms)]
     rows = []
     for name in names:
         sizes = {row["term"]: _format_size(row) for row in study.rows("model_error", name)}
@@ -437,8 +441,8 @@ def _tabulate_variants(study: StudyResults, names: list[str]) -> Table:
     return make_table("Model error by variant.", columns, rows, style="wide")
 
 
-def _draw_errors(panels: Mapping[str, pd.DataFrame]) -> Drawing:
-    """Return a panel for each channel: errors in µm with their 90 % intervals over the poses in order."""
+def _draw_errors(panels: Mapping[str, pd.DataFrame], unit: str) -> Drawing:
+    """Return a panel for each channel: errors with their 90 % intervals over the poses in order."""
     n_rows = math.ceil(len(panels) / ABREAST)
     figure = Drawing(figsize=(9.4, 0.4 + 1.9 * n_rows))
     grid = figure.subplots(n_rows, ABREAST, squeeze=False, sharey=True)
@@ -461,7 +465,7 @@ def _draw_errors(panels: Mapping[str, pd.DataFrame]) -> Drawing:
         axes.set_title(quote(title))
         axes.set_xlabel("pose")
     for axes in grid[:, 0]:
-        axes.set_ylabel("error (µm)")
+        axes.set_ylabel(f"error ({unit})")
     for axes in grid.ravel()[len(panels) :]:
         axes.set_axis_off()
     return figure
@@ -477,7 +481,14 @@ def _show_tau(study: StudyResults) -> list[Block]:
         return []
     seen = set(rows["variant"])
     styles = {name: style for name, style in assign_styles(study).items() if name in seen}
-    draw = partial(_draw_tau, rows.assign(nominal=0.0), styles, study.tau_scale, study.member)
+    draw = partial(
+        _draw_tau,
+        rows.assign(nominal=0.0),
+        styles,
+        study.tau_scale,
+        study.member,
+        (MICROMETRES * study.error_factor, study.error_unit),
+    )
     table = _tabulate_tau(study, rows)
     return [
         Figure("tau", CAPTION.format(member=study.member), draw),
@@ -488,10 +499,12 @@ def _show_tau(study: StudyResults) -> list[Block]:
 def _tabulate_tau(study: StudyResults, rows: pd.DataFrame) -> Table:
     """Return τ of each leg with its 90 % interval."""
     legs = sorted(set(rows["leg"]))
-    columns = [VARIANT, *(Column(f"{study.member} {leg}", "µm", "τ, mean [5 %, 95 %]") for leg in legs)]
+    columns = [VARIANT, *(Column(f"{study.member} {leg}", study.error_unit, "τ, mean [5 %, 95 %]") for leg in legs)]
     cells = []
     for name in study.names:
-        values = MICROMETRES * rows[rows["variant"] == name].set_index("leg")[["mean", "q05", "q95"]]
+        values = (
+            MICROMETRES * study.error_factor * rows[rows["variant"] == name].set_index("leg")[["mean", "q05", "q95"]]
+        )
         if values.empty:
             continue
         places = min(3, count_decimals(float((values["q95"] - values["q05"]).min())))
@@ -500,20 +513,25 @@ def _tabulate_tau(study: StudyResults, rows: pd.DataFrame) -> Table:
     return make_table(f"Model error τ of each {study.member}.", columns, cells)
 
 
-def _draw_tau(rows: pd.DataFrame, styles: Styles, prior_scale_um: float | None, member: str) -> Drawing:
-    """Return the 90 % posterior intervals of the model error τ of each leg, µm: a panel per deformation."""
+def _draw_tau(
+    rows: pd.DataFrame, styles: Styles, prior_scale: float | None, member: str, shown: tuple[float, str]
+) -> Drawing:
+    """Return the 90 % posterior intervals of the model error τ of each leg, a panel per deformation.
+
+    ``shown`` are factor and name of the unit; the prior's scale is in it.
+    """
     deformations = list(dict.fromkeys(style.deformation for style in styles.values()))
     figure = Drawing(figsize=(9.4, 2.5))
     grid = figure.subplots(1, len(deformations), sharey=True, squeeze=False)[0]
     scale: dict[str, Any] = {"color": GREY, "linestyle": "--", "linewidth": 1.0}
     for axes, deformation in zip(grid, deformations, strict=True):
-        draw_intervals(axes, rows, {n: s for n, s in styles.items() if s.deformation == deformation}, MICROMETRES)
+        draw_intervals(axes, rows, {n: s for n, s in styles.items() if s.deformation == deformation}, shown[0])
         axes.set_title(deformation)
         label_members(axes, rows, member)
-        if prior_scale_um is not None:
-            axes.axhline(prior_scale_um, **scale)
-    others = [Line2D([], [], label="scale of the half-normal prior", **scale)] if prior_scale_um is not None else []
+        if prior_scale is not None:
+            axes.axhline(prior_scale, **scale)
+    others = [Line2D([], [], label="scale of the half-normal prior", **scale)] if prior_scale is not None else []
     grid[0].set_ylim(bottom=0)
-    grid[0].set_ylabel("Model error τ (µm)")
+    grid[0].set_ylabel(f"Model error τ ({shown[1]})")
     add_legend(figure, styles, 1.6, *others, columnspacing=1.4)
     return figure

@@ -25,6 +25,7 @@ from bayescal.report.symbols import (
     OF_FUNCTIONS,
     Asked,
     describe_deformation,
+    is_model_error,
     name_parameter,
     scale_of,
     shown_in,
@@ -93,6 +94,9 @@ COLUMNS: dict[str, tuple[str, str]] = {
 }
 """Columns of texts and of numbers of tables that pages read; a table of another name belongs to whoever reads it."""
 REQUIRED = ("parameters", "poses")
+OF_ERRORS = ("model_error", "model_error_members", "model_error_poses", "model_error_alone", "tau_scale")
+PER_NOISE_UM = 10.0
+"""What one standard deviation of the noise counts in tables of the model error where the tool has no lengths, µm."""
 
 
 class ErrorScale(NamedTuple):
@@ -162,6 +166,8 @@ class StudyResults:
         every = tables["parameters"]
         if "mode" in every:  # NaN of variants with a single solution
             tables |= {"parameters": every[~(every["mode"] > 1)], SOLUTIONS: every[every["mode"].notna()]}
+        if (factor := _scale_errors(results.summary)) != 1.0:
+            tables |= {name: _scale_columns(tables[name], factor) for name in OF_ERRORS if name in tables}
         found = cls(results.summary, results.config, tables)
         if results.folder is None:
             return found
@@ -362,7 +368,10 @@ class StudyResults:
 
     def scale_of(self, symbol: str, unit: str) -> tuple[float, str]:
         """Return the factor and the unit in which a parameter's offsets are shown."""
-        return scale_of(symbol, unit, self.units)
+        factor, shown = scale_of(symbol, unit, self.units)
+        if is_model_error(symbol) and shown == "µm":
+            return self.error_factor * factor, self.error_unit
+        return factor, shown
 
     @property
     def error_scales(self) -> tuple[ErrorScale, ...]:
@@ -420,8 +429,18 @@ class StudyResults:
         return len((self.instrument or {}).get("free_frames", ())) == 2
 
     @property
+    def error_factor(self) -> float:
+        """How many of the unit in which sizes of the model error are shown make a µm."""
+        return _scale_errors(self.summary)
+
+    @property
+    def error_unit(self) -> str:
+        """The unit in which sizes of the model error are shown: µm at the tool, or times the noise of the readings."""
+        return "µm" if self.error_factor == 1.0 else "× noise"
+
+    @property
     def tau_scale(self) -> float | None:
-        """Scale of the prior of the variant to use's τ, µm; None where it has no τ."""
+        """Scale of the prior of the variant to use's τ, in that unit; None where it has no τ."""
         own = self.table("tau_scale", self.chosen)["own_um"]
         return float(own.iloc[0]) if len(own) else None
 
@@ -452,6 +471,16 @@ class StudyResults:
         table = self.tables["parameters"]
         split = [split_name(str(name)) for name in table["parameter"]]
         return table.assign(symbol=[symbol for symbol, _ in split], leg=[leg for _, leg in split])
+
+
+def _scale_errors(summary: Mapping[str, Any]) -> float:
+    """Return `StudyResults.error_factor` of a summary."""
+    return 1.0 / PER_NOISE_UM if summary.get("model_error_in") == "noise" else 1.0
+
+
+def _scale_columns(table: pd.DataFrame, factor: float) -> pd.DataFrame:
+    """Return a table whose columns of µm are multiplied by a factor."""
+    return table.assign(**{name: factor * table[name] for name in table.columns if str(name).endswith("_um")})
 
 
 def _find_posterior(folder: Path, variant: str) -> Path:
