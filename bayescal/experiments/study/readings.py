@@ -395,6 +395,7 @@ def describe_readings(
         **({"column_units": dict(inputs.units)} if inputs.units else {}),
         **({"found": inputs.found} if inputs.found else {}),
         **({} if all(has_lengths(one.model) for one in inputs.variants.values()) else {"model_error_in": "noise"}),
+        **({"region": "measured"} if any(one.measured for one in inputs.variants.values()) else {}),
         **({"unused": inputs.unused} if inputs.unused else {}),
         **({"missing_terms": inputs.missing} if inputs.missing else {}),
     }

@@ -32,7 +32,7 @@ from bayescal.experiments.shared.readings.noise import build_noise, stated_noise
 from bayescal.experiments.shared.readings.priors import choose_priors, widen
 from bayescal.experiments.shared.readings.reading_tables import PoseReadings, read_tables
 from bayescal.experiments.shared.readings.seen_legs import SeenLegs, look
-from bayescal.experiments.shared.readings.workspace import Workspace, build_workspace, find_starts
+from bayescal.experiments.shared.readings.workspace import Workspace, build_workspace, find_region, find_starts
 from bayescal.experiments.shared.search_memory import check_readings
 from bayescal.experiments.shared.slip_rows import Readings
 from bayescal.experiments.shared.study_schema import StudyConfig, VariantConfig
@@ -56,11 +56,17 @@ class Variant:
     data: Measurements  # of all poses that it takes in, without the readings of other channels
     verification: np.ndarray  # (P,)
     start: Array  # (P, q): where the machine as expected explains the readings best
-    workspace: Workspace
+    workspace: Workspace  # where the machine may stand
     # whether accuracy is the error that remains after base and tool were aligned over the workspace
     aligned: bool = False
     missing: str = ""
     begin: Mapping[str, float] = field(default_factory=dict)  # values, by name, from which searches begin
+    measured: Workspace | None = None  # where its poses were measured; None where a workspace is stated
+
+    @property
+    def region(self) -> Workspace:
+        """Where its accuracy counts."""
+        return self.measured or self.workspace
 
     @property
     def name(self) -> str:
@@ -252,7 +258,11 @@ def _build(
     others = replace(unplaced.errors, terms=terms)
     own = find_own_channels(fitted.posterior(), data, start, used, reach, positions, workspace)
     found, missing = build_terms_of_model(error, model, data, own, priors, others)
-    placed = replace(fitted, errors=replace(others, terms=(*terms, *found)), missing=missing)
+    errors, region = (
+        replace(others, terms=(*terms, *found)),
+        find_region(workspace, config.workspace, model, start[used]),
+    )
+    placed = replace(fitted, errors=errors, missing=missing, measured=region)
     every = placed.list_readings(np.ones(data.n_poses, dtype=bool))
     check_reach(every, None if used.all() else placed.list_readings())
     return placed

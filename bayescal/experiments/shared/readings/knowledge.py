@@ -172,7 +172,7 @@ def _err_in_use(
 
 def look_around(variant: Variant, posterior: CalibrationPosterior, y: Array, rng: np.random.Generator) -> View:
     """Return random poses of the workspace seen by the machine's own sensors."""
-    return look(posterior, variant, y, variant.workspace.draw(variant.workspace.n_poses, rng), variant.internal)
+    return look(posterior, variant, y, variant.region.draw(variant.region.n_poses, rng), variant.internal)
 
 
 def look(

@@ -19,6 +19,9 @@ from bayescal.machines.readings import POSE, Given, ReadingModel
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import Units
 
+MEASURED_QUANTILES = (0.02, 0.98)
+"""Of each coordinate over the measured poses, between which accuracy counts where no workspace is stated."""
+MARGIN = 0.05  # of their distance, by which it goes beyond both
 N_WORKSPACE = 200
 """How many poses stand for a workspace where a config does not say it."""
 STARTS = 0.6  # of the half widths, from where poses are looked for
@@ -128,6 +131,26 @@ def build_workspace(
             raise InputError(f"workspace: found no {one.name}, expected its smallest and its largest value")
     low, high = np.array(bounds).reshape(-1, 2).T
     return Workspace(low, high, scale)
+
+
+def find_region(
+    workspace: Workspace, given: WorkspaceConfig | Mapping[str, list[float]], model: ReadingModel, pose: Array
+) -> Workspace | None:
+    """Return where poses (P, q) were measured: accuracy counts there where no workspace is stated; else None.
+
+    What the machine's file or class says of its reach holds for searches; accuracy there would be extrapolated.
+    """
+    found = pose[np.isfinite(pose).all(axis=1)]
+    stated = np.array([one.name in given for one in model.coordinates], dtype=bool)
+    if isinstance(given, WorkspaceConfig) or stated.all() or len(found) < 2:
+        return None
+    low, high = np.quantile(found, MEASURED_QUANTILES, axis=0)
+    margin = MARGIN * (high - low)
+    return replace(
+        workspace,
+        low=np.where(stated, workspace.low, low - margin),
+        high=np.where(stated, workspace.high, high + margin),
+    )
 
 
 def check_given(given: Mapping[str, list[float]], model: ReadingModel) -> None:

@@ -73,7 +73,9 @@ def _say_uncertainty(study: StudyResults) -> str:
         return "its own sensors do not determine where the machine is"
     what = "tool" if study.summary.get("states_tool", True) else "coordinates"
     amounts = {row["coordinate"]: format_amount(row["after"], row["unit"], 2, study.units) for row in known}
-    said = f"{what} {say_accuracy(amounts)}, rms over the workspace"
+    measured = study.summary.get("region") == "measured"  # no workspace was stated
+    where = "the range of the measured poses" if measured else "the workspace"
+    said = f"{what} {say_accuracy(amounts)}, rms over {where}"
     said += " once base and tool are aligned" if study.aligned else ""
     lengths = [row for row in known if row["unit"] == "mm"] or known[:1]
     worst = max(lengths, key=lambda row: row.get("worst", 0.0))
