@@ -9,6 +9,8 @@ from collections.abc import Mapping
 from bayescal.report.numbers import MICROMETRES, PER_MILLE, format_fixed, format_significant
 
 MODEL_ERROR = "tau"
+PER_NOISE_UM = 10.0
+"""What one standard deviation of the noise counts as a size of a model error where the tool has no lengths, µm."""
 KERNEL_SCALE = "sigma_g"
 KERNEL_LENGTH = "L_g"
 OF_FUNCTIONS = (KERNEL_SCALE, KERNEL_LENGTH, "sigma_linear", "sigma_own", "sigma_smooth", "sigma_drift")
@@ -113,6 +115,14 @@ def scale_of(symbol: str, unit: str, asked: Asked = None) -> tuple[float, str]:
     if is_model_error(symbol) and symbol != KERNEL_LENGTH:
         return MICROMETRES, "µm"
     return (PER_MILLE, "10⁻³") if unit == "1" else shown_in(unit, asked)
+
+
+def choose_error_unit(of: object) -> tuple[float, str]:
+    """Return factor and name of the unit of a model error's sizes in µm, by what results say that they are of.
+
+    Where the tool has no lengths they are multiples of the noise.
+    """
+    return (1.0 / PER_NOISE_UM, "× noise") if of == "noise" else (1.0, "µm")
 
 
 def describe_deformation(deformation: str) -> str:

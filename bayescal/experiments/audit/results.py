@@ -11,6 +11,7 @@ import pandas as pd
 from bayescal.config.classes import label_class
 from bayescal.experiments.audit.audit import Audit, ChangeEffect, judge
 from bayescal.experiments.audit.planned import Planned
+from bayescal.experiments.shared.function_errors import has_lengths
 from bayescal.experiments.shared.hidden import tabulate_hidden
 from bayescal.experiments.shared.readings.knowledge import name_data, name_place
 from bayescal.identifiability.directions import Direction
@@ -72,6 +73,8 @@ def _summarise_plan(inputs: Planned) -> dict[str, Any]:
         "poses": said.get(config.poses.plan, f"{config.poses.plan} actuator positions"),
         **{key: {name: size / MICROMETRE for name, size in one.items()} for key, one in errors.items() if one},
     }
+    if not has_lengths(model):
+        plan["model_error_in"] = "noise"
     if config.data is not None:
         plan["poses"] = "measured"
     if config.workspace:

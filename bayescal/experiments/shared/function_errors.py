@@ -22,6 +22,7 @@ from bayescal.density.schema import TERMS, ModelErrorConfig
 from bayescal.experiments.frame.memory import Need, check_memory
 from bayescal.experiments.shared.hidden import tabulate_hidden
 from bayescal.identifiability.hidden import choose_unseen, hide_in_posterior
+from bayescal.machines.readings import ReadingModel
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import ARCSECOND, MICROMETRE
 
@@ -34,6 +35,11 @@ INTERVAL = [0.05, 0.95]
 TOGETHER = "together"
 """All functions of a model error, as its tables call them."""
 REMEDY = "fewer poses, a longer length, or no such errors"
+
+
+def has_lengths(model: ReadingModel) -> bool:
+    """Whether errors of own channels have a size in mm at the tool, and not by the channels' noise alone."""
+    return bool(model.tool_lengths) and bool(model.coordinates)
 
 
 def check_functions(term: FunctionErrors, n_poses: int, n_channels: int) -> None:

@@ -320,8 +320,8 @@ class StudyConfig(ExperimentConfig):
     errors: dict[Name, ErrorTermConfig] = Field(default={}, exclude_if=lambda value: not value)
     """By name: errors common to all rows, such as functions of what is read, or those of a class of one's own."""
     workspace: dict[str, Bounds] = Field(default={}, exclude_if=lambda value: not value)
-    """By coordinate: smallest and largest value where accuracy counts; the machine's own where nothing is said [unit
-    of the coordinate].
+    """By coordinate: smallest and largest value where accuracy counts; the range of the measured poses where nothing
+    is said [unit of the coordinate].
     """
     variants: Annotated[list[VariantConfig], Field(min_length=1)]
     """Models to compare."""

@@ -22,7 +22,7 @@ from bayescal.density.calibration.prediction import (
 from bayescal.density.prediction import Prediction, compute_elpd
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.shared.estimate import Arrays, Fit, Subject, fit_posterior
-from bayescal.experiments.shared.function_errors import tabulate_functions, tabulate_model_error
+from bayescal.experiments.shared.function_errors import has_lengths, tabulate_functions, tabulate_model_error
 from bayescal.experiments.shared.readings.beside import Beside
 from bayescal.experiments.shared.readings.inputs import ReadingInputs, Variant
 from bayescal.experiments.shared.readings.knowledge import (
@@ -53,7 +53,6 @@ from bayescal.experiments.study.tables import (
     describe_legs,
     describe_solutions,
     find_seen,
-    has_lengths,
     join_tables,
     tabulate_comparison,
     tabulate_legs,

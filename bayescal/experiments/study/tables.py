@@ -205,11 +205,6 @@ def tabulate_comparison(variants: pd.DataFrame, left_out: Mapping[str, LeftOut])
 # --- errors of poses that an instrument saw --------------------------------------------------------------------------
 
 
-def has_lengths(model: ReadingModel) -> bool:
-    """Whether errors of own channels have a size in mm at the tool, and not by the channels' noise alone."""
-    return bool(model.tool_lengths) and bool(model.coordinates)
-
-
 def find_seen(model: ReadingModel) -> list[int | None]:
     """Return the channels (6,) by which an instrument sees position and rotation, None where it sees none of them.
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from typing import Any
 
 import pandas as pd
 
@@ -13,6 +14,7 @@ from bayescal.experiments.shared.hidden import show_hidden
 from bayescal.limits import UNSEEN_UM
 from bayescal.report.blocks import Block, Column, Section, Statement, Table, make_table
 from bayescal.report.numbers import format_plain, format_significant, join_words
+from bayescal.report.symbols import choose_error_unit
 
 WHY = (
     "What a model leaves out repeats with the pose or follows the session, so that more poses do not average it out, "
@@ -29,21 +31,23 @@ def state_model_error(audit: AuditResults) -> Iterator[Statement]:
     """Say which systematic errors are taken along, and what others would do."""
     if not (sizes := _read_sizes(audit)):
         return
-    terms = join_words([f"{name} {format_significant(size, 2)}" for name, size in sizes.items()])
-    whole = format_significant(sum(size**2 for size in sizes.values()) ** 0.5, 2)
-    text = f"Systematic errors of {whole} µm rms are taken along as the study found them ({terms})."
+    factor, unit = _show(audit)
+    terms = join_words([f"{name} {format_significant(factor * size, 2)}" for name, size in sizes.items()])
+    whole = format_significant(factor * sum(size**2 for size in sizes.values()) ** 0.5, 2)
+    text = f"Systematic errors of {whole} {unit} rms are taken along as the study found them ({terms})."
     if not audit.is_measured:
         (true,) = audit.tables["error_sizes"].query("times == 1.0")["size_um"].unique()
         text = (
-            f"The machine is assumed to err by {format_significant(true, 2)} µm rms, systematically; a study of this "
-            f"plan would allow for {whole} µm ({terms})."
+            f"The machine is assumed to err by {format_significant(factor * true, 2)} {unit} rms, systematically; a "
+            f"study of this plan would allow for {whole} {unit} ({terms})."
         )
     rows = [row for row in list_rows(audit.tables["error_sizes"]) if row["what"] == "requirement"]
     if rows and all(str(row["probability"]) != "" for row in rows):
         frame = pd.DataFrame(rows)
         least = frame.loc[frame.groupby("times")["probability"].idxmin()]
         said = [
-            f"{format_probability(row['probability'])} with {_name_size(row)} ({name_requirement(row['name'])})"
+            f"{format_probability(row['probability'])} with {_name_size(row, factor, unit)} "
+            f"({name_requirement(row['name'])})"
             for row in list_rows(least)
         ]
         text += f" Least probability to meet a requirement: {join_words(said)}."
@@ -56,9 +60,15 @@ def show_model_error(audit: AuditResults) -> list[Section]:
         return []
     table, blocks = audit.tables["error_sizes"], list[Block]()
     blocks += [Statement(FOUND)] if audit.is_measured else []
-    blocks.append(_tabulate(table, "parameter", "Standard deviation after the calibration, rms over legs or channels."))
+    blocks.append(
+        _tabulate(
+            table, _show(audit), "parameter", "Standard deviation after the calibration, rms over legs or channels."
+        )
+    )
     if (table["what"] == "requirement").any():
-        blocks.append(_tabulate(table, "requirement", "Requirements: predicted sd, and probability to meet them."))
+        blocks.append(
+            _tabulate(table, _show(audit), "requirement", "Requirements: predicted sd, and probability to meet them.")
+        )
     blocks.append(WHY)
     allowed, size = _name_unseen(audit)
     blocks += show_hidden(audit.tables["model_error_hidden"], size, allowed, lambda unit: (1.0, name_unit(unit)))
@@ -72,15 +82,21 @@ def _read_sizes(audit: AuditResults) -> dict[str, float]:
 def _name_unseen(audit: AuditResults) -> tuple[bool, str]:
     """Return whether sizes of errors that leave no trace are stated, and in words how large they are taken to be."""
     floors = audit.summary["plan"].get("at_least_um", {})
-    said = [f"{name} {format_significant(size, 2)}" for name, size in floors.items()]
-    return bool(floors), f"{join_words(said)} µm rms" if floors else f"{format_plain(UNSEEN_UM)} µm rms"
+    factor, unit = _show(audit)
+    said = [f"{name} {format_significant(factor * size, 2)}" for name, size in floors.items()]
+    return bool(floors), f"{join_words(said) if floors else format_plain(factor * UNSEEN_UM)} {unit} rms"
 
 
-def _name_size(row: dict[str, object] | pd.Series) -> str:
-    return f"{format_significant(float(row['size_um']), 2)} µm" if row["size_um"] else "no error"  # type: ignore[arg-type]
+def _show(audit: AuditResults) -> tuple[float, str]:
+    """Return factor and name of the unit of sizes."""
+    return choose_error_unit(audit.summary["plan"].get("model_error_in"))
 
 
-def _tabulate(table: pd.DataFrame, what: str, caption: str) -> Table:
+def _name_size(row: Mapping[str, Any], factor: float, unit: str) -> str:
+    return f"{format_significant(factor * float(row['size_um']), 2)} {unit}" if row["size_um"] else "no error"
+
+
+def _tabulate(table: pd.DataFrame, shown: tuple[float, str], what: str, caption: str) -> Table:
     """Return standard deviations, and probabilities of requirements, a row each, by the errors' size."""
     some, with_chance = table[table["what"] == what], what == "requirement"
     columns = [Column(what.capitalize(), kind="text")]
@@ -88,7 +104,7 @@ def _tabulate(table: pd.DataFrame, what: str, caption: str) -> Table:
     for _, group in some.groupby("times", sort=False):
         for k, row in enumerate(list_rows(group)):
             name = name_requirement(row["name"]) if with_chance else str(row["name"])
-            size = _name_size(row)
+            size = _name_size(row, *shown)
             amount = f"{format_sd(float(row['sd']))} {name_unit(row['unit'])}".rstrip()
             cells.setdefault(str(row["name"]), [name]).append(amount)
             columns += [Column("sd", group=size)] if k == 0 else []

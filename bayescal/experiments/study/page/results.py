@@ -24,6 +24,7 @@ from bayescal.report.numbers import MICROMETRES, format_pair, join_words
 from bayescal.report.symbols import (
     OF_FUNCTIONS,
     Asked,
+    choose_error_unit,
     describe_deformation,
     is_model_error,
     name_parameter,
@@ -95,8 +96,6 @@ COLUMNS: dict[str, tuple[str, str]] = {
 """Columns of texts and of numbers of tables that pages read; a table of another name belongs to whoever reads it."""
 REQUIRED = ("parameters", "poses")
 OF_ERRORS = ("model_error", "model_error_members", "model_error_poses", "model_error_alone", "tau_scale")
-PER_NOISE_UM = 10.0
-"""What one standard deviation of the noise counts in tables of the model error where the tool has no lengths, µm."""
 
 
 class ErrorScale(NamedTuple):
@@ -166,7 +165,7 @@ class StudyResults:
         every = tables["parameters"]
         if "mode" in every:  # NaN of variants with a single solution
             tables |= {"parameters": every[~(every["mode"] > 1)], SOLUTIONS: every[every["mode"].notna()]}
-        if (factor := _scale_errors(results.summary)) != 1.0:
+        if (factor := choose_error_unit(results.summary.get("model_error_in"))[0]) != 1.0:
             tables |= {name: _scale_columns(tables[name], factor) for name in OF_ERRORS if name in tables}
         found = cls(results.summary, results.config, tables)
         if results.folder is None:
@@ -431,12 +430,12 @@ class StudyResults:
     @property
     def error_factor(self) -> float:
         """How many of the unit in which sizes of the model error are shown make a µm."""
-        return _scale_errors(self.summary)
+        return choose_error_unit(self.summary.get("model_error_in"))[0]
 
     @property
     def error_unit(self) -> str:
         """The unit in which sizes of the model error are shown: µm at the tool, or times the noise of the readings."""
-        return "µm" if self.error_factor == 1.0 else "× noise"
+        return choose_error_unit(self.summary.get("model_error_in"))[1]
 
     @property
     def tau_scale(self) -> float | None:
@@ -471,11 +470,6 @@ class StudyResults:
         table = self.tables["parameters"]
         split = [split_name(str(name)) for name in table["parameter"]]
         return table.assign(symbol=[symbol for symbol, _ in split], leg=[leg for _, leg in split])
-
-
-def _scale_errors(summary: Mapping[str, Any]) -> float:
-    """Return `StudyResults.error_factor` of a summary."""
-    return 1.0 / PER_NOISE_UM if summary.get("model_error_in") == "noise" else 1.0
 
 
 def _scale_columns(table: pd.DataFrame, factor: float) -> pd.DataFrame:
