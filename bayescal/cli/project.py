@@ -69,15 +69,20 @@ def validate(experiment: Experiment, no_plugins: NoPlugins = False, trust: Trust
     from bayescal.experiments.frame.run import check_file
     from bayescal.files.plain_text import add_article
 
-    _, config, files, outlook, doubts = check_file(experiment)
-    echo(f"{experiment}: fit to run, {add_article(config.kind)} {config.name!r} ({config.title})")
-    for line in outlook:
-        echo(line)
-    for doubt in doubts:
+    config, found = check_file(experiment)
+    state = "readable, but its data seem to be wrong" if found.suspicions else "fit to run"
+    echo(f"{experiment}: {state}, {add_article(config.kind)} {config.name!r} ({config.title})")
+    for doubt in (*found.suspicions, *found.doubts):
         echo(f"but {doubt}")
-    echo(f"{len(files)} files belong to it: {', '.join(files)}" if files else "no other file belongs to it")
-    if doubts:
+    for line in found.outlook:
+        echo(line)
+    n_files = len(found.files)
+    echo(f"{n_files} files belong to it: {', '.join(found.files)}" if n_files else "no other file belongs to it")
+    if found.suspicions or found.doubts:
         echo(f"next: correct the data or the config, then bayescal validate {experiment} again")
+    if found.suspicions:  # as a run would end
+        raise typer.Exit(3)
+    if found.doubts:
         return
     command = "simulate" if config.kind == "simulation" else "run"
     echo(f"next: bayescal {command} {experiment}, into results/{config.name}")

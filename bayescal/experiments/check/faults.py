@@ -18,7 +18,8 @@ from bayescal.density.sessions import ReadingRows
 from bayescal.errors import NumericalError
 from bayescal.experiments.check.inputs import Subject, draw_posterior
 from bayescal.experiments.shared.measured import MeasuredReadings
-from bayescal.experiments.shared.slip_search import PATIENCE, Search, search_cause
+from bayescal.experiments.shared.slip_search import PATIENCE, search_cause
+from bayescal.experiments.shared.slip_verdict import Search
 from bayescal.experiments.shared.soundness import ChiSquare, fit_rows, format_chance
 from bayescal.inference.mode import Mode, find_mode
 from bayescal.inference.target import Target

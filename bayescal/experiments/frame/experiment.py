@@ -112,6 +112,14 @@ class Experiment[C: ExperimentConfig, I](ABC):
         del inputs
         return []
 
+    def suspect(self, inputs: I) -> list[str]:
+        """Return what is wrong with data that can be computed with: results of these are not to be relied on.
+
+        What is named here is among `list_failures` of the results.
+        """
+        del inputs
+        return []
+
     @abstractmethod
     def compute(self, inputs: I, run: Run) -> Results:
         """Return the results; long work is handed to ``run`` in tasks, which keeps each as it ends.

@@ -140,7 +140,7 @@ def run_experiment(
                 import_all(experiment.imports[:1])
             progress = Progress(quiet)
             if not (quiet or resume) and scheduler is None:
-                for doubt in _ask(experiment.doubt, admitted.inputs):
+                for doubt in _list_doubts(experiment, admitted.inputs):
                     progress.say(f"warning: {doubt}")
                 progress.say(_tell_effort(admitted, workers))
             results = _compute(admitted, Run(engine, store, progress), store.discard)
@@ -179,21 +179,43 @@ def _compute(admitted: Admitted, run: Run, discard: Callable[[], None] = lambda:
         discard()
         raise NumericalError(f"{error} ({LATE})") from error
     except NumericalError as error:
-        doubts = _ask(experiment.doubt, inputs)
+        doubts = _list_doubts(experiment, inputs)
         if not doubts:
             raise
         raise NumericalError(f"{error}; perhaps since {'; '.join(doubts)}") from error
 
 
-def check_file(path: Path) -> tuple[AnyExperiment, ExperimentConfig, list[str], list[str], list[str]]:
-    """Read all that the experiment of a file computes with; return its kind and config, and as `check_experiment`.
+@dataclass(frozen=True)
+class Checked:
+    """What is known of an experiment without computing, in lines.
+
+    Attributes
+    ----------
+    files : list of str
+        Those that belong to it.
+    outlook : list of str
+        What its inputs can determine, and the memory that a run takes.
+    suspicions : list of str
+        What is wrong with its data: a run would end with exit code 3.
+    doubts : list of str
+        What may be wrong with them.
+    """
+
+    files: list[str]
+    outlook: list[str]
+    suspicions: list[str]
+    doubts: list[str]
+
+
+def check_file(path: Path) -> tuple[ExperimentConfig, Checked]:
+    """Read all that the experiment of a file computes with; return its config, and as `check_experiment`.
 
     `SeveralFaultsError` with all that is wrong with config and files, as far as one does not depend on the other.
     """
     try:
-        experiment, config = load(path)
+        _, config = load(path)
         with name_faults(path):
-            return experiment, config, *check_experiment(config, path.parent)
+            return config, check_experiment(config, path.parent)
     except InputError as error:
         of_files: list[str] = []
         with suppress(InputError):  # the files that a config names, however far it can itself be read
@@ -204,20 +226,20 @@ def check_file(path: Path) -> tuple[AnyExperiment, ExperimentConfig, list[str], 
         raise SeveralFaultsError([*error.lines, *more]) from error
 
 
-def check_experiment(config: ExperimentConfig, folder: Path) -> tuple[list[str], list[str], list[str]]:
+def check_experiment(config: ExperimentConfig, folder: Path) -> Checked:
     """Put an experiment through the gate of a run with a process per core; return what is known without computing.
 
-    The files that belong to it; what its inputs can determine, and the memory that a run takes; what may be wrong with
-    them. InputError as `admit`.
+    InputError as `admit`.
     """
     workers = cpu_count()
     admitted = admit(config, folder, workers)
     experiment, inputs = admitted.experiment, admitted.inputs
     with threadpool_limits(1):
-        outlook, doubts = _ask(experiment.outlook, inputs), _ask(experiment.doubt, inputs)
+        outlook, suspicions = _ask(experiment.outlook, inputs), _ask(experiment.suspect, inputs)
+        doubts = _ask(experiment.doubt, inputs)
     if admitted.need.sizes:
         outlook = [*outlook, f"a run computes with {admitted.need.describe(workers)}"]
-    return sorted(admitted.identity["files"]), outlook, doubts
+    return Checked(sorted(admitted.identity["files"]), outlook, suspicions, doubts)
 
 
 def compute_experiment(config: ExperimentConfig, folder: Path, workers: int = 1) -> Results:
@@ -225,6 +247,11 @@ def compute_experiment(config: ExperimentConfig, folder: Path, workers: int = 1)
     admitted = admit(config, folder, workers)
     with threadpool_limits(1), np.errstate(all="ignore"):
         return _compute(admitted, Run(Processes(workers)))
+
+
+def _list_doubts(experiment: AnyExperiment, inputs: Any) -> list[str]:
+    """Return what is, and what may be, wrong with inputs that passed the gate."""
+    return [*_ask(experiment.suspect, inputs), *_ask(experiment.doubt, inputs)]
 
 
 def _ask(question: Callable[[Any], list[str]], inputs: Any) -> list[str]:

@@ -11,7 +11,7 @@ from matplotlib import figure as mpl
 from matplotlib.axes import Axes
 
 from bayescal.experiments.frame.results import Results
-from bayescal.experiments.shared.headline import say_probability, write_headline
+from bayescal.experiments.shared.headline import say_data_first, say_probability, write_headline
 from bayescal.experiments.shared.slips import state_slip
 from bayescal.report.blocks import Cell, Column, Definitions, Figure, Level, Page, Section, Statement, Table, make_table
 from bayescal.report.numbers import format_fixed, format_percent, format_significant
@@ -78,6 +78,8 @@ def build_page(results: Results) -> Page:
 def state_headline(summary: dict[str, Any]) -> str:
     """Return whether to stop, in one sentence."""
     n, wanted = summary["n_poses"], format_percent(summary["stated_probability"])
+    if "slip" in summary:
+        return write_headline([say_data_first(summary["slip"]["text"])])
     stop = summary["decision"] == "stop"
     order = "Stop" if stop else f"Measure one more pose, candidate {summary['next_candidate']}"
     if summary["aim"] == "variants":

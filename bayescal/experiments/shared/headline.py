@@ -9,6 +9,7 @@
 - A variant that is ruled out is not shown as the more accurate one without saying so.
 - An accuracy says whether it is a standard uncertainty or which coverage it has.
 - A requirement is met with a probability.
+- Where data seem to be wrong, that is said first, and nothing is advised that takes it for the machine's.
 """
 
 from __future__ import annotations
@@ -266,6 +267,11 @@ def say_requirements(probabilities: Mapping[str, float], subject: str = "the cal
 def rate_probability(probability: float) -> Level:
     """Return how good the news is that a requirement is met with a probability."""
     return "good" if probability >= LIKELY else "warning" if probability >= 0.5 else "bad"
+
+
+def say_data_first(suspicion: str) -> str:
+    """Return the first sentence of a headline of data that seem to be wrong: nothing else is advised beside it."""
+    return f"Correct the data first: {suspicion}. Rely on no figure before that"
 
 
 def write_headline(parts: Iterable[str]) -> str:

@@ -98,6 +98,7 @@ class Cause:
     noise: tuple[int, ...] = ()  # channels whose noise is another one, by one of the factors
     blind: int | None = None  # channel that may read anything
     without: tuple[int, ...] = ()  # rows
+    among: int = 1  # it is the best of so many that were tried together, and counts as one of them
     # from the sizes of its columns' unknowns (k,), or from its factor (1,), to words; of a channel that may read
     # anything from what the others say that it reads, (P,)
     say: Callable[[Array], str] | None = None
@@ -247,8 +248,8 @@ def _say_blind(channel: Channel, measured: Array, steady: bool, expected: Array)
     measured, expected = measured[good], expected[good]
     if steady:
         return (
-            f"{channel.name} does not move: it reads {_in_unit(measured[0], unit)} in all rows, where the other "
-            f"channels say {_in_unit(expected.min(), unit)} to {_in_unit(expected.max(), unit)}"
+            f"{channel.name} does not move: it reads {format_in_unit(measured[0], unit)} in all rows, where the other "
+            f"channels say {format_in_unit(expected.min(), unit)} to {format_in_unit(expected.max(), unit)}"
         )
     off = measured - expected
     middle = float(np.median(off))
@@ -442,9 +443,9 @@ def _list_channels(readings: Readings) -> Iterator[Cause]:
 
 
 def _say_zero(channel: Channel, size: Array) -> str:
+    amount = format_in_unit(size[0], channel.unit, "+")
     return (
-        f"readings of {channel.name} seem to have another zero, {_in_unit(size[0], channel.unit, '+')} off in all rows "
-        "by what the other channels say"
+        f"readings of {channel.name} seem to have another zero, {amount} off in all rows by what the other channels say"
     )
 
 
@@ -455,12 +456,13 @@ def _say_scale(channel: Channel, size: Array) -> str:
 
 def _say_drift(channel: Channel, size: Array) -> str:
     return (
-        f"readings of {channel.name} drift by {_in_unit(size[0], channel.unit)} from the first row to the last: "
+        f"readings of {channel.name} drift by {format_in_unit(size[0], channel.unit)} from the first row to the last: "
         "correct them, or keep drift among the terms of [model_error]"
     )
 
 
-def _in_unit(value: float, unit: str, sign: str = "") -> str:
+def format_in_unit(value: float, unit: str, sign: str = "") -> str:
+    """Return a value of a channel with its unit; angles in degrees."""
     return f"{np.degrees(value):{sign}.3g}°" if unit == "rad" else f"{value:{sign}.3g} {unit}"
 
 

@@ -35,6 +35,7 @@ from bayescal.experiments.shared.slip_causes import (
     list_effects,
     list_tables,
 )
+from bayescal.experiments.shared.slip_cells import CellSearch, weigh_cells
 from bayescal.experiments.shared.slip_rows import (
     LOST,
     OUTLYING,
@@ -46,12 +47,12 @@ from bayescal.experiments.shared.slip_rows import (
     integrate_sizes,
     profile,
 )
-from bayescal.experiments.shared.slips import CHANNEL, FRAME, LEGS, POSES, ROWS, UNIT, FoundSlip, Misstated
+from bayescal.experiments.shared.slip_verdict import BEYOND, SLIPS, STATED, SURE, SURE_OF_SLIP, Named, Search, Weighed
+from bayescal.experiments.shared.slip_weigher import Weigher, splice
+from bayescal.experiments.shared.slips import CHANNEL, ROWS, FoundSlip, Misstated
 from bayescal.numerics.geometry import Array
 from bayescal.report.numbers import join_words
 
-SURE = 3.0
-"""Nats by which a cause has to explain the readings better, all of its kind that were tried counted: 20 to 1."""
 SURE_OF_MODEL = 10.0
 """The same of errors of the machine, which a model error allows for."""
 SURE_OF_SCATTER = 5.0
@@ -64,7 +65,6 @@ MOST_ALIKE = 4
 """Causes that are named together: a leg's length, its actuator's zero and heights of its joints do the same."""
 SLOPS = np.array([1.0, 2.5, 10.0, 100.0, 1e3, 1e4])
 """Factors on all noise about the machine as expected, for what the first order leaves."""
-BESIDE = 2  # how many factors on either side of the best one are tried as errors change
 USUAL_FACTOR = 1.5  # sd of the logarithm of a factor on the noise
 FINAL, EACH = 8, 3  # causes that are fitted: of all, and of each kind
 INTEGRATED = 6  # fitted causes, the best ones, whose errors' sizes are integrated
@@ -72,79 +72,16 @@ QUIET = -2.0  # coordinate of a model error's size at which it explains next to 
 ABSENT = -6.0  # the same of a size that is not there
 LARGE = 1.5  # the same of a size that is far beyond its scale: half-Cauchy ten times, with a probability of 7 %
 FITS_WELL, HOPELESS = 1.2, 8.0  # rms of a cause that leaves little, and nats a row below it of what is not fitted then
-FITS = 3  # steps of a fit
+FITS, MOST_FITS = 3, 8  # steps of a fit, and at most where the log-density still rises
+SETTLED = 1.0  # nats by which it rises less
 TOGETHER = 100  # tables that are looked at at once
 MOST_ROWS = 10  # of which other tables are tried first
 MOST_FAR = 6  # rows far off of which two may be exchanged
 MISFIT = 1.4
 """Rms of the rows in their noise below which no other table is tried."""
 UNFIT = -1e9  # log-density of readings that no machine has at all
+FEWEST = 3  # causes that are fitted, however long it takes
 PATIENCE = 25.0  # s of CPU time after which no more causes are tried
-SLIPS = (UNIT, LEGS, ROWS, POSES, CHANNEL, FRAME)
-"""Causes that are slips of the data: other kinds of experiments than checks name these alone."""
-STATED = 1.5
-"""Rms of the rows in noise and model errors as stated up to which nothing has slipped."""
-BETTER = {POSES: 1.5, ROWS: 1.5}
-"""Factor by which the misfit has to fall for a slip to be named, 3 but for what is named here: angles read in another
-way are off by little at tilts of some degrees, by two to five times what was stated, and a row is one of many."""
-USUALLY_BETTER = 3.0
-
-
-@dataclass(frozen=True, eq=False)
-class Weighed:
-    """A cause, by how many nats it explains the readings better, all that were tried counted, and its words."""
-
-    cause: Cause
-    gain: float
-    text: str
-    misfit: float
-    factor: float  # on a noise or a tolerance
-    cost: float  # nats, for all that were tried
-
-
-@dataclass(frozen=True)
-class Named:
-    """What is named first: the best cause and those alike, the gain, and the nats between them and the next one.
-
-    ``misfit`` is the rms of the readings in their noise that the best one leaves.
-    """
-
-    fault: str
-    faults: tuple[str, ...]
-    text: str
-    gain: float
-    odds: float
-    rival: str
-    misfit: float
-
-
-@dataclass(frozen=True, eq=False)
-class Search:
-    """What a search found: what is named first, all that was fitted, how many were tried, whether time ran out.
-
-    ``misfit`` is the rms of the readings in noise and errors as stated that the best machine leaves of them as they
-    are, infinite where no machine within the tolerances has any of them. Of slips planted in data that fit,
-    ``unnoticed`` are those after which they fit all the same.
-    """
-
-    misfit: float
-    first: Named | None = None
-    weighed: list[Weighed] = field(default_factory=list)
-    tried: int = 0
-    stopped: bool = False
-    unnoticed: list[str] = field(default_factory=list)
-
-    @property
-    def slip(self) -> FoundSlip | None:
-        """What is named first where it is a slip of data that are far from every machine within the tolerances."""
-        first = self.first
-        if self.misfit <= STATED or first is None or not set(first.faults) <= set(SLIPS):
-            return None
-        factor = self.misfit / max(first.misfit, 1.0)
-        if factor <= BETTER.get(first.fault, USUALLY_BETTER):
-            return None
-        limited = np.isfinite(factor)
-        return FoundSlip(first.fault, first.text, first.gain if limited else np.inf, factor if limited else None)
 
 
 def search_cause(readings: Readings, denied: Collection[str] = ()) -> Search:
@@ -194,7 +131,8 @@ def _without_drift(readings: Readings) -> Readings:
 def find_slip(variants: Iterable[Readings], denied: Collection[str] = ()) -> FoundSlip | None:
     """Return the slip that explains readings many times better than they are; None where none does.
 
-    Of variants of the same readings the one that comes nearest is asked: where one of them fits, nothing has slipped.
+    Of variants of the same readings the one that comes nearest is asked. Where it fits in noise and errors as stated,
+    single cells, channels and frames alone may have slipped, by so much that the model error took it up.
 
     Parameters
     ----------
@@ -209,20 +147,20 @@ def find_slip(variants: Iterable[Readings], denied: Collection[str] = ()) -> Fou
         groups.setdefault((names, one.posterior.likelihood.data.poses), []).append(one)
     for group in groups.values():
         nearest = _find_nearest(group, denied)
-        found = None if nearest is None else nearest.run().slip
+        found = None if nearest is None else nearest.run(briefly=nearest.misfit <= STATED).slip
         if found is not None:
             return found
     return None
 
 
 def _find_nearest(variants: Iterable[Readings], denied: Collection[str]) -> _Search | None:
-    """Return the search of the variant that comes nearest to its readings; None where one of them fits."""
+    """Return the search of the variant that comes nearest to its readings; the first one that fits."""
     nearest: _Search | None = None
     for one in variants:
         search = _Search(_leave_out_outliers(one), denied)
         # to first order about the machine as expected is enough where that fits: steps from there make it no worse
         if search.readings.measure_misfit() <= STATED or search.misfit <= STATED:
-            return None
+            return search
         if nearest is None or search.misfit < nearest.misfit:
             nearest = search
     return nearest
@@ -249,7 +187,7 @@ class _Fit:
     misfit: float
     text: str
     zeta: Array
-    weigher: _Weigher
+    weigher: Weigher
     beside: float
 
 
@@ -332,27 +270,39 @@ class _Search:
         text = f"rows scatter by more than the stated noise, which tau of the model error takes up; as well, {said}"
         return Misstated(SCATTER, f"{text}{')' * (len(noises) > 1)}", noises[0].factor, loss)
 
-    def run(self, with_tables: bool = True) -> Search:
-        """Return what explains the readings best; without tables, by what leaves them as they are."""
+    def run(self, with_tables: bool = True, briefly: bool = False) -> Search:
+        """Return what explains the readings best; without tables, by what leaves them as they are.
+
+        ``briefly`` readings that fit as they are are asked for what is sure alone, without tables.
+        """
         here = self.here
         if here is None:
             return Search(np.inf)
         effects = list(list_effects(self.readings, here.pose))
-        rough, tables = self._weigh_effects(effects), self._weigh_tables(here) if with_tables else []
-        if not self.fits:
-            rough += tables
+        if briefly:
+            effects = [one for one in effects if not one.noise]
+        rough, tables = self._weigh_effects(effects) + self._weigh_cells(here), list[tuple[Cause, float]]()
+        slips = [value for cause, value in rough if cause.fault in SLIPS]
+        if briefly and max(slips, default=-np.inf) < SURE_OF_SLIP:
+            return Search(self.misfit)
+        if briefly:
+            rough += self._weigh_effects([one for one in list_effects(self.readings, here.pose) if one.noise])
+        elif with_tables:
+            tables = self._weigh_tables(here)
+            rough += [] if self.fits else tables
         chosen = self._choose([one for one in rough if one[0].fault not in self.denied])
         counts = Counter((one.fault, one.scope) for one, _ in rough)
         ways = Counter(fault for fault, _ in counts)
 
         def cost(cause: Cause) -> float:
-            return float(np.log(ways[cause.fault] * counts[cause.fault, cause.scope]))
+            return float(np.log(ways[cause.fault] * counts[cause.fault, cause.scope] * cause.among))
 
         bound, fitted = -np.inf, list[tuple[Cause, _Fit]]()
         for cause, promise in chosen:
-            if self.is_late:
+            if self.is_late and len(fitted) >= FEWEST:
                 break
-            if promise < bound or (self.fits and promise < (-ALIKE if cause.fault == NOISE else 0.0)):
+            least = -ALIKE if cause.fault == NOISE else SURE_OF_SLIP if briefly else 0.0
+            if promise < bound or (self.fits and promise < least):
                 continue
             found = self.fit(cause, here)
             if found is not None:
@@ -362,12 +312,62 @@ class _Search:
         best = [(cause, self.integrate(one)) for cause, one in fitted[:INTEGRATED]]
         as_is = self._integrate_base([one.zeta for _, one in best])
         weighed = [
-            Weighed(cause, one.value - as_is - cost(cause), one.text, one.misfit, one.weigher.size, cost(cause))
+            Weighed(
+                cause,
+                one.value - as_is - cost(cause),
+                one.text,
+                one.misfit,
+                one.weigher.size,
+                cost(cause),
+                self.measure(cause, one),
+            )
             for cause, one in best
         ]
         weighed.sort(key=lambda one: -one.gain)
         unnoticed = [cause.text for cause, value in tables if self.fits and value > -UNSEEN]
         return Search(self.misfit, self._name(weighed), weighed, len(effects) + len(tables), self.is_late, unnoticed)
+
+    @cached_property
+    def most(self) -> Array:
+        """Coordinates of errors that functions do not exceed here, `BEYOND` times what was allowed for, (n,)."""
+        found, names = np.full(len(self.zeta), np.inf), self.posterior.errors.names
+        for one in self.posterior.errors.terms:
+            if isinstance(one, FunctionsOfPose):
+                found[names.index(one.names[0])] = one.priors[0].standardise(np.array(BEYOND * one.scale))
+        return found
+
+    @cached_property
+    def allowed(self) -> Array:
+        """What readings may be off by, noise and one scale of functions of the pose where there are any, (K,)."""
+        channels, data = self.readings.channels, self.posterior.likelihood.data
+        noise = np.nanmedian(np.where(data.present, data.sd, np.nan), axis=0)
+        found = np.zeros(len(channels))
+        for one in self.posterior.errors.terms:
+            if isinstance(one, FunctionsOfPose):
+                found = np.where([channel.unit == "mm" for channel in channels], one.scale, found)
+                found[one.own.places] = one.scale / one.own.levers
+        return np.asarray(np.hypot(noise, found)) if found.any() else np.full(len(channels), np.inf)
+
+    def measure(self, cause: Cause, fit: _Fit) -> float:
+        """Return the rms of what a cause does to readings: of rows in their noise, of others in what was allowed for.
+
+        A channel's scale about its own zero moves its zero, too, which is none of it.
+        """
+        data, change = self.posterior.likelihood.data, np.zeros_like(self.readings.values)
+        if cause.without:
+            rows = np.isin(fit.weigher.seen.rows, cause.without)
+            return float(np.sqrt(np.mean(fit.weigher.seen.whiten(self._silence(self.zeta)).rows[rows, :, -1] ** 2)))
+        if cause.columns is not None:
+            change = cause.columns @ fit.weigher.solve(fit.zeta)[1]
+        elif cause.table is not None:
+            change[cause.table.rows] = np.nan_to_num(cause.table.values - self.readings.values[cause.table.rows])
+        if cause.fault == CHANNEL and np.ptp(change, axis=0).any():
+            change = change - change.mean(axis=0)
+        allowed = data.sd if cause.fault == ROWS else self.allowed
+        off = np.divide(change, allowed, out=np.zeros_like(change), where=data.present & (data.sd > 0.0))
+        touched = np.abs(off).max(axis=0) > 0.0
+        touched = np.abs(off) > 0.0 if cause.fault == ROWS else np.broadcast_to(touched, off.shape)
+        return float(np.sqrt(np.mean(off[touched] ** 2))) if touched.any() else 0.0
 
     def _name(self, weighed: list[Weighed]) -> Named | None:
         weighed = [one for one in weighed if one.cause.fault != WIDE]
@@ -381,7 +381,8 @@ class _Search:
         text = first + "".join(f" (or: {one})" for one in also[: MOST_ALIKE - 1])
         faults = tuple(dict.fromkeys(one.cause.fault for one in alike[:MOST_ALIKE]))
         said = others[0].text if others and others[0].gain > 0.0 else "the data as they are"
-        return Named(best[0].cause.fault, faults, text, best[0].gain, alike[-1].gain - rival, said, best[0].misfit)
+        top = best[0]
+        return Named(top.cause.fault, faults, text, top.gain, alike[-1].gain - rival, said, top.misfit, top.change)
 
     # --- first round -------------------------------------------------------------------------------------------------
 
@@ -423,9 +424,9 @@ class _Search:
                     gain, _ = white.gain_by_factor(np.array(cause.toleranced), cause.factors)
                     values[i, j] = bases[j] + gain
                 elif cause.without:
-                    values[i, j] = self._leave_out(white, np.array(cause.without)) - 0.5 * float(zeta @ zeta)
+                    values[i, j] = self.leave_out(white, np.array(cause.without)) - 0.5 * float(zeta @ zeta)
                 elif cause.noise and (not j or here is not self.here):
-                    values[i, j] = self._try_noise(here, cause, zeta, FACTORS)[0] - 0.5 * float(zeta @ zeta)
+                    values[i, j] = self.try_noise(here, cause, zeta, FACTORS)[0] - 0.5 * float(zeta @ zeta)
         gains = values.max(axis=1) - bases.max()
         return list(zip(causes, gains.tolist(), strict=True))
 
@@ -436,7 +437,7 @@ class _Search:
         of_model = np.pad(of_model, (0, len(zeta) - len(of_model)))
         return np.where(of_model, np.minimum(zeta, QUIET), zeta)
 
-    def _leave_out(self, white: White, rows: np.ndarray) -> float:
+    def leave_out(self, white: White, rows: np.ndarray) -> float:
         """Return the log-density where some rows may be anything."""
         kept = np.ones(len(white.rows), dtype=bool)
         kept[rows] = False
@@ -445,7 +446,7 @@ class _Search:
         broad = white.constant[rows] - n * (np.log(np.maximum(size, 1.0)) + 0.5)
         return white.weigh(white.total - white.gram(rows), float(white.constant[kept].sum() + broad.sum()))
 
-    def _try_noise(self, here: Sight, cause: Cause, zeta: Array, sizes: tuple[float, ...]) -> tuple[float, float]:
+    def try_noise(self, here: Sight, cause: Cause, zeta: Array, sizes: tuple[float, ...]) -> tuple[float, float]:
         """Return the log-density by the best of some factors on some channels' noise, and that.
 
         The prior of a factor is log-normal.
@@ -453,11 +454,11 @@ class _Search:
         found = []
         for size in sizes:
             more = -0.5 * (np.log(size) / USUAL_FACTOR) ** 2
-            value = here.whiten_together(zeta, self._raise_noise(cause, size)).weigh()
+            value = here.whiten_together(zeta, self.raise_noise(cause, size)).weigh()
             found.append((value + float(more - np.log(len(FACTORS))), float(size)))
         return max(found)
 
-    def _raise_noise(self, cause: Cause, size: float) -> Array:
+    def raise_noise(self, cause: Cause, size: float) -> Array:
         """Return factors on the channels' noise, (K,)."""
         factor = np.ones(len(self.readings.channels))
         factor[list(cause.noise)] = size
@@ -507,7 +508,7 @@ class _Search:
             for slop in SLOPS:
                 base = here.whiten(self.zeta, slop, common=mine)
                 white = seen.whiten(self.zeta, slop, common=common)
-                weighed = np.maximum(weighed, _splice(base, white, chosen, step))
+                weighed = np.maximum(weighed, splice(base, white, chosen, step))
             best = set(1 + np.argsort(-weighed[1 : n - 1])[:FINAL])
             for k in range(1, n - 1):
                 if k not in best:  # counted, but never fitted
@@ -541,6 +542,24 @@ class _Search:
             found.append((Cause(ROWS, text, table), float(value - usual)))
         return found
 
+    def _weigh_cells(self, here: Sight) -> list[tuple[Cause, float]]:
+        """Return single readings that are wrong, by the best of some sizes of errors, about the fit of all."""
+        seen, usual = (here, UNFIT) if self.base is None else (self.base.weigher.seen, self.base.value)
+        zetas = [self.zeta] if self.base is None else [self.base.zeta, self.zeta, self._silence(self.zeta)]
+        found, each = list[tuple[Cause, float]](), np.tile(np.eye(len(self.readings.channels)), (len(seen.rows), 1, 1))
+        every = np.zeros((len(self.readings.values), *each.shape[1:]))
+        every[seen.rows] = each
+        for zeta in zetas if seen.stands.any() else ():
+            white = seen.whiten(zeta, columns=every)
+            as_is = white.weigh() - 0.5 * float(zeta @ zeta)
+            rows, cells = weigh_cells(white, len(self.readings.channels))
+            listed = CellSearch(self.readings, seen.rows[rows], cells).list_causes()
+            found += [(cause, as_is + gain - usual) for cause, gain in listed]
+        best = dict[str, tuple[Cause, float]]()
+        for cause, gain in sorted(found, key=lambda one: -one[1]):
+            best.setdefault(cause.text, (cause, gain - float(np.log(cause.among))))
+        return list(best.values())
+
     def _row_cost(self, here: Sight) -> float:
         """Return what a row of a table counts that is not there, like one that may be anything, negative."""
         white = here.whiten(self.zeta)
@@ -555,7 +574,7 @@ class _Search:
         starts = (zeta,) if not cause.fault or self.base is None else (self.base.zeta, zeta, self._silence(zeta))
         unknown = np.zeros(0 if columns is None else columns.shape[-1])
         weigher, last = None, -np.inf
-        for step in range(FITS):
+        for step in range(MOST_FITS):
             values = table.values
             if columns is not None:
                 values = self.posterior.likelihood.comparison.add(values, -(columns @ unknown)[table.rows])
@@ -567,19 +586,21 @@ class _Search:
                 seen = replace(seen, errors=seen.errors + moved[..., 0])
             start = here.pose.copy()
             start[table.rows] = np.where(np.isfinite(seen.pose), seen.pose, start[table.rows])
-            weigher = _Weigher(self, cause, seen)
+            weigher = Weigher(self, cause, seen)
             if step == 0:
                 zeta = profile(weigher.weigh, starts, turns=not cause.fault)
             elif step == FITS - 1:
                 zeta = profile(weigher.weigh, (zeta, self._silence(zeta)), levels=not cause.fault)
-            last = weigher.weigh(zeta)
+            before, last = last, weigher.weigh(zeta)
             y, unknown, _ = weigher.solve(zeta)
+            if step >= FITS - 1 and last < before + SETTLED:
+                break
         if weigher is None or not np.isfinite(last):
             return None
         beside = -(len(self.readings.values) - len(table.rows)) * self._row_cost(here)
         return self._describe(weigher, zeta, last - 0.5 * float(zeta @ zeta), beside)
 
-    def _describe(self, weigher: _Weigher, zeta: Array, value: float, beside: float) -> _Fit:
+    def _describe(self, weigher: Weigher, zeta: Array, value: float, beside: float) -> _Fit:
         """Return a cause's fit at the errors ζ for which it was weighed last, of that log-density of its rows."""
         cause, (y, unknown, misfit) = weigher.cause, weigher.solve(zeta)
         more = beside
@@ -610,81 +631,3 @@ class _Search:
         base, weigh = self.base, self.base.weigher.weigh
         first = max((base.zeta, *others), key=lambda zeta: weigh(zeta) - 0.5 * float(zeta @ zeta))
         return self.integrate(replace(base, zeta=first)).value
-
-
-@dataclass(eq=False)
-class _Weigher:
-    """Rows of readings about a machine, by errors ζ, where a cause has happened; the cause's last size."""
-
-    search: _Search
-    cause: Cause
-    seen: Sight
-    size: float = 0.0
-
-    def __post_init__(self) -> None:
-        self.factors = FACTORS
-
-    def weigh(self, zeta: Array) -> float:
-        """Return the log-density."""
-        cause = self.cause
-        if cause.noise:
-            value, self.size = self.search._try_noise(self.seen, cause, zeta, self.factors)
-            place = int(np.searchsorted(FACTORS, self.size))
-            self.factors = FACTORS[max(place - BESIDE, 0) : place + BESIDE + 1]
-            return value
-        if cause.without:
-            return self.search._leave_out(self.seen.whiten(zeta), self._without)
-        white = self.seen.whiten_together(zeta, 1.0, cause.columns)
-        value, gain = white.weigh(), 0.0
-        if cause.toleranced:
-            gain, self.size = white.gain_by_factor(np.array(cause.toleranced), cause.factors)
-        elif cause.columns is not None:
-            gain, self.size = white.gain(self._find_columns(white), cause.most)
-        return value + gain
-
-    def solve(self, zeta: Array) -> tuple[Array, Array, float]:
-        """Return machine (m,) and unknowns (k,) of columns, and the rms that is left.
-
-        That in noise and errors as stated, but for a noise that is another one.
-        """
-        y, unknown, _ = self._solve(zeta)
-        return y, unknown, self._solve(np.zeros_like(zeta))[2]
-
-    def _solve(self, zeta: Array) -> tuple[Array, Array, float]:
-        cause, m = self.cause, self.search.m
-        factor = self.search._raise_noise(cause, self.size) if cause.noise else 1.0
-        white = self.seen.whiten(zeta, factor, cause.columns)
-        if cause.without:
-            kept = np.setdiff1d(np.arange(len(white.rows)), self._without)
-            white = replace(white, rows=white.rows[kept], constant=white.constant[kept])
-        if cause.toleranced:
-            white = white.scale_tolerances(np.array(cause.toleranced), self.size)
-        which = self._find_columns(white)
-        known, unknown, misfit = white.solve(which, white.reduced[2][which] * self.size)
-        y = known[:m].copy()
-        if cause.toleranced:
-            y[np.array(cause.toleranced)] *= self.size
-        return y, unknown, misfit
-
-    @property
-    def _without(self) -> np.ndarray:
-        return np.flatnonzero(np.isin(self.seen.rows, self.cause.without))
-
-    def _find_columns(self, white: White) -> np.ndarray:
-        """Return where the cause's columns stand among the white ones."""
-        width = 0 if self.cause.columns is None else self.cause.columns.shape[-1]
-        return white.known + np.arange(width)
-
-
-def _splice(base: White, white: White, chosen: np.ndarray, step: int) -> Array:
-    """Return the log-density with rows of one table up to some row, and of another from there on, (P,).
-
-    Backwards for a negative step: rows of the other table up to that row. Rows of the other table are the chosen ones.
-    """
-    order = np.arange(len(chosen))[:: 1 if step > 0 else -1]
-    gram, constant, found = white.total, float(white.constant.sum()), np.full(len(base.rows), -np.inf)
-    for k in order:
-        found[chosen[k]] = base.weigh(gram, constant)
-        gram = gram + base.gram(chosen[[k]]) - white.gram(np.array([k]))
-        constant += float(base.constant[chosen[k]] - white.constant[k])
-    return found

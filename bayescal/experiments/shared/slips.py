@@ -15,6 +15,8 @@ from bayescal.report.numbers import format_significant
 
 UNIT, LEGS, ROWS, POSES, CHANNEL, FRAME = "unit", "legs", "rows", "poses", "channel", "frame"
 
+BETTER = 1.5
+"""Factor on the misfit below which it is not said: a single reading is one of many."""
 FAR = 3.0
 """Factor on the misfit from which on no machine is said to come near the data."""
 
@@ -34,7 +36,7 @@ class FoundSlip:
 
     def say(self) -> str:
         """Return it in words."""
-        return f"the data {_say_factor(self.factor)} if corrected: {self.text}"
+        return f"the data {say_factor(self.factor)} if corrected: {self.text}"
 
     def record(self) -> dict[str, str | float | None]:
         """Return it for a summary, where an infinite gain is none."""
@@ -68,8 +70,11 @@ class Misstated:
         return f"{self.text} (the data are explained better by {format_significant(self.gain, 2)} nats)"
 
 
-def _say_factor(factor: float | None) -> str:
-    return "fit only" if factor is None else f"fit {format_significant(factor, 2)} times better"
+def say_factor(factor: float | None) -> str:
+    """Return how much better data fit that are corrected, as a verb."""
+    if factor is None:
+        return "fit only"
+    return f"fit {format_significant(factor, 2)} times better" if factor >= BETTER else "are far more probable"
 
 
 def tell_denial(field: str) -> str:
@@ -94,7 +99,7 @@ def state_slip(summary: Mapping[str, Any]) -> list[Statement]:
     far = slip["factor"] is None or slip["factor"] > FAR
     text = (
         f"{'No machine within the tolerances comes near the data; they' if far else 'The data'} "
-        f"{_say_factor(slip['factor'])} if one thing is corrected: {slip['text']}. All other results rest on data that "
+        f"{say_factor(slip['factor'])} if one thing is corrected: {slip['text']}. All other results rest on data that "
         "seem to be wrong."
     )
     return [Statement(text, "bad", "Data")]

@@ -68,11 +68,15 @@ class Study(MachineExperiment[StudyConfig, StudyInputs], Measuring, Calibrating)
         return inputs.outlook()
 
     def doubt(self, inputs: StudyInputs) -> list[str]:
-        """Return what may have happened to data that no machine explains, or only one within wide tolerances."""
+        """Return what may be wrong: a place that only wide tolerances explain, a noise or a tolerance."""
         if inputs.slip is not None:
-            return [inputs.slip.say()]
+            return []
         found = inputs.misstated
         return [*doubt_zero(inputs), *([] if found is None or found.fault == WIDE else [found.say()])]
+
+    def suspect(self, inputs: StudyInputs) -> list[str]:
+        """Return what seems to have happened to data that one slip explains far better than errors of the machine."""
+        return [] if inputs.slip is None else [inputs.slip.say()]
 
     def compute(self, inputs: StudyInputs, run: Run) -> Results:
         """Return posteriors, evidence and predictions of all variants."""
@@ -92,8 +96,9 @@ class Study(MachineExperiment[StudyConfig, StudyInputs], Measuring, Calibrating)
         show_ranking(results.summary, console)
 
     def list_failures(self, results: Results) -> list[str]:
-        """Return that a posterior did not converge."""
-        return [] if results.summary["converged"] else ["not everything converged"]
+        """Return that data seem to be wrong, and that a posterior did not converge."""
+        wrong = ["the data seem to be wrong"] if results.summary.get("slip") else []
+        return wrong if results.summary["converged"] else [*wrong, "not everything converged"]
 
     def measure(
         self, config: StudyConfig, path: Path, names: Sequence[str], with_model_error: bool

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bayescal.experiments.frame.memory import Need, estimate_arrays
+from bayescal.experiments.frame.results import Results
 from bayescal.experiments.shared.of_another import OfAnother
 from bayescal.experiments.shared.search_memory import KEPT_READINGS, list_sampling, list_variant
 from bayescal.experiments.table.compute import compute_table
@@ -39,6 +40,10 @@ class LookUpTable(OfAnother[TableConfig, TableInputs]):
             "fewer values of its axes",
         )
 
-    def doubt(self, inputs: TableInputs) -> list[str]:
-        """Return what may have happened to readings that no machine within its priors comes near."""
+    def list_failures(self, results: Results) -> list[str]:
+        """Return that the study's data seem to be wrong."""
+        return ["the study's data seem to be wrong"] if results.summary.get("slip") else []
+
+    def suspect(self, inputs: TableInputs) -> list[str]:
+        """Return what seems to have happened to readings that one slip explains far better than errors do."""
         return [] if inputs.slip is None else [inputs.slip.say()]

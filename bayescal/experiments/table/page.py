@@ -10,6 +10,7 @@ import pandas as pd
 from matplotlib import figure as mpl
 
 from bayescal.experiments.frame.results import Results, list_rows
+from bayescal.experiments.shared.headline import say_data_first, write_headline
 from bayescal.experiments.shared.origin import name_origin
 from bayescal.experiments.shared.slips import state_slip
 from bayescal.numerics.units import ARCSECOND, MICROMETRE
@@ -66,7 +67,9 @@ def state_headline(summary: dict[str, Any]) -> str:
         spans.append(f"{format_plain(low)} to {format_plain(high)}{unit} of {words}")
     moves, known = [_largest(summary, key) for key in ("largest_offset", "largest_half_width_90")]
     worth = any(one["largest_offset"] > one["largest_half_width_90"] for one in summary["coordinates"].values())
-    sound = summary["converged"] and "slip" not in summary
+    if "slip" in summary:
+        return write_headline([say_data_first(summary["slip"]["text"])])
+    sound = summary["converged"]
     advice = "Correct by the table" if worth and sound else "Do not correct by the table yet"
     return (
         f"{advice}: from {join_words(spans)} it gives the platform's place to ±{known} (90 %); uncorrected it moves by "

@@ -56,7 +56,7 @@ def say(path):
     """Return what is said of the readings, as a doubt or in a refusal."""
     kind, config = load(path)
     try:
-        return kind.doubt(kind.read(config, path.parent))
+        return kind.suspect(kind.read(config, path.parent))
     except InputError as error:
         return [str(error)]
 
@@ -87,11 +87,11 @@ def test_page_summary_and_terminal_begin_with_it(tmp_path, call, no_pictures, mo
     monkeypatch.setattr("bayescal.experiments.study.inputs.find_slip", lambda variants: said)
     calibrations.change(path, '[[variants]]\nname = "one_rod"\ntitle = "Rods of one length"\ncommon = ["l"]\n', "")
     code, out, _ = call("run", path, "--out", tmp_path / "out", "--workers", 1)
-    assert code == 0
+    assert code == 3
     assert "they fit 41 times better if one thing is corrected: rows of s seem" in " ".join(out.split())
     results = read_results(tmp_path / "out")
     assert results.summary["slip"] == vars(said)
     page = load(path)[0].page(results)
     assert (page.verdict[0].level, page.verdict[0].lead) == ("bad", "Data")
     assert said.text in page.verdict[0].text
-    assert "with care" in page.headline
+    assert said.text in page.headline

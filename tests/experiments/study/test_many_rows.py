@@ -23,7 +23,8 @@ from bayescal.experiments.shared import estimate
 from bayescal.experiments.shared.estimate import Subject, time_fit
 from bayescal.experiments.shared.function_errors import tabulate_model_error
 from bayescal.experiments.shared.search_memory import KEPT_READINGS
-from bayescal.experiments.shared.slip_search import STATED, _Search
+from bayescal.experiments.shared.slip_search import _Search
+from bayescal.experiments.shared.slip_verdict import STATED
 from bayescal.experiments.shared.trees import choose_draws
 from bayescal.experiments.study.calibrated import tabulate_errors
 from bayescal.experiments.study.inputs import StudyInputs

@@ -240,7 +240,7 @@ def test_the_likely_cause_of_readings_far_off_is_said(slip, tmp_path):
     table[columns] = mend(table[columns].to_numpy())
     table.to_csv(data, index=False)
     kind, config = load(path)
-    doubts = kind.doubt(kind.read(config, tmp_path))
+    doubts = kind.suspect(kind.read(config, tmp_path))
     assert len(doubts) == (said is not None)
     assert said is None or f"times better if corrected: {said}" in doubts[0]
 

@@ -334,7 +334,7 @@ def _draw_predictions(predictions: pd.DataFrame) -> Drawing:
 # --- poses that the others contradict --------------------------------------------------------------------------------
 
 
-def _list_outliers(study: StudyResults) -> list[Row]:
+def list_contradicting(study: StudyResults) -> list[Row]:
     """Return the best variant's poses that the others contradict, those that count least first."""
     rows = [row for row in study.rows("poses", study.best_name) if row["contradicting"]]
     return sorted(rows, key=lambda row: row["trust"])
@@ -342,7 +342,7 @@ def _list_outliers(study: StudyResults) -> list[Row]:
 
 def state_outliers(study: StudyResults) -> list[Statement]:
     """Say which poses the others contradict, or that none does where some were expected to be outliers."""
-    rows, lead = _list_outliers(study), "Outliers"
+    rows, lead = list_contradicting(study), "Outliers"
     if rows:
         words = name_some([str(row["pose"]) for row in rows])
         verb = "pose disagrees" if len(rows) == 1 else "poses disagree"
@@ -360,7 +360,7 @@ def show_outliers(study: StudyResults) -> Section:
     blocks: list[Block] = [Figure("poses", caption, partial(_draw_poses, study.table("poses", study.best_name)))]
     columns = [Column("Pose", kind="text"), Column("Equations"), Column("Residual / noise"), Column("Weight")]
     cells: list[list[str | Cell]] = []
-    for row in _list_outliers(study):
+    for row in list_contradicting(study):
         size = format_significant(math.sqrt(row["square"] / max(1, row["equations"])), 2)
         cells.append([str(row["pose"]), str(row["equations"]), size, format_fixed(row["trust"], 2)])
     blocks += [WEIGHTS] if study.fit(study.best_name).get("robust") else []

@@ -36,6 +36,7 @@ from bayescal.experiments.study.page.soundness import (
     state_coverage,
     state_soundness,
 )
+from bayescal.experiments.study.page.suspicion import say_suspicion, silence
 from bayescal.limits import OUT_OF_QUESTION, PARETO_K_LIMIT
 from bayescal.report.blocks import Statement
 from bayescal.report.numbers import (
@@ -63,6 +64,9 @@ def state_headline(study: StudyResults) -> str:
     label = f"{study.label_model(model)} {describe_deformation(deformation)}" if named else ""
     choice = say_choice(study.candidates(), label, has_warnings(study))
     required = f"{say_requirements({})}; to judge them run an audit of this study"
+    if "slip" in study.summary:
+        return write_headline([say_suspicion(study)])
+    choice = f"{said} Then {choice[0].lower()}{choice[1:]}" if (said := say_suspicion(study)) else choice
     return write_headline([f"{choice}; {_say_uncertainty(study)}", say_headline(study), required])
 
 
@@ -114,7 +118,7 @@ def state_verdict(study: StudyResults) -> list[Statement]:
         *state_comparison(study),
         *knowledge_page.state_next(study.tables, study.chosen, study.units),
     ]
-    return _tell_model_error(state_terms(study), found, len(state_soundness(study)))
+    return silence(study, _tell_model_error(state_terms(study), found, len(state_soundness(study))))
 
 
 def _tell_model_error(own: list[Statement], others: list[Statement], place: int) -> list[Statement]:

@@ -1,0 +1,115 @@
+"""A cause about rows of readings: their log-density by errors' sizes, and what is solved for, machine and cause."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from bayescal.experiments.shared.slip_causes import FACTORS, Cause
+from bayescal.experiments.shared.slip_rows import Sight, White
+from bayescal.numerics.geometry import Array
+
+BESIDE = 2  # how many factors on either side of the best one are tried as errors change
+STEEP = 100.0  # nats by the square of a coordinate beyond what errors are allowed
+
+
+class Weighing(Protocol):
+    """What is asked of a search: how many parameters, the largest errors, other noises, rows that do not count."""
+
+    m: int
+
+    @property
+    def most(self) -> Array:
+        """Coordinates of errors that are not exceeded, (n,)."""
+
+    def leave_out(self, white: White, rows: np.ndarray) -> float:
+        """Return the log-density where some rows may be anything."""
+
+    def try_noise(self, here: Sight, cause: Cause, zeta: Array, sizes: tuple[float, ...]) -> tuple[float, float]:
+        """Return the log-density by the best of some factors on some channels' noise, and that."""
+
+    def raise_noise(self, cause: Cause, size: float) -> Array:
+        """Return factors on the channels' noise, (K,)."""
+
+
+@dataclass(eq=False)
+class Weigher:
+    """Rows of readings about a machine, by errors ζ, where a cause has happened; the cause's last size."""
+
+    search: Weighing
+    cause: Cause
+    seen: Sight
+    size: float = 0.0
+
+    def __post_init__(self) -> None:
+        self.factors = FACTORS
+
+    def weigh(self, zeta: Array) -> float:
+        """Return the log-density; next to none of errors as large as no machine has them."""
+        return self._weigh(zeta) - STEEP * float(np.sum(np.maximum(zeta - self.search.most, 0.0) ** 2))
+
+    def _weigh(self, zeta: Array) -> float:
+        cause = self.cause
+        if cause.noise:
+            value, self.size = self.search.try_noise(self.seen, cause, zeta, self.factors)
+            place = int(np.searchsorted(FACTORS, self.size))
+            self.factors = FACTORS[max(place - BESIDE, 0) : place + BESIDE + 1]
+            return value
+        if cause.without:
+            return self.search.leave_out(self.seen.whiten(zeta), self._without)
+        white = self.seen.whiten_together(zeta, 1.0, cause.columns)
+        value, gain = white.weigh(), 0.0
+        if cause.toleranced:
+            gain, self.size = white.gain_by_factor(np.array(cause.toleranced), cause.factors)
+        elif cause.columns is not None:
+            gain, self.size = white.gain(self._find_columns(white), cause.most)
+        return value + gain
+
+    def solve(self, zeta: Array) -> tuple[Array, Array, float]:
+        """Return machine (m,) and unknowns (k,) of columns, and the rms that is left.
+
+        That in noise and errors as stated, but for a noise that is another one.
+        """
+        y, unknown, _ = self._solve(zeta)
+        return y, unknown, self._solve(np.zeros_like(zeta))[2]
+
+    def _solve(self, zeta: Array) -> tuple[Array, Array, float]:
+        cause, m = self.cause, self.search.m
+        factor = self.search.raise_noise(cause, self.size) if cause.noise else 1.0
+        white = self.seen.whiten(zeta, factor, cause.columns)
+        if cause.without:
+            kept = np.setdiff1d(np.arange(len(white.rows)), self._without)
+            white = replace(white, rows=white.rows[kept], constant=white.constant[kept])
+        if cause.toleranced:
+            white = white.scale_tolerances(np.array(cause.toleranced), self.size)
+        which = self._find_columns(white)
+        known, unknown, misfit = white.solve(which, white.reduced[2][which] * self.size)
+        y = known[:m].copy()
+        if cause.toleranced:
+            y[np.array(cause.toleranced)] *= self.size
+        return y, unknown, misfit
+
+    @property
+    def _without(self) -> np.ndarray:
+        return np.flatnonzero(np.isin(self.seen.rows, self.cause.without))
+
+    def _find_columns(self, white: White) -> np.ndarray:
+        """Return where the cause's columns stand among the white ones."""
+        width = 0 if self.cause.columns is None else self.cause.columns.shape[-1]
+        return white.known + np.arange(width)
+
+
+def splice(base: White, white: White, chosen: np.ndarray, step: int) -> Array:
+    """Return the log-density with rows of one table up to some row, and of another from there on, (P,).
+
+    Backwards for a negative step: rows of the other table up to that row. Rows of the other table are the chosen ones.
+    """
+    order = np.arange(len(chosen))[:: 1 if step > 0 else -1]
+    gram, constant, found = white.total, float(white.constant.sum()), np.full(len(base.rows), -np.inf)
+    for k in order:
+        found[chosen[k]] = base.weigh(gram, constant)
+        gram = gram + base.gram(chosen[[k]]) - white.gram(np.array([k]))
+        constant += float(base.constant[chosen[k]] - white.constant[k])
+    return found

@@ -1,0 +1,43 @@
+"""While data are suspected nothing is advised of machine, noise and tolerances: data that are wrong look like these."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from bayescal.experiments.shared.headline import say_data_first
+from bayescal.experiments.shared.slips import state_slip
+from bayescal.experiments.study.page.errors import list_contradicting, state_outliers
+from bayescal.experiments.study.page.model_error import LEAD
+from bayescal.experiments.study.page.results import StudyResults
+from bayescal.report.blocks import Statement
+
+SILENT: Final = (LEAD, "Tolerances", "Noise", "Bounds", "Sensors' errors", "Next pose")
+"""Leads of sentences that take what is wrong with data for a property of machine, noise or tolerances."""
+DROPPED: Final = (
+    "What these figures say of model error, noise and tolerances is left out: wrong data look like any of these."
+)
+
+
+def list_suspicions(study: StudyResults) -> list[Statement]:
+    """Return what seems to be wrong with data: a slip, and poses that the others contradict where none was expected."""
+    slip = state_slip(study.summary)
+    if slip or study.fit(study.best_name).get("robust") or not list_contradicting(study):
+        return slip
+    return state_outliers(study)
+
+
+def say_suspicion(study: StudyResults) -> str:
+    """Return what to look at before anything else; empty where nothing is suspected."""
+    slip = study.summary.get("slip")
+    if isinstance(slip, dict):
+        return say_data_first(str(slip["text"]))
+    return next((one.text for one in list_suspicions(study)), "")
+
+
+def silence(study: StudyResults, found: list[Statement]) -> list[Statement]:
+    """Return statements without those that are no advice while data are suspected; what is suspected stays."""
+    suspicions = list_suspicions(study)
+    kept = [one for one in found if one.lead not in SILENT] if suspicions else found
+    if len(kept) == len(found):
+        return found
+    return [*suspicions, Statement(DROPPED, "warning", "Data"), *(one for one in kept if one not in suspicions)]

@@ -1,0 +1,52 @@
+"""While data are suspected, nothing is advised that takes what is wrong with them for the machine's."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from made_up_results import read_study, set_fit, set_rows
+
+from bayescal.experiments.study.page.suspicion import SILENT, list_suspicions
+from bayescal.experiments.study.page.verdict import state_headline, state_verdict
+
+BEST = "pus/linear"
+SLIP = {"fault": "rows", "text": "rows 3 and 4 seem to have each other's x", "gain": 60.0, "factor": 2.0}
+OFF = set_fit(BEST, misfit_chi2=900.0, misfit_dof=100.0, pulls_chi2=0.5, pulls_dof=60.0)
+
+
+def spoil(summary, slip=None):
+    OFF(summary)
+    summary |= {} if slip is None else {"slip": slip}
+
+
+def of_row(trust=1.0):
+    return {"poses": set_rows({"variant": BEST, "pose": "C2"}, contradicting=True, square=150.0, trust=trust)}
+
+
+def test_figures_are_explained_where_nothing_is_suspected(make_results):
+    study = read_study(make_results(spoil))
+    assert not list_suspicions(study)
+    assert {"Noise", "Tolerances"} <= {one.lead for one in state_verdict(study)}
+
+
+@pytest.mark.parametrize("what", ["slip", "row"])
+def test_nothing_rivals_what_is_suspected(what, make_results):
+    slip, edits = (SLIP, {}) if what == "slip" else (None, of_row())
+    study = read_study(make_results(lambda summary: spoil(summary, slip), edits=edits))
+    verdict = state_verdict(study)
+    assert not {one.lead for one in verdict} & set(SILENT)
+    named = SLIP["text"] if what == "slip" else "C2"
+    assert named in verdict[0].text
+    headline = state_headline(study)
+    assert named in headline
+    assert ("use pus" in headline.lower()) == (what == "row")
+
+
+def test_a_variant_that_expects_outliers_has_dealt_with_them(make_results):
+    def change(summary):
+        spoil(summary)
+        set_fit(BEST, robust=True)(summary)
+
+    study = read_study(make_results(change, edits=of_row(0.01)))
+    assert not list_suspicions(study)
+    assert np.any([one.lead in SILENT for one in state_verdict(study)])
