@@ -26,7 +26,7 @@ def of_row(trust=1.0):
 def test_figures_are_explained_where_nothing_is_suspected(make_results):
     study = read_study(make_results(spoil))
     assert not list_suspicions(study)
-    assert {"Noise", "Tolerances"} <= {one.lead for one in state_verdict(study)}
+    assert "Noise" in {one.lead for one in state_verdict(study)}
 
 
 @pytest.mark.parametrize("what", ["slip", "row"])
