@@ -221,6 +221,7 @@ class Scara(Chain):
     """Three turning joints; a camera above sees a mark and its angle."""
 
     zeros = "o"
+    fixed = ("o[1]",)
     symbols: ClassVar = {
         "l": Symbol((300.0, 250.0), 0.5),
         "o": Symbol((0.0,) * 3, np.radians(0.2), "rad"),
@@ -282,6 +283,7 @@ class ArmCamera(Chain):
     """Four joints; a camera above sees a mark, in pixels."""
 
     zeros = "o"
+    fixed = ("o[1]",)
     symbols: ClassVar = {
         "a": Symbol((300.0, 250.0, 120.0), 0.5),
         "o": Symbol((0.0,) * 4, np.radians(0.2), "rad"),
