@@ -19,7 +19,7 @@ from bayescal.numerics.geometry import Array
 LEAST_PROBABILITY = 0.01  # of a solution that is more than mentioned
 MOST_DRAWS = 20_000  # from which clusters are found; all are assigned to them
 ROUNDS = 3  # of assigning draws to the nearest mean, in units of the spread within clusters
-FEWEST = 30  # draws of a cluster
+MIN_DISTANCE = 6.0  # of two clusters' means, in standard deviations within clusters
 N_BINS = 30  # of the distance between two means along the direction that separates their clusters best
 VALLEY = 0.05  # density between two clusters over the smaller one's peak from which on they are one
 
@@ -94,12 +94,12 @@ def _assign(points: Array, centres: Array) -> np.ndarray:
 def _fit_clusters(draws: Array, centres: Array, whiten: Array) -> tuple[Array, Array]:
     """Return means (M, m) of clusters of draws (S, m), and what makes the spread within them the identity, (m, m).
 
-    Clusters of too few draws are left out.
+    Clusters without draws are left out.
     """
     for _ in range(ROUNDS):
         nearest = _assign(draws @ whiten, centres @ whiten)
         counts = np.bincount(nearest, minlength=len(centres))
-        kept = np.flatnonzero(counts >= min(FEWEST, int(counts.max())))
+        kept = np.flatnonzero(counts > 0)
         means = np.stack([draws[nearest == k].mean(axis=0) for k in kept])
         within = np.concatenate([draws[nearest == k] - mean for k, mean in zip(kept, means, strict=True)])
         sd = within.std(axis=0)
@@ -121,8 +121,10 @@ def _join(points: Array, centres: Array) -> np.ndarray:
 
 
 def _is_apart(points: Array, centres: Array, nearest: np.ndarray, one: int, other: int) -> bool:
-    """Whether the density along the line through two clusters' means has a valley."""
+    """Whether two clusters are far apart, and the density along the line through their means has a valley."""
     across = centres[other] - centres[one]
+    if np.linalg.norm(across) < MIN_DISTANCE:  # a few draws in a tail are no peak
+        return False
     mine = points[np.isin(nearest, (one, other))]
     place = (mine - centres[one]) @ across / (across @ across)
     bins = np.histogram(place, np.linspace(-0.5, 1.5, 2 * N_BINS + 1))[0].astype(np.float64)
