@@ -318,7 +318,9 @@ class VariantResult:
     def tool_accuracy(self, coverage: float = 0.95, poses: int = 512) -> pd.DataFrame:
         """Return how well the tool's numbers are known over the workspace, rms over its poses, and at the worst.
 
-        Standard uncertainty, and the expanded one of a coverage probability; in µm, µrad or the number's own unit.
+        Standard uncertainty, and the expanded one of a coverage probability; in µm, µrad or the number's own unit. Base
+        and tool are aligned over the workspace, and the expanded one without that stands beside, unless the study's
+        `accuracy_frame` is the base.
         """
         import pandas as pd
 
@@ -326,12 +328,14 @@ class VariantResult:
 
         found = certify(self.machine, self.study.folder, Wishes(coverage, poses))
         stated = found.list_figures()
+        expanded = stated["expanded_uncertainty"]
         return pd.DataFrame(
             {
                 "unit": dict(zip(found.axis_names, found.units, strict=True)),
                 "standard": stated["standard_uncertainty"]["combined"],
-                "expanded": stated["expanded_uncertainty"]["stated"],
-                "largest": stated["expanded_uncertainty"]["largest"],
+                "expanded": expanded["stated"],
+                "largest": expanded["largest"],
+                **({"unaligned": expanded["unaligned"]} if "unaligned" in expanded else {}),
             }
         )
 

@@ -17,13 +17,15 @@ from scipy.stats import norm, qmc
 
 from bayescal.calibrated.machine import NOISE, CalibratedMachine
 from bayescal.calibrated.predict import (
+    Aligned,
     bound_workspace,
     check_determined,
     command_poses,
-    draw_poses,
+    draw_machines,
     find_curved,
     find_errors,
     is_pose,
+    place_drawn,
     place_machine,
     predict_poses,
     split,
@@ -194,23 +196,34 @@ class Spread:
     n_draws: int  # how many draws of the posterior
 
 
-def compute_budget(calibrated: CalibratedMachine, commands: Array, given: Given = NOTHING) -> Budget:
+def compute_budget(
+    calibrated: CalibratedMachine, commands: Array, given: Given = NOTHING, aligned: Aligned | None = None
+) -> Budget:
     """Return the covariances of the tool at commands (P, C), by source.
 
     InputError where there is no covariance of the posterior.
+
+    Parameters
+    ----------
+    aligned : Aligned, optional
+        Base and tool over the same poses, whose motions are then no errors of the geometry.
     """
     if calibrated.covariance is None:
         raise InputError(f"experiment {calibrated.source.experiment}: found no draws of its posterior, expected some")
     check_determined(calibrated)
     curved, m = find_curved(calibrated), len(calibrated.model.tool_channels)
     found: dict[str, list[Array]] = {}
+    factors = list[Array]()
     for part in split(len(commands)):
         at = place_machine(calibrated, commands[part], {name: value[part] for name, value in given.items()})
         errors, to_tool = find_errors(calibrated, at), at.gain[:, :m]
-        found.setdefault(GEOMETRY, []).append(spread_outputs(calibrated, at, errors, curved)[1][:, :m, :m])
+        factors.append(spread_outputs(calibrated, at, errors, curved)[1][:, :m])
         for name, covariance in errors.parts.items():
             found.setdefault(name, []).append(to_tool @ covariance @ np.swapaxes(to_tool, 1, 2))
-    parts = {name: np.concatenate(some) for name, some in found.items()}
+    every = np.concatenate(factors)
+    every = every if aligned is None else aligned.alignment.remove(every)
+    parts = {GEOMETRY: every @ np.swapaxes(every, 1, 2)}
+    parts |= {name: np.concatenate(some) for name, some in found.items()}
     return Budget(commands, predict_poses(calibrated, commands, given).tool, parts)
 
 
@@ -220,23 +233,32 @@ def coverage_factor(coverage: float) -> float:
 
 
 def propagate(
-    calibrated: CalibratedMachine, commands: Array, coverage: float, n_draws: int, seed: int, given: Given = NOTHING
+    calibrated: CalibratedMachine,
+    commands: Array,
+    coverage: float,
+    n_draws: int,
+    seed: int,
+    given: Given = NOTHING,
+    aligned: Aligned | None = None,
 ) -> Spread:
     """Return by Monte Carlo what holds a share of tools at commands (P, C) (JCGM 101:2008, section 7).
 
-    InputError where there are no draws.
+    InputError where there are no draws. ``aligned``: base and tool, whose motions are then no errors.
     """
     rng, mean = np.random.default_rng(seed), predict_poses(calibrated, commands, given)
-    half_width, radius, n = np.empty_like(mean.tool), np.empty(len(commands)), 0
+    half_width, radius = np.empty_like(mean.tool), np.empty(len(commands))
+    machines = draw_machines(calibrated, n_draws, rng)
+    fitted = None if aligned is None else aligned.fit(machines)
     for start in range(0, len(commands), BATCH):
         part = slice(start, start + BATCH)
         some = {name: value[part] for name, value in given.items()}
-        drawn = draw_poses(calibrated, commands[part], n_draws, rng, some)
+        drawn = place_drawn(calibrated, machines, commands[part], rng, some)
         apart = calibrated.comparison.subtract(drawn, mean.tool[part])
+        if aligned is not None and fitted is not None:
+            apart = apart - aligned.move(mean.tool[part], mean.pose[part], fitted)
         half_width[part] = np.nanquantile(np.abs(apart), coverage, axis=0)
         radius[part] = np.nanquantile(np.linalg.norm(apart[..., calibrated.lengths], axis=-1), coverage, axis=0)
-        n = len(apart)
-    return Spread(half_width, radius, n)
+    return Spread(half_width, radius, len(machines.theta))
 
 
 @dataclass(frozen=True, eq=False)
@@ -340,11 +362,18 @@ def list_axis_poses(edge: float, axis: int, n: int = MOST_LENGTHS) -> Array:
     return np.asarray(np.linspace(-0.5, 0.5, AXIS_POSITIONS)[:, None] * edge * np.eye(n)[axis])
 
 
-def draw_cycles(calibrated: CalibratedMachine, poses: Array, n_cycles: int, n_draws: int, seed: int) -> Array:
+def draw_cycles(
+    calibrated: CalibratedMachine,
+    poses: Array,
+    n_cycles: int,
+    n_draws: int,
+    seed: int,
+    aligned: Aligned | None = None,
+) -> Array:
     """Return deviations of attained from commanded tools (P, m) in length by draws of the posterior, (S, P, n, d), mm.
 
     A draw's geometry and its model errors stay the same in all cycles, the noise of the commands does not. InputError
-    where a pose is out of reach.
+    where a pose is out of reach. ``aligned``: base and tool, whose motions are then no deviations.
     """
     rng, lengths, given = np.random.default_rng(seed), calibrated.lengths, calibrated.typical(len(poses))
     found = command_poses(calibrated, poses, given)
@@ -352,7 +381,12 @@ def draw_cycles(calibrated: CalibratedMachine, poses: Array, n_cycles: int, n_dr
         raise InputError(f"cube: found a pose out of reach ({next(one for one in found.faults if one)}), expected none")
     noise = compute_budget(calibrated, found.commands, given).parts[NOISE][:, lengths[:, None], lengths]
     steady = replace(calibrated, errors=calibrated.errors.without_noise())
-    attained = draw_poses(steady, found.commands, n_draws, rng, given)[..., lengths]
+    machines = draw_machines(steady, n_draws, rng)
+    attained = place_drawn(steady, machines, found.commands, rng, given)
+    if aligned is not None:
+        pose = predict_poses(steady, found.commands, given).pose
+        attained = attained - aligned.move(poses, pose, aligned.fit(machines))
+    attained = attained[..., lengths]
     values, vectors = np.linalg.eigh(noise)
     root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
     normal = rng.standard_normal((len(attained), len(poses), n_cycles, len(lengths)))

@@ -83,6 +83,7 @@ class ExportedConfig(Section):
     draws: InputFile | None = None
     functions: InputFile | None = None
     measured: InputFile | None = None
+    accuracy_frame: Literal["aligned", "base"] = "aligned"
     source: SourceConfig
     errors: ErrorsConfig
 
@@ -136,6 +137,7 @@ def _format_calibrated(calibrated: CalibratedMachine, machine: Mapping[str, Any]
         **machine,
         **({"units": dict(calibrated.units)} if calibrated.units else {}),
         **{key: name for key, name in beside.items() if getattr(calibrated, key) is not None},
+        "accuracy_frame": "aligned" if calibrated.aligned else "base",
         "source": {key: value for key, value in vars(source).items() if value != ""},
         "errors": {
             "noise": sd,
@@ -275,6 +277,7 @@ def read_exported(folder: Path) -> CalibratedMachine:
         {name: (folder / name).read_bytes() for name in kept},
         functions=None if config.functions is None else _read_functions(folder / config.functions, names),
         units=_read_units(config.units, path, model),
+        aligned=config.accuracy_frame == "aligned",
     )
 
 

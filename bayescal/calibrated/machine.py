@@ -260,6 +260,8 @@ class CalibratedMachine:
         What is known of errors that are functions of the pose, together with the uncertain parameters.
     units : mapping of str to str
         Units that channels have in the data's tables, by name, where these are not their own; tables are written so.
+    aligned : bool
+        Whether its accuracy is what remains of errors once base and tool are aligned.
 
     Examples
     --------
@@ -282,6 +284,7 @@ class CalibratedMachine:
     noise: Array | None = None
     functions: KnownFunctions | None = None
     units: Mapping[str, str] = field(default_factory=dict)
+    aligned: bool = True
 
     def __repr__(self) -> str:
         known = 0 if self.covariance is None else len(self.free)

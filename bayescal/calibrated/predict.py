@@ -23,6 +23,8 @@ import numpy as np
 from bayescal.calibrated.machine import MODEL, CalibratedMachine
 from bayescal.density.calibration.measurements import Comparison, Measurements
 from bayescal.errors import InputError
+from bayescal.identifiability.alignment import Alignment, find_alignment
+from bayescal.identifiability.information import root_of
 from bayescal.machines.readings import Channel
 from bayescal.machines.readings.base import NOTHING, Given, solve
 from bayescal.numerics.geometry import Array, matrix_from_rotation_vector
@@ -276,7 +278,8 @@ def _predict_some(
     add = compare_outputs(calibrated).add
     if calibrated.covariance is None:
         return add(at.outputs, moved), at.found, None, None
-    shift, of_geometry = spread_outputs(calibrated, at, errors, curved)
+    shift, factors = spread_outputs(calibrated, at, errors, curved)
+    of_geometry = factors @ np.swapaxes(factors, 1, 2)
     others = at.gain @ errors.independent @ np.swapaxes(at.gain, 1, 2)
     return add(at.outputs, moved + shift), at.found, of_geometry + others, of_geometry
 
@@ -284,9 +287,10 @@ def _predict_some(
 def spread_outputs(
     calibrated: CalibratedMachine, at: Place, errors: ErrorsThere, curved: Array | None
 ) -> tuple[Array, Array]:
-    """Return how the posterior moves the outputs, in the mean (P, M) and as a covariance (P, M, M).
+    """Return how the posterior moves the outputs, in the mean (P, M), and factors (P, M, R) of their covariance.
 
-    Systematic errors move them together with the geometry.
+    The covariance of two outputs at any poses is the sum of products of their factors. Systematic errors move them
+    together with the geometry.
     """
 
     def respond(part: slice, theta: Array) -> Array:
@@ -388,8 +392,8 @@ def _command_some(
         return np.asarray(read - to_tool[part] @ np.moveaxis(apart, 0, -1))
 
     columns = None if errors.columns is None else -errors.columns
-    shift, covariance = _spread(calibrated, slope, respond, curved, columns)
-    return moved + shift, covariance + errors.independent, tuple(faults)
+    shift, factors = _spread(calibrated, slope, respond, curved, columns)
+    return moved + shift, factors @ np.swapaxes(factors, 1, 2) + errors.independent, tuple(faults)
 
 
 def place_tool(calibrated: CalibratedMachine, wanted: Array) -> tuple[Array, np.ndarray]:
@@ -441,13 +445,41 @@ def draw_poses(
     ndarray, shape (S, P, m)
         NaN where a draw's machine has no pose.
     """
+    return place_drawn(calibrated, draw_machines(calibrated, n_draws, rng), commands, rng, given)
+
+
+class DrawnMachines(NamedTuple):
+    """Machines of a posterior: parameters (S, D), and what coefficients of systematic errors differ by, (S, A)."""
+
+    theta: Array
+    coefficients: Array | None
+
+
+def draw_machines(calibrated: CalibratedMachine, n_draws: int, rng: np.random.Generator) -> DrawnMachines:
+    """Return at most so many machines of the posterior; InputError where there are no draws."""
     if calibrated.draws is None:
         raise InputError(f"experiment {calibrated.source.experiment}: found no draws of its posterior, expected some")
-    model, m = calibrated.model, len(calibrated.model.tool_channels)
+    theta, known = calibrated.thin(n_draws), calibrated.functions
+    if known is None:
+        return DrawnMachines(theta, None)
+    along, left = known.given_geometry
+    apart = (theta - calibrated.theta)[:, calibrated.free] @ along.T
+    return DrawnMachines(theta, apart + rng.standard_normal((len(theta), left.shape[1])) @ left.T)
+
+
+def place_drawn(
+    calibrated: CalibratedMachine,
+    drawn: DrawnMachines,
+    commands: Array,
+    rng: np.random.Generator,
+    given: Given = NOTHING,
+) -> Array:
+    """Return where drawn machines have their tools at commands (P, C), each with other noise, (S, P, m)."""
+    model, m, theta = calibrated.model, len(calibrated.model.tool_channels), drawn.theta
     check_determined(calibrated)
     _check_given(calibrated, given, len(commands))
-    at, theta = place_machine(calibrated, commands, given), calibrated.thin(n_draws)
-    errors = _draw_errors(calibrated, at, theta, rng)[..., :m]
+    at = place_machine(calibrated, commands, given)
+    errors = _draw_errors(calibrated, at, drawn, rng)[..., :m]
     tools = []
     for part in split(len(theta), max(1, CHUNK // len(commands))):
         rows = {name: value[None] for name, value in given.items()}
@@ -457,19 +489,54 @@ def draw_poses(
     return np.concatenate(tools)
 
 
-def _draw_errors(calibrated: CalibratedMachine, at: Place, theta: Array, rng: np.random.Generator) -> Array:
-    """Return what errors of the commands move the outputs by, with machines (S, D), shape (S, P, M)."""
-    errors, known = find_errors(calibrated, at), calibrated.functions
+def _draw_errors(calibrated: CalibratedMachine, at: Place, drawn: DrawnMachines, rng: np.random.Generator) -> Array:
+    """Return what errors of the commands move the outputs by, shape (S, P, M)."""
+    errors, n = find_errors(calibrated, at), len(drawn.theta)
     values, vectors = np.linalg.eigh(np.nan_to_num(errors.independent))
     root = at.gain @ vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
     shift = np.einsum("pij,pj->pi", at.gain, errors.mean)
-    moved = shift + np.einsum("pij,spj->spi", root, rng.standard_normal((len(theta), *at.commands.shape)))
-    if errors.columns is None or known is None:
+    moved = shift + np.einsum("pij,spj->spi", root, rng.standard_normal((n, *at.commands.shape)))
+    if errors.columns is None or drawn.coefficients is None:
         return np.asarray(moved)
-    along, left = known.given_geometry
-    apart = (theta - calibrated.theta)[:, calibrated.free] @ along.T
-    apart = apart + rng.standard_normal((len(theta), left.shape[1])) @ left.T
-    return np.asarray(moved + np.einsum("pij,sj->spi", at.gain @ errors.columns, apart))
+    return np.asarray(moved + np.einsum("pij,sj->spi", at.gain @ errors.columns, drawn.coefficients))
+
+
+# --- base and tool aligned -----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Aligned:
+    """The mean machine at the P poses over which base and tool are aligned, all of them found."""
+
+    calibrated: CalibratedMachine
+    at: Place
+    alignment: Alignment
+
+    def fit(self, drawn: DrawnMachines) -> Array:
+        """Return how much of each motion drawn machines have over the poses, (F, S)."""
+        calibrated, m = self.calibrated, len(self.calibrated.model.tool_channels)
+        columns = find_errors(calibrated, self.at).columns
+        found = np.zeros((len(self.alignment.fits), len(drawn.theta)))
+        for part in split(len(self.at.pose), SPREAD_POSES):
+            moved = _respond(calibrated, self.at, part, drawn.theta)[:, :m]
+            if columns is not None and drawn.coefficients is not None:
+                moved = moved + self.at.gain[part, :m] @ columns[part] @ drawn.coefficients.T
+            rows = slice(part.start * m, part.stop * m)
+            found += self.alignment.fits[:, rows] @ moved.reshape(-1, moved.shape[-1])
+        return found
+
+    def move(self, tool: Array, pose: Array, fitted: Array) -> Array:
+        """Return what motions (F, S) do to tools (P, m) at poses (P, q), (S, P, m)."""
+        return np.asarray(np.moveaxis(self.alignment.at(tool, pose) @ fitted, -1, 0))
+
+
+def align_over(calibrated: CalibratedMachine, commands: Array, given: Given = NOTHING) -> Aligned | None:
+    """Return base and tool aligned over the poses of commands (P, C); None of a machine that places no tool."""
+    if not calibrated.model.places_tool:
+        return None
+    at = place_machine(calibrated, commands, given)
+    tool = at.outputs[:, : len(calibrated.model.tool_channels)]
+    return Aligned(calibrated, at, find_alignment(calibrated.model, tool, at.pose))
 
 
 # --- how the posterior spreads -------------------------------------------------------------------------------------
@@ -527,7 +594,7 @@ def _spread(
     curved: Array | None,
     columns: Array | None,
 ) -> tuple[Array, Array]:
-    """Return how a posterior moves what the mean machine does, in the mean (P, M) and as a covariance (P, M, M).
+    """Return how a posterior moves what the mean machine does: its mean (P, M), factors (P, M, R) of its covariance.
 
     Parameters
     ----------
@@ -541,23 +608,24 @@ def _spread(
         What moves by coefficients of systematic errors, which in part follow the parameters.
     """
     assert calibrated.covariance is not None
-    slope, beside, along = slope[..., calibrated.free], np.zeros(1), np.zeros((1, 1, len(calibrated.free)))
+    slope, along = slope[..., calibrated.free], np.zeros((1, 1, len(calibrated.free)))
+    beside = np.zeros((*slope.shape[:2], 0))
     if columns is not None and calibrated.functions is not None:
         follow, root = calibrated.functions.given_geometry
-        along, left = columns @ follow, columns @ root
-        slope, beside = slope + along, left @ np.swapaxes(left, 1, 2)
+        along, beside = columns @ follow, columns @ root
+        slope = slope + along
     along = np.broadcast_to(along, slope.shape)
     if curved is None:
-        return np.zeros(slope.shape[:2]), slope @ calibrated.covariance @ np.swapaxes(slope, 1, 2) + beside
+        factors = slope @ root_of(calibrated.covariance).T
+        return np.zeros(slope.shape[:2]), np.concatenate([factors, beside], axis=-1)
     apart_by = (curved - calibrated.theta)[:, calibrated.free].T
-    mean, covariance = np.empty(slope.shape[:2]), np.empty((*slope.shape[:2], slope.shape[1]))
+    mean, factors = np.empty(slope.shape[:2]), np.empty((*slope.shape[:2], len(curved)))
     for part in split(len(slope), SPREAD_POSES):
         moved = respond(part, curved) + along[part] @ apart_by
         mean[part] = moved.mean(axis=-1)
-        apart = moved - mean[part, :, None]
-        covariance[part] = apart @ np.swapaxes(apart, 1, 2) / (len(curved) - 1)
+        factors[part] = (moved - mean[part, :, None]) / np.sqrt(len(curved) - 1)
     chance = (curved.mean(axis=0) - calibrated.theta)[calibrated.free]  # that these draws have another mean than all
-    return mean - np.einsum("pik,k->pi", slope, chance), covariance + beside
+    return mean - np.einsum("pik,k->pi", slope, chance), np.concatenate([factors, beside], axis=-1)
 
 
 def invert(slopes: Array, good: np.ndarray, scale: Array) -> Array:

@@ -14,51 +14,40 @@ import numpy as np
 
 from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.density.calibration.measurements import Comparison
+from bayescal.identifiability.alignment import Alignment, find_alignment
 from bayescal.machines.readings import Given, ReadingModel, Readings
-from bayescal.numerics.geometry import Array, matrix_from_rotation_vector, skew_matrix
-
-LEAST = 0.05
-"""Rms of a motion of 1 mm over the workspace, in mm, below which nobody would notice it when aligning: where a
-workspace hardly turns the tool, its offset is no other motion than a shift of the base."""
-SMALLEST = 1e-3  # mm, least size of a workspace, by which turns are compared with shifts
+from bayescal.numerics.geometry import Array
 
 
 @dataclass(frozen=True, eq=False)
 class View:
     """Poses (W, q) seen by some channels at one machine, to first order; those where it cannot stand are left out.
 
-    ``rows`` (W, K, m): white derivative of the readings by the coordinates of the posterior, poses eliminated; ``tool``
-    (W, t, m): what the tool's place, as located with these channels, errs by them; ``noise`` (W, t): its variance, that
-    of ``located`` (W, t, K), how white readings move it; ``alignment`` as of `Slopes`.
+    ``rows`` (W, K, m): white derivative of the readings by the coordinates of the posterior, poses eliminated;
+    ``whole`` (W, t, m): what the tool's place, as located with these channels, errs by them, before base and tool are
+    aligned; ``noise`` (W, t): its variance, that of ``located`` (W, t, K), how white readings move it; ``alignment`` as
+    of `Slopes`.
     """
 
     pose: Array
     rows: Array
-    tool: Array
+    whole: Array
     noise: Array
     located: Array
     alignment: Alignment | None
 
+    @cached_property
+    def tool(self) -> Array:
+        """What the tool's place errs by the coordinates of the posterior after any alignment, (W, t, m)."""
+        return self.align(self.whole)
 
-@dataclass(frozen=True, eq=False)
-class Alignment:
-    """Rigid motions of base and tool, the same at all W poses, as errors of the tool.
+    def align(self, error: Array) -> Array:
+        """Return errors (W, t, m) of the tool after any alignment."""
+        return error if self.alignment is None else self.alignment.remove(error)
 
-    A machine that its own sensors calibrate has the frames that its joints define. Whoever uses it sets up table and
-    tool afterwards, so that an error of the tool which a motion of base or tool explains over the whole workspace is
-    none of the calibration's. What remains does not depend on which parameters are taken to define the frames.
-
-    ``motions`` (W t, f): f independent ones, in the units of the tool's t numbers; ``fits`` (f, W t): how much of each
-    an error has, by least squares over the poses, turns weighed by the workspace's size.
-    """
-
-    motions: Array
-    fits: Array
-
-    def remove(self, error: Array) -> Array:
-        """Return errors (W, t, m) of the tool without what the motions explain."""
-        flat = error.reshape(len(self.motions), -1)
-        return np.asarray((flat - self.motions @ (self.fits @ flat)).reshape(error.shape))
+    def unalign(self) -> View:
+        """Return the same without any alignment."""
+        return replace(self, alignment=None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,12 +81,11 @@ class Slopes:
         return self.tool_by_parameters @ self.moves.T
 
     def mislocate(self, located: Array, seen: Array) -> Array:
-        """Return what the tool errs by the posterior's coordinates, (W, t, m), after any alignment.
+        """Return what the tool errs by the posterior's coordinates, (W, t, m), before base and tool are aligned.
 
         It is located by derivatives (W, t, k) from readings with the derivatives (W, k, m) by these coordinates.
         """
-        error = self._tool_seen - located @ seen
-        return error if self.alignment is None else self.alignment.remove(error)
+        return np.asarray(self._tool_seen - located @ seen)
 
     @property
     def white(self) -> Array:
@@ -113,10 +101,10 @@ class Slopes:
         told = np.linalg.matrix_rank(slope * self.half) == slope.shape[-1]
         rows = seen - slope @ (gain @ seen)
         located = self.tool_by_pose @ gain
-        tool = self.mislocate(located, seen)
+        whole = self.mislocate(located, seen)
         unknown = ~told[:, None]
         noise = np.where(unknown, np.nan, (located**2).sum(axis=-1))
-        return View(self.pose, rows, np.where(unknown[..., None], np.nan, tool), noise, located, self.alignment)
+        return View(self.pose, rows, np.where(unknown[..., None], np.nan, whole), noise, located, self.alignment)
 
 
 def differentiate_poses(
@@ -153,30 +141,6 @@ def differentiate(
     return Slopes(pose, noise, here.by_pose, here.by_parameters, by_pose, direct, moves, half, places, alignment)
 
 
-def find_alignment(model: ReadingModel, place: Array, pose: Array) -> Alignment:
-    """Return the motions at poses (W, q) for a machine that says where its tool is, ``place`` (W, t).
-
-    Of the tool there are some where it says how that is turned.
-    """
-    n, lengths, turned = len(place), model.tool_lengths, model.tool_turned
-    position = np.zeros((n, 3))
-    position[:, : len(lengths)] = place[:, lengths]
-    away = position - position.mean(axis=0)
-    size = max(float(np.sqrt((away**2).sum(axis=1).mean())), SMALLEST)
-    fields = np.zeros((n, 6, 12))  # of position and turn times size, by shifts and turns of the base, then of the tool
-    fields[:, :3, :3] = fields[:, 3:, 3:6] = np.eye(3)
-    fields[:, :3, 3:6] = -skew_matrix(away / size)
-    if model.tells_rotation:
-        rotation = matrix_from_rotation_vector(place[:, turned]) if turned else model.rotation_in_space(pose)
-        fields[:, :3, 6:9] = fields[:, 3:, 9:] = rotation
-    scale, seen = np.ones(place.shape[1]), np.zeros((*place.shape, 12))
-    scale[turned] = size
-    seen[:, lengths + turned] = fields[:, [*range(len(lengths)), *range(3, 3 + len(turned))]]
-    basis, visible, _ = np.linalg.svd(seen.reshape(place.size, 12) / np.sqrt(n), full_matrices=False)
-    basis, scale = basis[:, visible >= LEAST], np.tile(scale, n)[:, None]
-    return Alignment(basis / scale, (basis * scale).T)
-
-
 def linearise_near(model: ReadingModel, theta: Array, pose: Array, given: Given) -> Readings:
     """Return readings (W, K) and their derivatives, those of a rotation as it turns in the base's frame."""
     here, comparison = model.linearise(theta, pose, True, given), Comparison(model.channels)
@@ -203,13 +167,16 @@ def whiten(noise: Array, some: np.ndarray) -> Array:
     return white
 
 
-def typical_covariance(posterior: CalibrationPosterior, y: Array) -> Array:
-    """Return the covariance (K, K) of the channels, medians and mean correlations at y (n,); zero without noise."""
-    sd, stated = np.nan_to_num(typical_noise(posterior, y[None])[0]), posterior.likelihood.data.correlation
+def typical_covariance(posterior: CalibrationPosterior, y: Array, own: bool = False) -> Array:
+    """Return the covariance (K, K) of the channels, medians and mean correlations at y (n,); zero without noise.
+
+    With ``own`` only of the sensors' noise.
+    """
+    sd, stated = np.nan_to_num(typical_noise(posterior, y[None], own)[0]), posterior.likelihood.data.correlation
     if stated is None:
         return np.diag(sd**2)
-    own = np.nan_to_num(typical_noise(posterior, y[None], own=True)[0])
-    covariance = stated.mean(axis=0) * np.outer(*[np.where(sd > 0.0, own, 0.0)] * 2)
+    alone = np.nan_to_num(typical_noise(posterior, y[None], own=True)[0])
+    covariance = stated.mean(axis=0) * np.outer(*[np.where(sd > 0.0, alone, 0.0)] * 2)
     covariance[np.diag_indices_from(covariance)] = sd**2
     return covariance
 

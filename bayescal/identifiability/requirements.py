@@ -11,8 +11,9 @@ import numpy as np
 
 from bayescal.density.calibration.measurements import Comparison
 from bayescal.errors import NumericalError
+from bayescal.identifiability.alignment import Alignment, find_alignment
 from bayescal.identifiability.information import Information, root_of
-from bayescal.identifiability.reading_rows import Alignment, linearise_near, turn_tool
+from bayescal.identifiability.reading_rows import linearise_near, turn_tool
 from bayescal.machines.readings import Given, ReadingModel, Readings
 from bayescal.numerics.geometry import Array
 
@@ -21,6 +22,7 @@ CHUNK = 500  # a divisor of these
 AT_ONCE = 250  # draws of a posterior
 LOOKS = 100  # draws of which it is seen whether they leave the tangent
 BENT = 0.1  # of the errors' spread: off the tangent by more, draws are followed by their closures
+LEAST_VARIANCE = 1e-12  # of a variance, added where draws are moved: directions in which nothing varies
 ROUNDING = 1e-9  # mm and rad
 COMPONENTS = ("x", "y", "z", "rotation_x", "rotation_y", "rotation_z")
 NORMS = {"position": slice(0, 3), "rotation": slice(3, 6)}
@@ -36,10 +38,13 @@ class Requirement:
     components: tuple[str, ...] = COMPONENTS
     # what is limited: the error at ``every_pose`` of the workspace, or its ``rms`` over them
     of: Literal["every_pose", "rms"] = "every_pose"
+    part: slice | None = None  # which components a norm is of, where it is not those of `NORMS`
 
     @property
     def where(self) -> slice:
         """Which components are limited."""
+        if self.part is not None:
+            return self.part
         return NORMS.get(self.name) or slice(k := self.components.index(self.name), k + 1)
 
     def take(self, error: Array) -> Array:
@@ -186,16 +191,17 @@ class Forecast:
         return good / DRAWS, everywhere / DRAWS, together / DRAWS
 
 
-def forecast_tool(tool: Array, located: Array, errors: ErrorsInUse, alignment: Alignment | None = None) -> Forecast:
-    """Return how a tool errs that is located by readings.
+def forecast_tool(whole: Array, located: Array, errors: ErrorsInUse, alignment: Alignment | None = None) -> Forecast:
+    """Return how a tool errs that is located by readings, once base and tool are aligned if they are.
 
-    It errs by parameters in units of the tolerances, ``tool`` (W, c, n), and readings move the place where it is taken
-    to be, ``located`` (W, c, K). Alignment of base and tool mends errors that are functions of the pose as it has
-    mended those by parameters.
+    It errs by parameters in units of the tolerances, ``whole`` (W, c, n) without alignment, and readings move the place
+    where it is taken to be, ``located`` (W, c, K).
     """
     noise = located * errors.variance[:, None, :] @ np.swapaxes(located, -1, -2)
     moved = None if errors.shown is None else -located @ errors.shown
-    return Forecast(tool, noise, moved if moved is None or alignment is None else alignment.remove(moved))
+    if alignment is None:
+        return Forecast(whole, noise, moved)
+    return Forecast(alignment.remove(whole), noise, None if moved is None else alignment.remove(moved))
 
 
 def draw_errors(slope: Array, noise_root: Array, rng: np.random.Generator) -> Iterator[Array]:
@@ -238,8 +244,9 @@ class ToolRemaining:
     How far the prediction errs is taken exactly in the parameters; where that is as good as its tangent by them, the
     tangent takes its place. Requirements hold where no pose of the workspace exceeds a limit.
 
-    Where the true machine d stands at v, its channels read h(d, v) + ε. The calibrated one takes that for its own
-    readings at v + G (h(d, v) - h(d̂, v) + ε), with G the weighted inverse of H, and its tool to be there.
+    Where the true machine d stands at v, its channels read h(d, v) + Φ c + ε. The calibrated one takes that for its own
+    readings at v + G (h(d, v) - h(d̂, v) + Φ c + ε), with G the weighted inverse of H, and its tool to be there. Of
+    these errors those that motions of base and tool explain are none, where these are aligned.
     """
 
     model: ReadingModel
@@ -247,19 +254,27 @@ class ToolRemaining:
     theta: Array  # (D,): the calibrated machine d̂
     pose: Array  # (W, q)
     given: Given  # (W,) each
-    sd: Array  # (S, K): noise of the channels, of each draw that stands for the true machine
+    # (S, K), or (W, S, K): noise of the channels, of each draw that stands for the true machine
+    sd: Array
     seed: int  # of the noise: the same at every call, so that differences are not chance
+    shown: Array | None = None  # (W, K, A): Φ, what coefficients of errors that are functions do to the channels
+    aligned: bool = False  # whether base and tool are
 
-    def find_largest(self, requirements: Sequence[Requirement], theta: Array) -> Array:
+    def find_largest(
+        self, requirements: Sequence[Requirement], theta: Array, coefficients: Array | None = None
+    ) -> Array:
         """Return the largest error anywhere in the workspace of true machines (S, D), in shares of R limits, (S, R).
 
         Infinite for a machine that cannot take the poses; NumericalError where the calibrated one cannot.
+        ``coefficients`` (S, A): by how much those of its functions differ from what was found.
         """
         bent = self._leaves_tangent(theta[:LOOKS])
         rows = []
         for k in range(0, len(theta), AT_ONCE):
             part = slice(k, k + AT_ONCE)
             error = self.follow(theta[part]) if bent else self._project(theta[part])
+            if coefficients is not None and self.by_functions is not None:
+                error = error + self.by_functions @ coefficients[part].T
             error = error + self.noise[..., part]
             of_draws = error.transpose(2, 0, 1)
             shares = np.stack([(r.take(of_draws) / r.limit).max(axis=1) for r in requirements], axis=1)
@@ -284,26 +299,38 @@ class ToolRemaining:
     @cached_property
     def _located(self) -> Array:
         """What the tool's place moves by with the readings, shape (W, c, K)."""
-        white = 1.0 / np.sqrt(np.mean(self.sd**2, axis=0))
+        white = 1.0 / np.sqrt(np.mean(self.sd**2, axis=tuple(range(self.sd.ndim - 1))))
         return np.asarray(self._tool[1] @ np.linalg.pinv(white[:, None] * self._here.by_pose) * white)
+
+    @cached_property
+    def _alignment(self) -> Alignment | None:
+        return find_alignment(self.model, self._tool[0], self.pose) if self.aligned else None
+
+    def _align(self, error: Array) -> Array:
+        return error if self._alignment is None else self._alignment.remove(error)
 
     @cached_property
     def slope(self) -> Array:
         """Error of the tool's place by parameters, shape (W, c, D)."""
-        return np.asarray(self._located @ self._here.by_parameters - self._tool[2])
+        return self._align(np.asarray(self._located @ self._here.by_parameters - self._tool[2]))
+
+    @cached_property
+    def by_functions(self) -> Array | None:
+        """The same by coefficients of functions, shape (W, c, A)."""
+        return None if self.shown is None else self._align(np.asarray(self._located @ self.shown))
 
     @cached_property
     def noise(self) -> Array:
         """What readings err by, a draw each, shape (W, c, S)."""
         rng = np.random.default_rng(self.seed)
-        draws = rng.standard_normal((len(self.pose), *self.sd.T.shape)) * self.sd.T
+        draws = rng.standard_normal((len(self.pose), *self.sd.shape[:-3:-1])) * np.swapaxes(self.sd, -1, -2)
         return np.asarray(self._located @ draws)
 
     def follow(self, theta: Array) -> Array:
         """Return the errors of true machines (s, D), the readings as they are, shape (W, c, s); NaN where none is."""
         place, here = self.model.tool_values(theta, self.pose[:, None]), self._tool[0][:, None]
         moved = Comparison(self.model.tool_channels).subtract(place, here)
-        return np.asarray(self._located @ self._read(theta) - np.swapaxes(moved, 1, 2))
+        return self._align(np.asarray(self._located @ self._read(theta) - np.swapaxes(moved, 1, 2)))
 
     def _project(self, theta: Array) -> Array:
         """Return the errors of machines (s, D) by their tangent, shape (W, c, s)."""
@@ -357,5 +384,7 @@ class Standing:
 
 def move_draws(draws: Array, before: Array, after: Array) -> Array:
     """Return draws (S, n) about zero with a covariance (n, n) taken to another one, the same normal numbers in both."""
-    old, new = np.linalg.cholesky(before), np.linalg.cholesky(after)
-    return np.asarray(draws @ np.linalg.solve(old.T, new.T))
+    size = np.sqrt(np.maximum(np.diagonal(before), np.finfo(float).tiny))
+    least = LEAST_VARIANCE * np.eye(len(size))
+    old, new = (np.linalg.cholesky(one / np.outer(size, size) + least) for one in (before, after))
+    return np.asarray(size * ((draws / size) @ np.linalg.solve(old.T, new.T)))

@@ -12,6 +12,7 @@ import pytest
 from bayescal.calibrated.accuracy import compute_budget
 from bayescal.calibrated.exported import FUNCTIONS, _read_functions, list_posterior_files
 from bayescal.calibrated.functions import KnownFunctions
+from bayescal.calibrated.in_use import MachineInUse
 from bayescal.calibrated.machine import CalibratedMachine, Errors, build_calibrated
 from bayescal.calibrated.predict import command_poses, draw_poses, predict_poses
 from bayescal.calibrated.recheck.statistics import choose_suspects, compute_knowledge, judge_recheck, weigh_left_over
@@ -198,13 +199,31 @@ def test_poses_are_predicted_with_what_is_known_of_the_errors(erring, calibrated
     assert np.mean(apart**2) < 0.2 * np.mean(more**2)
 
 
+def in_use(erring):
+    return MachineInUse.find(erring.posterior, erring.draws)
+
+
+def test_the_next_pose_counts_the_errors_that_accuracy_counts(erring, calibrated):
+    """Draws over poses against the law of propagation: functions that were found are no noise."""
+    model, pose, own = erring.planned.model, erring.draw(8), np.arange(6) < 3
+    machine = replace(in_use(erring), known=calibrated.functions)
+    draws = erring.draws[:: len(erring.draws) // 400]
+    remaining = machine.remain(own, pose, {}, draws, 3, False)
+    moved = remaining.by_functions @ machine.draw(draws, erring.rng)[:, erring.posterior.n_geometry :].T
+    error = remaining.follow(erring.posterior.theta(draws)) + moved + remaining.noise
+    found = predict_poses(calibrated, model.read(calibrated.theta, pose)[:, :3])
+    np.testing.assert_allclose(error.std(axis=-1), found.sd, rtol=0.2)
+    ignorant = replace(machine, known=None).remain(own, pose, {}, draws, 3, False)
+    assert (ignorant.noise.std(axis=-1) > 1.5 * found.sd).mean() > 0.5
+
+
 def test_a_page_states_the_accuracy_that_the_machine_predicts(erring, calibrated):
     """By other code: derivatives of white readings by coordinates of the posterior, not of commands by parameters."""
     model, posterior, pose = erring.planned.model, erring.posterior, erring.draw(8)
     half, own = 0.5 * (erring.planned.high - erring.planned.low), np.arange(6) < 3
     variant = SimpleNamespace(model=model, data=posterior.likelihood.data, internal=own)
     at = differentiate_poses(posterior, half, erring.draws.mean(axis=0), pose, {}).seen_by(own)
-    forecast, both = learn_posterior(variant, posterior, erring.draws, calibrated.functions)(at)
+    forecast, both = learn_posterior(variant, replace(in_use(erring), known=calibrated.functions))(at)
     found = predict_poses(calibrated, model.read(calibrated.theta, pose)[:, :3])
     np.testing.assert_allclose(forecast.covariance(both), found.of_geometry, rtol=0.02, atol=1e-7)
     np.testing.assert_allclose(forecast.covariance(both) + forecast.noise, found.covariance, rtol=0.02, atol=1e-7)

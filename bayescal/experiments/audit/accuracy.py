@@ -52,8 +52,14 @@ def compute_accuracy(plans: Mapping[str, Planned], run: Run) -> dict[str, pd.Dat
 def _compute_variant(plans: Mapping[str, Planned], name: str) -> dict[str, pd.DataFrame]:
     """Return the tables of how accurate a variant is, and at which poses it is best measured."""
     plan, variant = plans[name], plans[name].variant
-    known = plan.forecast(), plan.inform().joint
-    knowledge = assess(plan.config, variant, plan.posterior, plan.expected, lambda _: known)
+    covariance = plan.inform().joint
+    knowledge = assess(
+        plan.config,
+        variant,
+        plan.posterior,
+        plan.expected,
+        lambda at: (plan.foresee(plan.expected, at), covariance),
+    )
     chosen = select_poses(plan.config, variant, plan.posterior, plan.expected)
     selected, counts = list[dict[str, Any]](), list[dict[str, Any]]()
     names = [f"{name}_{unit}" for name, unit in zip(knowledge.coordinates, knowledge.units, strict=True)]

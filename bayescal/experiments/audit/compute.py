@@ -63,7 +63,7 @@ def compute_audit(inputs: AuditDesign, run: Run) -> Results:
     if asked is not None:
         candidates = [one.name for one in asked.choices]
         summary["sensor_choice"] = {"candidates": candidates, "always": asked.section.always}
-    summary["aligned"] = config.aligned
+    summary["aligned"] = all(one.variant.aligned for one in plans.values())
     if averaged is not None:
         for said, share in zip(summary["parameters"].values(), averaged, strict=True):
             said["posterior_sd_over_draws"] = float(share) * said["prior_sd"]

@@ -24,8 +24,9 @@ from bayescal.experiments.shared.readings.instruments import read_instruments, r
 from bayescal.experiments.shared.readings.knowledge import name_place
 from bayescal.experiments.shared.readings.schema import FreeConfig
 from bayescal.experiments.shared.readings.workspace import build_workspace
+from bayescal.experiments.shared.requirements import read_requirements
 from bayescal.identifiability.profile import check_profiles
-from bayescal.identifiability.reading_rows import name_tool, typical_given
+from bayescal.identifiability.reading_rows import typical_given
 from bayescal.identifiability.requirements import Requirement
 from bayescal.machines.readings import Legs, PoseInstrument, ReadingModel, place
 from bayescal.numerics.geometry import Array
@@ -70,17 +71,13 @@ def read_design(config: AuditConfig, folder: Path) -> AuditDesign:
                 models[key] = place(whole, instruments)
     symbols |= {symbol for model in models.values() for symbol in model.layout.symbols}
     model = next(iter(models.values()))
-    if config.aligned and not model.places_tool:
-        raise InputError(
-            f"aligned: machine {getattr(model, 'name', '')!r} does not say where its tool is; expected tool_channels "
-            "of its class, up to three in mm"
-        )
     workspace = build_workspace(model, config.workspace, config.units)
     makers = {
         key: PlannedMachine(config, folder, one, workspace, find_channels(sensors, one), symbols)
         for key, one in models.items()
     }
-    maker, required = next(iter(makers.values())), read_requirements(config, model)
+    maker = next(iter(makers.values()))
+    required = read_requirements(config.requirements, model, config.units, config.required_of)
     planned, plans = maker.plan(config.poses), dict[str, Planned]()
     for one in config.variants:
         with name_faults(f"variant {one.name!r}" if len(config.variants) > 1 else ""):
@@ -109,7 +106,8 @@ def draw_plan(design: AuditDesign, run: Run) -> tuple[Planned, Draws | None]:
     section, posterior = config.variants[0], machine.found.posterior
     units = Units(config.units.length, config.units.angle)
     tau, sizes, floors, others = describe_found(posterior.errors, zeta)
-    variant, required = machine.build(section, machine.own_poses), read_requirements(config, machine.model)
+    variant = machine.build(section, machine.own_poses)
+    required = read_requirements(config.requirements, machine.model, config.units, config.required_of)
     plan = Planned(config, section, variant, required, units, machine, tau, sizes, floors, others)
     check_profiles(plan.names, config.profiles)
     check_changes(plan)
@@ -128,25 +126,6 @@ def build_plan(
     units = Units(config.units.length, config.units.angle)
     plan = Planned(config, section, variant, required, units, maker, error.tau, true, error.lengths())
     return plan.settle(true)
-
-
-def read_requirements(config: AuditConfig, model: ReadingModel) -> tuple[Requirement, ...]:
-    """Return the largest errors that are allowed of the tool's numbers, and of their lengths, inner units."""
-    components, inner = name_tool(model)
-    units = dict(zip(components, inner, strict=True))
-    if len(model.tool_lengths) > 1 and model.tool_lengths == [*range(len(model.tool_lengths))]:
-        units.setdefault("position", "mm")
-    if model.tool_turned == [3, 4, 5]:
-        units.setdefault("rotation", "rad")
-    for name in config.requirements:
-        if name not in units:
-            raise InputError(f"requirements: found {name!r}, expected some of {', '.join(units)}")
-    said = Units(config.units.length, config.units.angle)
-    return tuple(
-        Requirement(name, config.requirements[name] * said.factor(unit), components, config.required_of)
-        for name, unit in units.items()
-        if name in config.requirements
-    )
 
 
 def check_reach(plan: Planned) -> None:

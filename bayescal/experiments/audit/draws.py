@@ -171,7 +171,9 @@ def judge_draws(inputs: Planned, draws: Draws, rng: np.random.Generator) -> dict
     own = np.flatnonzero(variant.internal)
     sd = np.sqrt(inputs.see_errors(pose).variance.mean(axis=0))[own]
     given = typical_given(variant.data.given, len(pose))
-    remaining = ToolRemaining(variant.model, own, mean, pose, given, np.tile(sd, (len(true), 1)), 0)
+    remaining = ToolRemaining(
+        variant.model, own, mean, pose, given, np.tile(sd, (len(true), 1)), 0, aligned=variant.aligned
+    )
     by_mean = remaining.follow(np.array(true)).transpose(2, 0, 1)
     possible = np.isfinite(by_mean).all(axis=(1, 2))
     if not possible.any():

@@ -29,6 +29,7 @@ from bayescal.experiments.shared.readings.workspace import (
     draw_given,
     draw_standing,
 )
+from bayescal.experiments.shared.requirements import is_aligned
 from bayescal.experiments.shared.study_schema import VariantConfig as FittedConfig
 from bayescal.files.csv_tables import read_matrix
 from bayescal.machines.readings import Given, ReadingModel
@@ -126,7 +127,7 @@ class PlannedMachine:
             np.zeros(shape[0], dtype=bool),
             planned.pose,
             self.workspace,
-            config.aligned,
+            is_aligned(config.accuracy_frame, model, priors),
         )
         read = whole.read(variant.plain().sampling.start, planned.pose, planned.given)
         values = read[:, chosen]

@@ -29,6 +29,7 @@ from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.shared.measured import MeasuredReadings, measure_variants
 from bayescal.experiments.shared.readings.inputs import Variant
 from bayescal.experiments.shared.readings.workspace import Workspace, build_workspace, check_told
+from bayescal.experiments.shared.requirements import is_aligned
 from bayescal.experiments.shared.study_schema import VariantConfig as FittedConfig
 from bayescal.experiments.shared.study_schema import name_variant
 from bayescal.identifiability.reading_rows import typical_given
@@ -116,7 +117,7 @@ class MeasuredMachine:
             np.zeros(len(planned.names), dtype=bool),
             planned.pose,
             self.workspace,
-            self.config.aligned,
+            is_aligned(self.config.accuracy_frame, model, priors),
         )
         values = model.read(variant.plain().sampling.start, planned.pose, planned.given)
         if not np.isfinite(values).all():

@@ -198,10 +198,10 @@ class Planned:
 
     def forecast(self) -> Forecast:
         """Return how the tool errs over the workspace, located by the machine's own sensors."""
-        return self._foresee(self.expected, self.around)
+        return self.foresee(self.expected, self.around)
 
-    def _foresee(self, machine: Array, around: View) -> Forecast:
-        """Return the same of another machine, in the posterior's coordinates."""
+    def foresee(self, machine: Array, around: View) -> Forecast:
+        """Return how the tool of a machine, in the posterior's coordinates, errs at poses."""
         return foresee(self.variant, self.posterior, machine, around, self.see_errors(around.pose))
 
     def describe(self, directions: Sequence[Direction]) -> list[Ridge]:
@@ -425,7 +425,7 @@ class Planned:
         for halfway, error in zip(y + 0.5 * errors, errors, strict=True):
             machine = np.concatenate([halfway, self.expected[len(halfway) :]])
             around = look(self.posterior, self.variant, machine, self.around.pose, self.variant.internal)
-            forecast = self._foresee(machine, around)
+            forecast = self.foresee(machine, around)
             if not (len(around.pose) and np.isfinite(forecast.slope).all() and np.isfinite(forecast.noise).all()):
                 continue
             root = root_of(forecast.noise)

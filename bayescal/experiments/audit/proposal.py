@@ -40,7 +40,7 @@ def propose(plan: Planned) -> tuple[str, Planned] | None:
     internal, every = plan.variant.internal, np.ones(len(noise), dtype=bool)
     rows = np.concatenate([tried.seen_by(every).rows, _project(tried, errors[0])], axis=-1)
     at = in_use.seen_by(internal)
-    tool = np.concatenate([at.tool, -at.located @ (whiten(in_use.noise, internal) @ errors[1])], axis=-1)
+    tool = at.align(np.concatenate([at.whole, -at.located @ (whiten(in_use.noise, internal) @ errors[1])], axis=-1))
     if not np.isfinite(tool).all() or len(rows) < n:
         return None
     tool = tool / find_limits(plan.requirements, at.tool)[:, None]

@@ -28,6 +28,7 @@ from bayescal.density.priors import INDEPENDENT
 from bayescal.density.schema import ALONE, FixedConfig, ModelErrorConfig, PriorConfig, TermName
 from bayescal.experiments.shared.readings.schema import ChannelConfig, FreeConfig, InstrumentConfig, NextConfig
 from bayescal.experiments.shared.schema import (
+    AccuracyFrame,
     AnyWorkspaceConfig,
     DeformationConfig,
     OwnSensorConfig,
@@ -321,7 +322,11 @@ class AuditConfig(ExperimentConfig):
     required_of: Literal["every_pose", "rms"] = "every_pose"
     """Whether errors keep these limits at every pose of the workspace (`every_pose`), or their `rms` over it."""
     aligned: bool = Field(default=False, exclude_if=lambda value: not value)
-    """Accuracy of variants, requirements and sets is the error that remains after base and tool were aligned anew."""
+    """The same as `accuracy_frame = "aligned"`, as designs say it whose results are kept."""
+    accuracy_frame: AccuracyFrame = Field(default="aligned", exclude_if=lambda value: value == "aligned")
+    """Whether accuracy of variants, requirements and sets is what remains after a best fit of the frames of base and
+    tool (`aligned`), or is relative to marks on the `base`.
+    """
     variants: Annotated[list[VariantConfig], Field(min_length=1)] = Field(default=[VariantConfig()])
     """Sets of sensors to judge."""
     what_if: list[WhatIfConfig] = Field(default=[])
@@ -370,6 +375,8 @@ class AuditConfig(ExperimentConfig):
 
     @model_validator(mode="after")
     def _check_names(self) -> Self:
+        if self.aligned and self.accuracy_frame != "aligned":
+            raise ValueError("accuracy_frame: found 'base' beside aligned = true, expected one of them")
         check_once([one.name for one in self.what_if])
         names = [one.name for one in self.variants]
         for name in names:

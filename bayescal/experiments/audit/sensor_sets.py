@@ -166,8 +166,8 @@ class _Judge:
         rows = _leave_out(basis, by_parameters)
         gain = np.swapaxes(turned * at.half, -1, -2) / sizes[:, None] @ np.swapaxes(in_use, -1, -2)
         located = at.tool_by_pose @ gain
-        tool = at.mislocate(located, white * at.seen[:, own])
-        forecast = forecast_tool(tool, located * white.T, self.errors.of(own), at.alignment)
+        whole = at.mislocate(located, white * at.seen[:, own])
+        forecast = forecast_tool(whole, located * white.T, self.errors.of(own), at.alignment)
         if self.by_functions is None:
             return _Seen(lost, n_readings, information_of_rows(rows, np.ones(rows.shape[-1])), forecast)
         others = _leave_out(basis, self.by_functions[:, some])

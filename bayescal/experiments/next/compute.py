@@ -13,6 +13,7 @@ import pandas as pd
 from scipy.special import softmax
 from threadpoolctl import threadpool_limits
 
+from bayescal.calibrated.in_use import MachineInUse
 from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.density.calibration.measurements import Comparison
 from bayescal.experiments.frame.results import Results
@@ -22,7 +23,6 @@ from bayescal.identifiability.reading_rows import (
     differentiate_poses,
     linearise_near,
     typical_covariance,
-    typical_noise,
     whiten,
 )
 from bayescal.identifiability.requirements import Standing, ToolRemaining, find_limits, move_draws
@@ -37,7 +37,7 @@ MOST_ERRORS = 2_000_000  # draws times poses of the workspace: their errors are 
 FEWEST_DRAWS = 200
 COURSE, COURSE_DRAWS = 8, 500
 SHOWN = 10  # poses of the list to come
-SEED, COURSE_SEED = 11, 12
+SEED, COURSE_SEED, FUNCTIONS_SEED = 11, 12, 13
 
 
 def compute_next(inputs: NextInputs) -> Results:
@@ -230,10 +230,20 @@ class State:
         return np.asarray(self.theta.mean(axis=0))
 
     @cached_property
-    def covariance(self) -> Array:
-        """Of the parameters' coordinates, shape (m, m)."""
+    def machine(self) -> MachineInUse:
+        """What is known of geometry and of errors that were found with it."""
         m = self.subject.measured.posterior.n_geometry
-        return self.belief.covariance[:m, :m]
+        return MachineInUse.find(self._posterior, self.belief.draws, self.belief.covariance[:m, :m])
+
+    @property
+    def covariance(self) -> Array:
+        """Of the geometry's coordinates and of A coefficients of errors found with it, shape (m + A, m + A)."""
+        return self.machine.covariance
+
+    @cached_property
+    def _drawn(self) -> Array:
+        """Draws of both about their mean, shape (S, m + A)."""
+        return self.machine.draw(self.belief.draws, np.random.default_rng(self.seed + FUNCTIONS_SEED))
 
     @cached_property
     def _candidates(self) -> Array:
@@ -248,22 +258,27 @@ class State:
     # --- what poses say ----------------------------------------------------------------------------------------------
 
     def _differentiate(self, pose: Array, given: Given) -> Slopes:
-        return differentiate_poses(self._posterior, self.subject.measured.half, self._y, pose, given)
+        measured = self.subject.measured
+        return differentiate_poses(self._posterior, measured.half, self._y, pose, given, measured.aligned)
 
     @cached_property
     def rows(self) -> Array:
-        """What all channels say of the parameters at each candidate, its pose eliminated, shape (C, K, m)."""
-        slopes = self._differentiate(self._candidates, self.subject.candidates.given)
-        seen = slopes.seen_by(np.ones(len(self.subject.measured.internal), dtype=bool)).rows
+        """What all channels say of what is unknown at each candidate, its pose eliminated, shape (C, K, m + A)."""
+        given = self.subject.candidates.given
+        slopes = self._differentiate(self._candidates, given)
+        seen = self.machine.see(slopes, {name: value[slopes.places] for name, value in given.items()})
         rows = np.zeros((len(self._candidates), *seen.shape[1:]))
         rows[slopes.places] = seen
         return rows
 
     @cached_property
     def slope(self) -> Array:
-        """Where the tool errs as its own channels locate it, by the parameters, shape (W, c, m)."""
-        slopes = self._differentiate(self._workspace, self.subject.workspace.given)
-        return slopes.seen_by(self.subject.measured.internal).tool
+        """Where the tool errs as its own channels locate it, by what is unknown, shape (W, c, m + A)."""
+        given, internal = self.subject.workspace.given, self.subject.measured.internal
+        slopes = self._differentiate(self._workspace, given)
+        some = {name: value[slopes.places] for name, value in given.items()}
+        found = self.machine.foresee(slopes.seen_by(internal), internal, some)
+        return found.slope if found.functions is None else np.concatenate([found.slope, found.functions], axis=-1)
 
     @cached_property
     def weight(self) -> Array:
@@ -286,7 +301,7 @@ class State:
         across = np.swapaxes(basis[..., there.by_pose.shape[-1] :], 1, 2) @ white  # (C, K - q, K)
         apart = np.nan_to_num(Comparison(model.channels).subtract(here.values, there.values))
         rows = across @ np.nan_to_num(here.by_parameters) @ self._posterior.around(self._y)[1].T.T
-        covariance = rows @ self.covariance @ np.swapaxes(rows, 1, 2) + across @ noise @ np.swapaxes(across, 1, 2)
+        covariance = rows @ self.machine.geometry @ np.swapaxes(rows, 1, 2) + across @ noise @ np.swapaxes(across, 1, 2)
         return np.einsum("cdk,ck->cd", across, apart), covariance
 
     # --- requirements ------------------------------------------------------------------------------------------------
@@ -294,30 +309,30 @@ class State:
     @cached_property
     def remaining(self) -> ToolRemaining:
         """Errors of the tool over the workspace."""
-        subject, own = self.subject, np.flatnonzero(self.subject.measured.internal)
-        own = own[self._posterior.likelihood.data.present[:, own].any(axis=0)]
-        sd = typical_noise(self._posterior, self.belief.draws)[:, own]
-        given = subject.workspace.given
-        return ToolRemaining(subject.model, own, self.calibrated, self._workspace, given, sd, self.seed)
+        measured, given = self.subject.measured, self.subject.workspace.given
+        draws = self.belief.draws
+        return self.machine.remain(measured.internal, self._workspace, given, draws, self.seed, measured.aligned)
 
     @cached_property
     def standing(self) -> Standing:
         """How the requirements stand."""
-        return self._judge(self.theta)
+        return self._judge(self.theta, self._drawn)
 
     @cached_property
     def at_best(self) -> Standing:
         """How they would stand were the geometry known exactly."""
-        return self._judge(np.broadcast_to(self.calibrated, self.theta.shape))
+        return self._judge(np.broadcast_to(self.calibrated, self.theta.shape), np.zeros_like(self._drawn))
 
     def after(self, covariance: Array) -> Standing:
-        """Return how they are expected to stand with another covariance of the parameters, (m, m)."""
+        """Return how they are expected to stand with another covariance of what is unknown, (m + A, m + A)."""
         m, y = self._posterior.n_geometry, self.belief.draws.copy()
-        y[:, :m] = self._y[:m] + move_draws(y[:, :m] - self._y[:m], self.covariance, covariance)
-        return self._judge(self._posterior.theta(y))
+        drawn = move_draws(self._drawn, self.covariance, covariance)
+        y[:, :m] = self._y[:m] + drawn[:, :m]
+        return self._judge(self._posterior.theta(y), drawn)
 
-    def _judge(self, theta: Array) -> Standing:
-        return Standing(self.remaining.find_largest(self.subject.requirements, theta))
+    def _judge(self, theta: Array, drawn: Array) -> Standing:
+        coefficients = drawn[:, self._posterior.n_geometry :]
+        return Standing(self.remaining.find_largest(self.subject.requirements, theta, coefficients))
 
     # --- poses to come -----------------------------------------------------------------------------------------------
 

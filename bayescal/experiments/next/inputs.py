@@ -16,15 +16,16 @@ from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.memory import check_arrays
 from bayescal.experiments.next.schema import CandidatesConfig, NextConfig
-from bayescal.experiments.shared.design import REQUIRED, read_workspace
+from bayescal.experiments.shared.design import read_workspace
 from bayescal.experiments.shared.measured import MeasuredReadings, measure_variants
+from bayescal.experiments.shared.requirements import is_aligned, name_required_units, read_requirements
 from bayescal.experiments.shared.schema import WorkspaceConfig
 from bayescal.experiments.shared.search_memory import list_readings
 from bayescal.experiments.shared.slip_search import find_slip
 from bayescal.experiments.shared.slips import FoundSlip
 from bayescal.identifiability.pose_volume import PoseVolume, find_workspace_actuators
 from bayescal.identifiability.reading_rows import differentiate_poses, typical_given
-from bayescal.identifiability.requirements import COMPONENTS, Requirement
+from bayescal.identifiability.requirements import Requirement
 from bayescal.machines.readings import Channel, Coordinate, Given, Legs, ReadingModel, legs_of
 from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array
 from bayescal.numerics.units import Units
@@ -93,6 +94,12 @@ def read_next(config: NextConfig, folder: Path) -> NextInputs:
         _check_redundant(first)
         low, high = _read_bounds(config, first)
         found = {name: replace(one, low=low, high=high) for name, one in found.items()}
+    if config.accuracy_frame is not None:
+        frame = config.accuracy_frame
+        found = {
+            name: replace(one, aligned=is_aligned(frame, one.posterior.likelihood.model, one.posterior.priors))
+            for name, one in found.items()
+        }
     so_far = {name: one if n == there else one.pick(np.arange(n)) for name, one in found.items()}
     first = next(iter(so_far.values()))
     if legs is None:
@@ -102,7 +109,9 @@ def read_next(config: NextConfig, folder: Path) -> NextInputs:
         candidates = Poses(*_list_candidates(config.candidates, folder, first, rng))
     else:
         workspace, candidates = _place_legs(config, folder, first, legs)
-    requirements, units = _read_requirements(config, first)
+    model = first.posterior.likelihood.model
+    requirements = list(read_requirements(config.requirements, model, config.units))
+    units = name_required_units(config.requirements, model, config.units)
     if requirements and legs is None:
         _check_located(first, workspace.values)
     subjects = {name: Subject(one, requirements, workspace, candidates) for name, one in so_far.items()}
@@ -110,23 +119,6 @@ def read_next(config: NextConfig, folder: Path) -> NextInputs:
     return NextInputs(
         config, origin, subjects, len(candidates.values), units, find_slip(one.readings for one in found.values())
     )
-
-
-def _read_requirements(config: NextConfig, measured: MeasuredReadings) -> tuple[list[Requirement], dict[str, str]]:
-    """Return the largest errors that are allowed, mm and rad, and their units as stated; InputError for others."""
-    tool = measured.posterior.likelihood.model.tool_channels
-    components, kinds = (tuple(getattr(one, key) for one in tool) for key in ("name", "unit"))
-    known = (*components, "position") if "mm" in kinds else components
-    if legs_of(measured.posterior.likelihood.model) is not None:
-        components, known = COMPONENTS, REQUIRED
-    for name in config.requirements:
-        if name not in known:
-            raise InputError(f"requirements: found {name!r}, expected some of {', '.join(known)}")
-    units = Units(config.units.length, config.units.angle)
-    of = {"position": "mm", "rotation": "rad"} | dict(zip(components, kinds, strict=True))
-    wanted = {name: config.requirements[name] for name in known if name in config.requirements}
-    found = [Requirement(name, limit * units.factor(of[name]), components) for name, limit in wanted.items()]
-    return found, {name: units.name(of[name]) for name in wanted}
 
 
 # --- machines on legs ----------------------------------------------------------------------------------------------

@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 
 from bayescal.config.sections import InputFile, Names, Positive, Section
 from bayescal.experiments.shared.of_another import OfAnotherConfig
-from bayescal.experiments.shared.schema import AnyWorkspaceConfig, Extent, Turns, UnitsConfig
+from bayescal.experiments.shared.schema import AccuracyFrame, AnyWorkspaceConfig, Extent, Turns, UnitsConfig
 from bayescal.numerics.geometry import Array
 
 
@@ -75,6 +75,10 @@ class NextConfig(OfAnotherConfig):
     """By component of what has to be accurate: largest error anywhere in the workspace. Of a platform `x`, `y`, `z`,
     `position`, `rotation_x`, `rotation_y`, `rotation_z`, `rotation`; without legs what the machine's tool is, and
     `position` for its lengths together [units].
+    """
+    accuracy_frame: AccuracyFrame | None = Field(default=None, exclude_if=lambda value: value is None)
+    """Whether errors are what remains after a best fit of the frames of base and tool (`aligned`), or are relative to
+    marks on the `base`; as of the study where nothing is said.
     """
     candidates: CandidatesConfig = CandidatesConfig()
     """Poses that may be measured."""

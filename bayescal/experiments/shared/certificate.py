@@ -38,10 +38,11 @@ from bayescal.calibrated.accuracy import (
     sample_region,
 )
 from bayescal.calibrated.machine import MATRIX, MODEL, NOISE, CalibratedMachine
-from bayescal.calibrated.predict import check_determined
+from bayescal.calibrated.predict import Aligned, align_over, check_determined
 from bayescal.errors import InputError
 from bayescal.experiments.frame.results import PROVENANCE_FILE, SUMMARY_FILE
 from bayescal.experiments.shared.headline import say_accuracy, write_headline
+from bayescal.experiments.shared.knowledge_page import ALIGNED
 from bayescal.experiments.shared.soundness import span_shares
 from bayescal.files.atomic import read_json
 from bayescal.limits import COVERAGE
@@ -105,6 +106,8 @@ class Certificate:
     region: Region | None = None  # where; None for all over the actuators' range
     beyond: float = 0.0  # share of its poses outside of the box of those that calibrated the machine
     without: str = ""  # why there are no figures of the standards, in words
+    # covariances without alignment, where all else is stated with base and tool aligned; None where it is not
+    unaligned: Budget | None = None
 
     @property
     def axis_names(self) -> tuple[str, ...]:
@@ -148,6 +151,11 @@ class Certificate:
         expanded = self.factor * self.budget.sd()
         return np.asarray(expanded if self.agrees else expanded / self.ratios)
 
+    @property
+    def expanded_unaligned(self) -> Array | None:
+        """Expanded uncertainty k u of each pose without alignment, (P, m); None where nothing is aligned."""
+        return None if self.unaligned is None else self.factor * self.unaligned.sd()
+
     def summarise(self, values: Array) -> tuple[Array, Array]:
         """Return rms and largest of values (P, m) over the workspace, in the units in which they are stated."""
         return _rms(values) * self.scale, np.abs(values).max(axis=0) * self.scale
@@ -159,6 +167,7 @@ class Certificate:
             return dict(zip(self.axis_names, (float(f"{one:.6g}") for one in values), strict=True))
 
         typical, largest = self.summarise(self.expanded)
+        unaligned = self.expanded_unaligned
         alike: dict[str, list[str]] = {}
         for one, unit in zip(self.axis_names, self.units, strict=True):
             alike.setdefault(unit, []).append(one)
@@ -170,6 +179,7 @@ class Certificate:
             "coverage": self.wishes.coverage,
             "poses": len(self.budget.commands),
             "workspace": self.where,
+            "accuracy_frame": "base" if unaligned is None else "aligned",
             "share_extrapolated": float(f"{self.beyond:.4g}"),
             "unit": {", ".join(names): unit for unit, names in alike.items()},
             "standard_uncertainty": {
@@ -180,6 +190,7 @@ class Certificate:
             "expanded_uncertainty": {
                 "stated": name(typical),
                 "largest": name(largest),
+                **({} if unaligned is None else {"unaligned": name(self.summarise(unaligned)[0])}),
                 "monte_carlo": name(self.summarise(self.spread.half_width)[0]),
                 "propagated_over_monte_carlo": name(self.ratios),
                 "method": "k u" if self.agrees else "Monte Carlo",
@@ -208,13 +219,15 @@ def certify(calibrated: CalibratedMachine, path: Path, wishes: Wishes) -> Certif
     else:
         commands = sample_region(calibrated, region, wishes.n_poses, wishes.seed)
     given = calibrated.typical(len(commands))
-    budget = compute_budget(calibrated, commands, given)
+    aligned = align_over(calibrated, commands, given) if calibrated.aligned else None
+    budget = compute_budget(calibrated, commands, given, aligned)
     checked = {name: value[:N_CHECKED] for name, value in given.items()}
-    spread = propagate(calibrated, commands[:N_CHECKED], wishes.coverage, wishes.n_draws, wishes.seed + 1, checked)
+    effort = wishes.coverage, wishes.n_draws, wishes.seed + 1
+    spread = propagate(calibrated, commands[:N_CHECKED], *effort, checked, aligned)
     without = check_standards(calibrated)
     if without and wishes.cube_mm is not None:
         raise InputError(f"cube: not meaningful: {without}")
-    cube, poses, axes = (0.0, None, ()) if without else _judge(calibrated, wishes, region, budget)
+    cube, poses, axes = (0.0, None, ()) if without else _judge(calibrated, wishes, region, budget, aligned)
     files = [path / name for name in (SUMMARY_FILE, PROVENANCE_FILE)]
     summary, provenance = (read_json(one) if one.is_file() else {} for one in files)
     return Certificate(
@@ -231,22 +244,25 @@ def certify(calibrated: CalibratedMachine, path: Path, wishes: Wishes) -> Certif
         region,
         measure_beyond(calibrated, commands, known),
         without,
+        None if aligned is None else compute_budget(calibrated, commands, given),
     )
 
 
 def _judge(
-    calibrated: CalibratedMachine, wishes: Wishes, region: Region | None, budget: Budget
+    calibrated: CalibratedMachine, wishes: Wishes, region: Region | None, budget: Budget, aligned: Aligned | None
 ) -> tuple[float, PoseFigures, tuple[AxisFigures, ...]]:
     """Return the edge of a cube about home, and the standards' figures of poses and axes in it."""
     home = calibrated.model.tool_values(calibrated.theta, calibrated.model.home_pose)
     within = np.inf if region is None else find_largest_cube(calibrated, region, budget.tool)
     cube, n = wishes.cube_mm or fit_cube(calibrated, home, within or np.inf), len(calibrated.lengths)
     effort = (wishes.n_draws, wishes.seed + 2)
-    visited = draw_cycles(calibrated, place_lengths(calibrated, home, list_cube_poses(cube, n)), CYCLES, *effort)
+    visited = draw_cycles(
+        calibrated, place_lengths(calibrated, home, list_cube_poses(cube, n)), CYCLES, *effort, aligned
+    )
     axes = []
     for axis in range(n):
         poses = place_lengths(calibrated, home, list_axis_poses(cube, axis, n))
-        axes.append(judge_axis(draw_cycles(calibrated, poses, AXIS_CYCLES, *effort)[..., axis]))
+        axes.append(judge_axis(draw_cycles(calibrated, poses, AXIS_CYCLES, *effort, aligned)[..., axis]))
     return cube, judge_poses(visited), tuple(axes)
 
 
@@ -288,7 +304,12 @@ def state_headline(found: Certificate) -> str:
     if not found.calibrated.model.states_tool:
         what = "Coordinates"
     worst = f"at the worst pose ±{_micro(largest[chosen].max())} {unit}"
-    return write_headline([f"{what}: {each}, root mean square {found.where}; {worst}"])
+    unaligned, frame = found.expanded_unaligned, ""
+    if unaligned is not None:
+        base = found.summarise(unaligned)[0]
+        own = ", ".join(f"{found.axis_names[k]} ±{_micro(base[k])} {unit}" for k in chosen)
+        frame = f" with base and tool aligned (unaligned {own})"
+    return write_headline([f"{what}: {each}, root mean square {found.where}{frame}; {worst}"])
 
 
 def _choose_main(found: Certificate) -> list[int]:
@@ -389,6 +410,9 @@ def _tabulate_budget(found: Certificate) -> Table:
     rows.append(write(f"expanded, Monte Carlo ({percent})", found.summarise(found.spread.half_width)[0]))
     rows.append(write("stated expanded uncertainty U", found.summarise(found.expanded)[0]))
     rows.append(write("stated U at the worst pose", found.summarise(found.expanded)[1]))
+    unaligned = found.expanded_unaligned
+    if unaligned is not None:
+        rows.append(write("U without alignment, k u", found.summarise(unaligned)[0]))
     radius = float(np.sqrt(np.mean(found.spread.radius**2))) * 1e3
     notes = [
         Statement(
@@ -398,8 +422,10 @@ def _tabulate_budget(found: Certificate) -> Table:
         if len(found.calibrated.lengths)
         else Statement(f"Monte Carlo: root mean square over {len(found.spread.radius)} poses."),
         Statement(
-            "Instrument frame: nothing is added. Poses are those in the base frame of the machine; whoever measures "
-            "in another frame adds the uncertainty of where that frame is."
+            "Poses are those in the base frame of the machine; whoever measures in another frame adds the uncertainty "
+            "of where that frame is."
+            if unaligned is None
+            else f"Base and tool are aligned. {ALIGNED}"
         ),
     ]
     return make_table("Standard uncertainties by source, root mean square over the workspace", columns, rows, notes)

@@ -26,6 +26,12 @@ NO_TOOL = (
     "The machine's class states no tool: its coordinates are reported instead. State tool_channels (names and units), "
     "and tool() where the tool is something else than the coordinates."
 )
+ALIGNED = (
+    "It is what remains after a best fit of the base frame, and of the tool frame where the tool turns, over the "
+    "workspace. Unaligned figures are larger because they hold, too, how well it is known where these frames lie: a "
+    "convention, which no measurement of the machine's motion tells."
+)
+"""Why accuracy is stated with base and tool aligned, and why it differs otherwise."""
 WORTHWHILE = 0.01  # of the mean squared error; what promises less is no advice
 SENSORS = {"all": "all", "own": "the machine's own"}
 
@@ -37,12 +43,15 @@ def name_titles(tables: Mapping[str, pd.DataFrame]) -> dict[str, str]:
     return {str(row["variant"]): str(row["title"]) for row in list_rows(tables.get("variants", pd.DataFrame()))}
 
 
-def show_accuracy(
-    tables: Mapping[str, pd.DataFrame], variant: str = "", asked: Asked = None, aligned: bool = False
-) -> Section | None:
+def is_aligned(accuracy: pd.DataFrame) -> bool:
+    """Whether a table of accuracies says what remains of errors once base and tool are aligned."""
+    return "frame" in accuracy and bool((accuracy["frame"] == "aligned").any())
+
+
+def show_accuracy(tables: Mapping[str, pd.DataFrame], variant: str = "", asked: Asked = None) -> Section | None:
     """Return how accurate each variant's tool is, or its coordinates where no tool is stated.
 
-    All others are folded behind a ``variant`` that is named. ``aligned``: whether base and tool were aligned for it.
+    All others are folded behind a ``variant`` that is named.
     """
     if "accuracy" not in tables:
         return None
@@ -52,11 +61,8 @@ def show_accuracy(
         "together (posterior); the noise of one set of readings comes on top. A dash: its own sensors do not "
         "determine it."
     )
-    if aligned:
-        text += (
-            " Frames of the instrument are not known: this is what remains once base and tool are aligned, one motion "
-            "each, the same at all poses."
-        )
+    if is_aligned(tables["accuracy"]):
+        text += f" {ALIGNED}"
     first = tables["accuracy"]["variant"] == variant
     every, titles = tables["accuracy"], name_titles(tables)
     blocks: list[Block] = [_tabulate_accuracy(every[first] if first.any() else every, titles, asked)]
@@ -71,13 +77,17 @@ def _tabulate_accuracy(accuracy: pd.DataFrame, titles: Mapping[str, str], asked:
     columns = [Column("Variant", kind="text"), Column("Tool", kind="text"), Column("Unit", kind="text")]
     columns += [Column(one, group=group) for one in ("before", "after", "noise of one reading")]
     columns += [Column("largest after"), Column("at", kind="text")]
+    aligned = is_aligned(accuracy)
+    if aligned:
+        columns += [Column(one, group="unaligned") for one in ("rms after", "largest after")]
     rows: list[list[str | Cell]] = []
     for row in list_rows(accuracy):
         factor, unit = shown_in(row["unit"], asked)
         numbers = (format_significant(factor * row[name]) for name in ("before", "after", "noise"))
         worst = format_significant(factor * row["worst"]) if "worst" in row else NOTHING
         at = str(row.get("worst_at", NOTHING))
-        rows.append([titles[row["variant"]], str(row["coordinate"]), unit, *numbers, worst, at])
+        base = [format_significant(factor * row[name]) for name in ("unaligned", "worst_unaligned") if aligned]
+        rows.append([titles[row["variant"]], str(row["coordinate"]), unit, *numbers, worst, at, *base])
     return make_table("Predicted standard uncertainty.", columns, rows)
 
 

@@ -41,6 +41,7 @@ class MeasuredReadings:
     internal: np.ndarray  # (K,): which channels the machine keeps after its calibration
     n_held_back: int = 0  # how many poses were measured besides, kept for verification
     described: Mapping[str, Any] = field(default_factory=dict)  # what was measured, in the study's own words
+    aligned: bool = False  # whether its accuracy is what remains after base and tool are aligned
 
     @property
     def half(self) -> Array:

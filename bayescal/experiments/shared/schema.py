@@ -30,6 +30,8 @@ type Axes = Literal["x", "y", "z", "xy", "xz", "yz", "xyz"]
 type Turns = Annotated[list[Annotated[NotNegative, Field(le=180.0)]], Field(min_length=3, max_length=3)]
 type Range = Annotated[list[Number], Field(min_length=2, max_length=2), AfterValidator(_check_order)]
 type Bounds = Annotated[Range, AfterValidator(_check_width)]
+type AccuracyFrame = Literal["aligned", "base"]
+"""Relative to what a tool is accurate: after a best fit of the frames of base and tool, or in the base frame."""
 type Extent = Annotated[list[NotNegative], Field(min_length=3, max_length=3)]
 
 

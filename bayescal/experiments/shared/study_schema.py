@@ -39,7 +39,14 @@ from bayescal.experiments.shared.readings.schema import (
     OriginConfig,
     ValidationConfig,
 )
-from bayescal.experiments.shared.schema import Bounds, DeformationConfig, FramesConfig, RotationNoiseConfig, UnitsConfig
+from bayescal.experiments.shared.schema import (
+    AccuracyFrame,
+    Bounds,
+    DeformationConfig,
+    FramesConfig,
+    RotationNoiseConfig,
+    UnitsConfig,
+)
 from bayescal.inference.schema import EvidenceConfig, SamplerConfig
 
 TABLES = ("targets", "poses", "points")
@@ -322,6 +329,14 @@ class StudyConfig(ExperimentConfig):
     workspace: dict[str, Bounds] = Field(default={}, exclude_if=lambda value: not value)
     """By coordinate: smallest and largest value where accuracy counts; the range of the measured poses where nothing
     is said [unit of the coordinate].
+    """
+    requirements: dict[str, Positive] = Field(default={}, exclude_if=lambda value: not value)
+    """By number of the tool, or `position` for its lengths and `rotation` for its angles together: largest error
+    anywhere in the workspace [units].
+    """
+    accuracy_frame: AccuracyFrame = Field(default="aligned", exclude_if=lambda value: value == "aligned")
+    """Whether accuracy is what remains after a best fit of the frames of base and tool (`aligned`), or is relative to
+    marks on the `base`.
     """
     variants: Annotated[list[VariantConfig], Field(min_length=1)]
     """Models to compare."""

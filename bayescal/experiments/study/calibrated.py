@@ -198,7 +198,8 @@ def calibrate_machine(
         by_legs = LegErrors(errors.noise, errors.model_variance, machine, theta[:size], covariance)
         some = None if draws is None else draws[:, :size]
         legs = build_calibrated(Legs(machine), theta[:size], some, by_legs, source, commands)
-        legs = replace(legs, functions=_change(functions, legs), units=units)
+        aligned = config.accuracy_frame == "aligned"
+        legs = replace(legs, functions=_change(functions, legs), units=units, aligned=aligned)
         return replace(legs, noise=noise[model.select(legs.model.names)]) if np.isfinite(noise).any() else legs
     workspace = build_workspace(model, config.workspace, config.units)
     own = [path.name, *list_machine_sources(path)]
@@ -214,7 +215,8 @@ def calibrate_machine(
         path.name,
         {one: (path.parent / one).read_bytes() for one in own},
     )
-    return replace(found, noise=noise, functions=_change(functions, found), units=units)
+    aligned = config.accuracy_frame == "aligned"
+    return replace(found, noise=noise, functions=_change(functions, found), units=units, aligned=aligned)
 
 
 def _keep_instruments(

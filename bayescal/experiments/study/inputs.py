@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -46,8 +46,6 @@ class StudyInputs(ReadingInputs):
             For faults of files, and other widths of priors that no machine has.
         """
         found = cls(**vars(read_inputs(config, folder, only)), folder=folder)
-        if config.frames.base is not None and config.frames.tool is not None:  # nobody knows base and tool but aligned
-            found = replace(found, variants={k: replace(one, aligned=True) for k, one in found.variants.items()})
         for name, variant in found.variants.items():
             for factor in config.sensitivity.factor:
                 with name_faults(f"variant {name!r}: sensitivity.factor {factor:g}"):
@@ -117,6 +115,7 @@ class StudyInputs(ReadingInputs):
                 one.internal,
                 int(one.verification.sum()),
                 {} if self.seen is None else self.seen.measured.described,
+                one.aligned,
             )
             for name, one in chosen.items()
         }

@@ -12,6 +12,7 @@ import pandas as pd
 from scipy.special import chdtrc
 
 from bayescal.calibrated.functions import KnownFunctions
+from bayescal.calibrated.in_use import MachineInUse
 from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.density.calibration.prediction import (
     ReadingPredictions,
@@ -46,6 +47,7 @@ from bayescal.experiments.shared.trees import (
     split_parameters,
     spread,
 )
+from bayescal.experiments.study.before_after import tabulate_before_after, tabulate_requirements
 from bayescal.experiments.study.calibrated import ERRORS, tabulate_errors
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.tables import (
@@ -144,15 +146,19 @@ def fit_variant(inputs: ReadingInputs, name: str) -> ReadingFit:
     errors[ERRORS] = tabulate_errors(config, variant, posterior, some, drawn)
     terms = config.leg_error.of(variant.config.model_error)
     errors |= tabulate_model_error(name, variant.data, variant.verification, posterior, some, drawn, terms, own)
-    known = [KnownFunctions.find(posterior, fit.kept_of(k)) for k in range(1 + len(fit.others))]
+    machine = MachineInUse.find(posterior, y)
+    known = [machine.known, *(KnownFunctions.find(posterior, fit.kept_of(k + 1)) for k in range(len(fit.others)))]
     packed = fit.pack(subject.build_tree(fit, name, known), ONLY_SAVED)
     with stage("held-back poses"):
         held = [hold_back(inputs, (name, 0), (posterior, fit.kept))] if variant.verification.any() else []
     with stage("accuracy"):
-        knowledge = assess(config, variant, posterior, y.mean(axis=0), learn_posterior(variant, posterior, y, known[0]))
+        knowledge = assess(config, variant, posterior, y.mean(axis=0), learn_posterior(variant, machine))
         poses = _predict_poses(variant, posterior, y, own)
+        mean = dict(zip(fit.names, fit.mean, strict=True))
         tables = {
             "parameters": tabulate_parameters(variant, fit, knowledge.verdicts),
+            "before_after": tabulate_before_after(variant, poses, mean, own),
+            "requirements": tabulate_requirements(config, variant, machine, y, config.seed),
             **_tabulate_residuals(variant, _explain(posterior, fit), fit),
             "accuracy": tabulate_accuracy(variant, knowledge, config.units),
             "ridges": pd.DataFrame(list_ridges(variant, knowledge)),
@@ -382,6 +388,9 @@ def describe_readings(
         **tabulate_legs(inputs),
     }
     known = {str(row.pop("variant")): plain(row) for row in variants.to_dict("records")}
+    for row in tables["requirements"].to_dict("records") if "requirements" in tables else ():
+        one = plain(row)
+        known[str(row["variant"])].setdefault("requirements", {})[str(one["requirement"])] = one["probability"]
     for variant, fit, _ in every:
         known[variant.name] |= {"calibration": None, "verification": None}
         if fit.poses is not None:

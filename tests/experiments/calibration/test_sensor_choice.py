@@ -30,6 +30,7 @@ def read(folder):
         path = folder / "audit.toml"
         original = path.read_text()
         path.write_text(f"{original}\n[sensor_choice]\n{choice}\n")
+        calibrations.change(path, "seed = 4", 'seed = 4\naccuracy_frame = "base"')  # no best fit takes anything away
         for old, new in changes:
             calibrations.change(path, old, new)
         try:
@@ -56,7 +57,7 @@ ALONE = '[model_error]\nterms = ["independent"]\n'
 def test_a_set_is_as_good_as_an_audit_of_the_same_sensors_says(aligned, error, alike, folder, no_pictures):
     path = folder / "audit.toml"
     path.write_text(f"{path.read_text()}\n{error}[sensor_choice]\n{ALL}\n")
-    calibrations.change(path, "seed = 4", f"seed = 4\naligned = {str(aligned).lower()}")
+    calibrations.change(path, "seed = 4", f'seed = 4\naccuracy_frame = "{"aligned" if aligned else "base"}"')
     done = run_experiment(load(path)[1], folder, folder / "out", quiet=True).results
     sets, accuracy = done.table("sensor_sets").set_index("sensors"), done.table("requirements")
     for variant in alike:
@@ -152,8 +153,8 @@ def test_a_machine_without_a_tool_is_not_aligned(folder, refuse):
     source = folder / "linear_delta.py"
     lines = source.read_text().splitlines()
     source.write_text("\n".join(line for line in lines if "self.tool_channels" not in line))
-    calibrations.change(folder / "audit.toml", "seed = 4", "seed = 4\naligned = true")
-    said = "audit.toml: aligned: machine 'delta' does not say where its tool is; expected tool_channels"
+    calibrations.change(folder / "audit.toml", "seed = 4", 'seed = 4\naccuracy_frame = "base"')
+    said = "accuracy_frame: found 'base' of a machine whose tool"
     refuse(said, folder / "out", "run", folder / "audit.toml", "--quiet")
 
 

@@ -63,13 +63,13 @@ def tiny(tmp_path_factory):
     return tiny_experiments.copy_tiny(tmp_path_factory.mktemp("star")) / "sliding_star"
 
 
-def know(leg, aligned):
+def know(leg, frame):
     """Return the tool's rms errors over the workspace, 8 and 12 sensors, in the frames of a leg and the next one."""
     config = load(STAR / "sensors.toml")[1]
     across = "eta_B" if leg % 2 else "xi_B"
     fixed = [*(f"{symbol}[{leg}]" for symbol in ("x_P", "y_P", "beta", "xi_B", "eta_B")), f"{across}[{leg + 1}]"]
     variants = [one.model_copy(update={"fixed": fixed}) for one in config.variants[1:]]
-    changes = {"aligned": aligned, "variants": variants, "sensor_choice": None}
+    changes = {"accuracy_frame": frame, "variants": variants, "sensor_choice": None}
     inputs, found = read_design(config.model_copy(update=changes), STAR), []
     for plan in inputs.plans.values():
         variant, posterior, expected = plan.variant, plan.posterior, plan.expected
@@ -80,10 +80,10 @@ def know(leg, aligned):
 
 
 def test_aligned_accuracy_is_that_of_any_frames():
-    first, second, third = (know(leg, aligned=True) for leg in (1, 2, 3))
+    first, second, third = (know(leg, "aligned") for leg in (1, 2, 3))
     np.testing.assert_allclose(second, first, rtol=1e-4)
     np.testing.assert_allclose(third, first, rtol=1e-4)
-    one, other = (know(leg, aligned=False) for leg in (1, 2))
+    one, other = (know(leg, "base") for leg in (1, 2))
     assert (np.abs(other / one - 1.0) > 0.02).all()
     assert (one > 3.0 * first).all()
 

@@ -30,7 +30,7 @@ from bayescal.experiments.shared.headline import (
     say_requirements,
     write_headline,
 )
-from bayescal.experiments.shared.knowledge_page import name_titles, state_next
+from bayescal.experiments.shared.knowledge_page import ALIGNED, name_titles, state_next
 from bayescal.report.blocks import Level, Statement
 from bayescal.report.numbers import (
     format_count,
@@ -511,7 +511,7 @@ def _state_counts(results: AuditResults) -> Iterator[Statement]:
 
 def _state_frames(results: AuditResults) -> Iterator[Statement]:
     if results.summary.get("aligned"):
-        text = "Accuracies are after alignment: one motion each of base and tool, the same at all poses, is no error."
+        text = f"Accuracies are after alignment. {ALIGNED}"
         yield Statement(text, "plain", "Frames")
 
 

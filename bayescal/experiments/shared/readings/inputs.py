@@ -33,6 +33,7 @@ from bayescal.experiments.shared.readings.priors import choose_priors, widen
 from bayescal.experiments.shared.readings.reading_tables import PoseReadings, read_tables
 from bayescal.experiments.shared.readings.seen_legs import SeenLegs, look
 from bayescal.experiments.shared.readings.workspace import Workspace, build_workspace, find_region, find_starts
+from bayescal.experiments.shared.requirements import is_aligned, read_requirements
 from bayescal.experiments.shared.search_memory import check_readings
 from bayescal.experiments.shared.slip_rows import Readings
 from bayescal.experiments.shared.study_schema import StudyConfig, VariantConfig
@@ -225,6 +226,7 @@ def _build(
     _check_commanded(readings.commanded[rows], whole, model)
     _check_noise(data, model)
     check_columns(data, model, {channel: column for channel, column, _ in readings.columns})
+    read_requirements(config.requirements, model, config.units)
     model.check_given(data.poses, data.given, [one for name in priors for one in common.get(name, (name,))])
     workspace = build_workspace(model, config.workspace, config.units)
     noise = (*build_noise(config, section, whole, chosen), *known)
@@ -240,6 +242,7 @@ def _build(
         readings.verification[rows],
         np.zeros((data.n_poses, len(model.coordinates))),
         workspace,
+        aligned=is_aligned(config.accuracy_frame, model, priors),
         begin=begin,
     )
     check_readings(data.n_poses, len(chosen), len(priors), len(model.coordinates))

@@ -9,9 +9,8 @@ from typing import Any, Protocol
 import numpy as np
 import pandas as pd
 
-from bayescal.calibrated.functions import KnownFunctions
+from bayescal.calibrated.in_use import MachineInUse
 from bayescal.density.calibration.likelihood import CalibrationPosterior
-from bayescal.density.calibration.measurements import Measurements
 from bayescal.experiments.shared.readings.inputs import Variant
 from bayescal.experiments.shared.readings.schema import NextConfig
 from bayescal.experiments.shared.schema import UnitsConfig
@@ -25,7 +24,6 @@ from bayescal.identifiability.reading_rows import (
     see,
     typical_covariance,
     typical_given,
-    typical_noise,
     whiten,
 )
 from bayescal.identifiability.requirements import ErrorsInUse, Forecast, forecast_tool
@@ -54,6 +52,9 @@ class Knowledge:
     # now, and where
     worst: Array
     worst_pose: Array
+    # (m,): the same as after and worst where base and tool are not aligned
+    unaligned: Array
+    worst_unaligned: Array
     next_pose: Array  # (c, q): poses to measure next, the best first for each set of sensors
     next_sensors: tuple[str, ...]  # ``own`` or ``all``, of each
     next_gain: Array  # (c,): by what part the mean squared error over the workspace would fall
@@ -93,6 +94,7 @@ def assess(asked: Asked, variant: Variant, posterior: CalibrationPosterior, y: A
     rng, m = np.random.default_rng([asked.seed, 5]), posterior.n_geometry
     at = look_around(variant, posterior, y, rng)
     forecast, covariance = learn(at)
+    unaligned, _ = learn(at.unalign())
     names, units = name_tool(variant.model)
     every = np.ones(len(variant.model.channels), dtype=bool)
     candidates, geometry = variant.workspace.draw(asked.next.candidates, rng), covariance[:m, :m]
@@ -101,9 +103,14 @@ def assess(asked: Asked, variant: Variant, posterior: CalibrationPosterior, y: A
         for label, some in (("own", variant.internal), ("all", every))
         if label == "own" or (some != variant.internal).any()
     ]
-    before, after, noise = (
+    before, after, noise, base = (
         np.sqrt(np.diagonal(one, axis1=-2, axis2=-1))
-        for one in (forecast.covariance(np.eye(m)), forecast.covariance(covariance), forecast.noise)
+        for one in (
+            forecast.covariance(np.eye(m)),
+            forecast.covariance(covariance),
+            forecast.noise,
+            unaligned.covariance(covariance),
+        )
     )
     verdicts, ridges = _judge(asked.units, posterior, y)
     return Knowledge(
@@ -116,6 +123,8 @@ def assess(asked: Asked, variant: Variant, posterior: CalibrationPosterior, y: A
         np.sqrt(np.mean(noise**2, axis=0)),
         after.max(axis=0),
         at.pose[after.argmax(axis=0)],
+        np.sqrt(np.mean(base**2, axis=0)),
+        base.max(axis=0),
         np.concatenate([pose for _, pose, _ in tried]),
         tuple(label for label, pose, _ in tried for _ in pose),
         np.concatenate([gain for *_, gain in tried]),
@@ -125,49 +134,25 @@ def assess(asked: Asked, variant: Variant, posterior: CalibrationPosterior, y: A
 def foresee(variant: Variant, posterior: CalibrationPosterior, y: Array, at: View, errors: ErrorsInUse) -> Forecast:
     """Return how the tool of a machine (n,) errs at poses, located by its own sensors, when these err as in use."""
     located = at.located @ whiten(typical_covariance(posterior, y), variant.internal)
-    found = forecast_tool(at.tool, located, errors, at.alignment)
+    return _mask(forecast_tool(at.whole, located, errors, at.alignment), at)
+
+
+def _mask(found: Forecast, at: View) -> Forecast:
+    """Return a forecast whose noise is unknown where the machine's own sensors do not determine the tool."""
     return replace(found, noise=np.where(np.isfinite(at.noise)[..., None], found.noise, np.nan))
 
 
-def learn_posterior(
-    variant: Variant, posterior: CalibrationPosterior, y: Array, known: KnownFunctions | None
-) -> Learnt:
-    """Return what draws (T, n) of a posterior say of the tool.
+def learn_posterior(variant: Variant, machine: MachineInUse) -> Learnt:
+    """Return what a posterior says of the tool.
 
     Systematic errors that were found are known together with the geometry; what is left of errors is noise.
     """
-    mean, m = y.mean(axis=0), posterior.n_geometry
-    covariance = np.atleast_2d(np.cov(y[:, :m], rowvar=False))
 
     def learn(at: View) -> tuple[Forecast, Array]:
-        if known is None:
-            return Forecast(at.tool, at.located @ np.swapaxes(at.located, 1, 2)), covariance
-        theta, change = posterior.around(mean)
-        follow, left = known.given_geometry
-        follow = follow @ change[posterior.sampling.free]
-        errors = _err_in_use(variant, posterior, mean, at.pose, theta, known)
-        across = follow @ covariance
-        both = np.block([[covariance, across.T], [across, across @ follow.T + left @ left.T]])
-        return foresee(variant, posterior, mean, at, errors), both
+        given = typical_given(variant.data.given, len(at.pose))
+        return _mask(machine.foresee(at, variant.internal, given), at), machine.covariance
 
     return learn
-
-
-def _err_in_use(
-    variant: Variant, posterior: CalibrationPosterior, y: Array, pose: Array, theta: Array, known: KnownFunctions
-) -> ErrorsInUse:
-    """Return what channels err by at poses (W, q) of a calibrated machine y (n,), θ (D,)."""
-    model, given = variant.model, typical_given(variant.data.given, len(pose))
-    read = model.read(theta, pose, given)
-    nothing = Measurements(tuple(map(str, range(len(read)))), np.full(read.shape, np.nan), np.ones_like(read), given)
-    shown, left = known.show(model, nothing, read)
-    gain = model.error_gain(theta, pose, given)
-    drifts = np.broadcast_to(known.place(model) * known.drift, (len(read), *known.place(model).shape))
-    random = np.concatenate([np.sqrt(left)[..., None] * np.eye(left.shape[-1]), drifts], axis=-1)
-    if gain is not None:
-        shown, random = gain @ shown, gain @ random
-    own = np.nan_to_num(typical_noise(posterior, y[None], own=True)[0])
-    return ErrorsInUse(own**2 + (random**2).sum(axis=-1), shown)
 
 
 def look_around(variant: Variant, posterior: CalibrationPosterior, y: Array, rng: np.random.Generator) -> View:
@@ -279,6 +264,9 @@ def tabulate_accuracy(variant: Variant, known: Knowledge, units: UnitsConfig) ->
             "noise": known.noise,
             "worst": known.worst,
             "worst_at": [name_place(variant, pose, units) for pose in known.worst_pose],
+            "frame": "aligned" if variant.aligned else "base",
+            "unaligned": known.unaligned,
+            "worst_unaligned": known.worst_unaligned,
         }
     )
 

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.shared import knowledge_page
 from bayescal.experiments.shared.origin import name_origin
+from bayescal.experiments.study.page.before_after import show_before_after
 from bayescal.experiments.study.page.data import show_claims, show_comparison, show_data, show_notation
 from bayescal.experiments.study.page.errors import show_errors, show_held_back, show_outliers
 from bayescal.experiments.study.page.evidence import show_diagnostics, show_evidence
@@ -30,7 +31,7 @@ type PageBlock = Callable[[StudyResults], Section | None]
 
 def show_accuracy(study: StudyResults) -> Section | None:
     """Return how accurate the tool is; None where that was not computed."""
-    return knowledge_page.show_accuracy(study.tables, study.chosen, study.units, study.aligned)
+    return knowledge_page.show_accuracy(study.tables, study.chosen, study.units)
 
 
 def show_next(study: StudyResults) -> Section | None:
@@ -39,6 +40,7 @@ def show_next(study: StudyResults) -> Section | None:
 
 
 BLOCKS: tuple[PageBlock, ...] = (
+    show_before_after,
     show_ranking,
     show_claims,
     show_errors,

@@ -17,6 +17,7 @@ import pandas as pd
 from bayescal.errors import InputError
 from bayescal.experiments.frame.results import NUMBER, SUMMARY_FILE, Kinds, Results, Row, check_keys, list_rows
 from bayescal.experiments.shared.headline import Candidate, choose_best, group_candidates, label_title, list_candidates
+from bayescal.experiments.shared.knowledge_page import is_aligned
 from bayescal.experiments.shared.study_schema import stem_of
 from bayescal.experiments.shared.trees import MODE, name_file
 from bayescal.report.blocks import Column
@@ -38,6 +39,8 @@ if TYPE_CHECKING:
 
 VARIANT = Column("Variant", kind="name")
 INDEPENDENT, TOGETHER = "independent", "together"
+ALL = "all"
+"""What requirements are called together."""
 TERMS = (INDEPENDENT, "linear", "own", "smooth", "drift")
 """Of a model error; all but the first are systematic, and together they have a size, too."""
 USES = ("calibration", "verification")
@@ -87,6 +90,8 @@ COLUMNS: dict[str, tuple[str, str]] = {
     "model_error_alone": ("variant term", "log_odds median_um q05_um q95_um"),
     "claims": ("claim section statement expected found unit verdict why", "value"),
     "accuracy": ("variant coordinate unit", "before after noise"),
+    "before_after": ("variant pose use", "before_mm after_mm"),
+    "requirements": ("variant requirement unit", "limit limit_inner error probability"),
     "ridges": ("variant parameter sentence", "contraction"),
     "next": ("variant sensors", "gain"),
     "beside": ("variant beside quantity unit", "mean sd value value_sd"),
@@ -423,9 +428,15 @@ class StudyResults:
         return self.summary.get("instrument")
 
     @property
+    def required(self) -> dict[str, float]:
+        """Probability of the variant to use to keep each requirement, and of ``""``: all; empty without any."""
+        rows = self.rows("requirements", self.chosen)
+        return {"" if row["requirement"] == ALL else str(row["requirement"]): row["probability"] for row in rows}
+
+    @property
     def aligned(self) -> bool:
-        """Whether accuracy is what remains after base and tool were aligned: an instrument's frames are not known."""
-        return len((self.instrument or {}).get("free_frames", ())) == 2
+        """Whether accuracy is what remains of errors once base and tool are aligned."""
+        return is_aligned(self.table("accuracy"))
 
     @property
     def error_factor(self) -> float:

@@ -9,10 +9,13 @@ from itertools import combinations
 import numpy as np
 import pandas as pd
 
+from bayescal.experiments.frame.results import Row
 from bayescal.experiments.shared import knowledge_page
 from bayescal.experiments.shared.headline import (
     DECISIVE,
+    LIKELY,
     NOT_DISTINGUISHABLE,
+    rate_probability,
     say_accuracy,
     say_choice,
     say_named_first,
@@ -27,7 +30,7 @@ from bayescal.experiments.study.page.errors import state_held_back, state_outlie
 from bayescal.experiments.study.page.functions import state_functions
 from bayescal.experiments.study.page.model_error import LEAD, state_terms
 from bayescal.experiments.study.page.parameters import state_undetermined
-from bayescal.experiments.study.page.results import StudyResults, get_number
+from bayescal.experiments.study.page.results import ALL, StudyResults, get_number
 from bayescal.experiments.study.page.solutions import say_headline
 from bayescal.experiments.study.page.soundness import (
     has_warnings,
@@ -63,11 +66,37 @@ def state_headline(study: StudyResults) -> str:
     named = model and study.chosen not in study.own_names
     label = f"{study.label_model(model)} {describe_deformation(deformation)}" if named else ""
     choice = say_choice(study.candidates(), label, has_warnings(study))
-    required = f"{say_requirements({})}; to judge them run an audit of this study"
     if "slip" in study.summary:
         return write_headline([say_suspicion(study)])
     choice = f"{said} Then {choice[0].lower()}{choice[1:]}" if (said := say_suspicion(study)) else choice
-    return write_headline([f"{choice}; {_say_uncertainty(study)}", say_headline(study), required])
+    return write_headline([f"{choice}; {_say_uncertainty(study)}", say_headline(study), _say_required(study)])
+
+
+def _say_required(study: StudyResults) -> str:
+    """Return whether requirements are passed, and how probably."""
+    found = study.required
+    if not found:
+        return f"{say_requirements({})}; state them in [requirements]"
+    if not math.isfinite(found[""]):
+        return "Requirements fail: its own sensors do not determine where the machine is"
+    result = "pass" if found[""] >= LIKELY else "fail"
+    return f"Requirements {result}: {say_requirements(found)}"
+
+
+def _state_required(study: StudyResults) -> list[Statement]:
+    """Say which error is kept everywhere, of the requirement that is least likely."""
+    rows = [row for row in study.rows("requirements", study.chosen) if row["requirement"] != ALL]
+    known = [row for row in rows if math.isfinite(row["probability"])]
+    if not known:
+        return []
+    worst = max(known, key=lambda row: row["error"] / row["limit"])
+    amounts = (f"{format_significant(worst[one], 2)} {worst['unit']}" for one in ("error", "limit"))
+    error, limit = (one.replace(" °", "°") for one in amounts)
+    text = (
+        f"{worst['requirement']}: with a probability of 95 % no pose of the workspace errs by more than {error}; "
+        f"allowed are {limit}."
+    )
+    return [Statement(text, rate_probability(study.required[""]), "Requirements")]
 
 
 def _say_uncertainty(study: StudyResults) -> str:
@@ -80,13 +109,33 @@ def _say_uncertainty(study: StudyResults) -> str:
     measured = study.summary.get("region") == "measured"  # no workspace was stated
     where = "the range of the measured poses" if measured else "the workspace"
     said = f"{what} {say_accuracy(amounts)}, rms over {where}"
-    said += " once base and tool are aligned" if study.aligned else ""
+    said += f" with base and tool aligned{_say_unaligned(study, known)}" if study.aligned else ""
     lengths = [row for row in known if row["unit"] == "mm"] or known[:1]
     worst = max(lengths, key=lambda row: row.get("worst", 0.0))
     if "worst" not in worst:
         return said
     largest = format_amount(worst["worst"], worst["unit"], 2, study.units)
     return f"{said}; largest {worst['coordinate']} {largest}"
+
+
+def _say_unaligned(study: StudyResults, known: list[Row]) -> str:
+    """Return the same without alignment in brackets, where it is another number."""
+    pairs = {}
+    for row in known:
+        if row["unit"] == "mm":
+            both = (format_amount(row[one], row["unit"], 2, study.units) for one in ("after", "unaligned"))
+            pairs[row["coordinate"]] = tuple(both)
+    if all(after == base for after, base in pairs.values()):
+        return ""
+    return f" (unaligned {', '.join(f'{name} {base}' for name, (_, base) in pairs.items())})"
+
+
+def _state_frame(study: StudyResults) -> list[Statement]:
+    """Say why accuracy with base and tool aligned is another one than without, where it is."""
+    rows = study.rows("accuracy", study.chosen) if study.aligned else []
+    if not _say_unaligned(study, [row for row in rows if math.isfinite(row["after"])]):
+        return []
+    return [Statement(f"Accuracy is stated with base and tool aligned. {knowledge_page.ALIGNED}", lead="Frame")]
 
 
 # --- the verdict -----------------------------------------------------------------------------------------------------
@@ -98,7 +147,9 @@ def state_verdict(study: StudyResults) -> list[Statement]:
         *state_soundness(study),
         *state_data(study),
         *state_outliers(study),
+        *_state_required(study),
         *_state_accuracy(study),
+        *_state_frame(study),
         *state_ruled_out(study.candidates(), "largest position error"),
         *state_convergence(study),
         *state_held_back(study),

@@ -10,7 +10,7 @@ import pytest
 import reading_machines
 import studies
 
-from bayescal.identifiability.reading_rows import find_alignment
+from bayescal.identifiability.alignment import find_alignment
 from bayescal.machines.read import read_reading_model
 from bayescal.numerics.geometry import matrix_from_rotation_vector
 
@@ -85,3 +85,14 @@ def test_a_point_has_shifts_alone():
     model = read_reading_model(calibrations.OWN_MACHINE / "machine.toml")
     _, found = align(model, np.full((20, 3), 0.1))
     assert found.motions.shape[1] == 3
+
+
+def test_motions_elsewhere_are_those_of_the_same_numbers(rng):
+    model = replace(read_reading_model(M2), tool_point=None)
+    pose = model.home_pose + rng.uniform(-1.0, 1.0, (50, 6)) * [7.0, 7.0, 6.0, 0.5, 0.5, 0.5]
+    place, found = align(model, pose)
+    other = model.home_pose + rng.uniform(-1.0, 1.0, (9, 6)) * [9.0, 9.0, 8.0, 0.7, 0.7, 0.7]
+    there = model.tool_values(model.layout.nominal, other)
+    coefficients = found.fit(move(place[:, :3], matrix_from_rotation_vector(pose[:, 3:]))[..., None])
+    expected = move(there[:, :3], matrix_from_rotation_vector(other[:, 3:]))
+    np.testing.assert_allclose((found.at(there, other) @ coefficients)[..., 0], expected, atol=1e-11)
