@@ -220,8 +220,8 @@ def test_the_headline_says_what_to_use_and_how_good_it_is(make_results):
     assert not page.failures
     assert state_headline(read_study(make_results(variants=TWELVE))) == (
         "Use 6-PUS with the matrix deformation, one of three that fit equally well; tool x 0.013 mm (standard "
-        "uncertainty, k = 1), rms over the workspace; largest x 0.021 mm. Accuracy requirements: none stated; to judge "
-        "them run an audit of this study."
+        "uncertainty, k = 1), rms over the workspace; largest x 0.021 mm. Accuracy requirements: none stated; state "
+        "them in [requirements]."
     )
     noise = make_results(lambda s: s.update(measurement_noise_um={"verification": 7.04}), variants=TWELVE, name="noise")
     said = " ".join(one.text for one in state_verdict(read_study(noise)))
@@ -371,7 +371,7 @@ def test_the_ranking_shows_differences_with_their_errors_and_names_of_the_files(
 
 def test_without_verification_poses_the_ranking_has_no_column_of_them(make_results):
     page = read_page(make_results(verification=False))
-    ranking = next(block for block in page.sections[0].blocks if isinstance(block, Table))
+    ranking = next(one for section in page.sections for one in section.blocks if isinstance(one, Table))
     assert ("Position error, mean / max", "verification") not in {(c.group, c.title) for c in ranking.columns}
 
 
