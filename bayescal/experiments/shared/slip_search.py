@@ -389,9 +389,9 @@ class _Search:
     def _choose(self, rough: list[tuple[Cause, float]]) -> list[tuple[Cause, float]]:
         """Return the best causes of all and of each kind, the best first."""
         rough.sort(key=lambda one: -one[1])
-        chosen = rough[:FINAL]
-        for fault in dict.fromkeys(one[0].fault for one in rough):
-            chosen += [one for one in rough if one[0].fault == fault][:EACH]
+        chosen = [one for one in rough if one[0].among == 1][:FINAL]  # single cells take no other cause's place
+        for kind in dict.fromkeys((one[0].fault, one[0].among > 1) for one in rough):
+            chosen += [one for one in rough if (one[0].fault, one[0].among > 1) == kind][:EACH]
         return sorted({id(one[0]): one for one in chosen}.values(), key=lambda one: -one[1])
 
     def _weigh_effects(self, causes: list[Cause]) -> list[tuple[Cause, float]]:
