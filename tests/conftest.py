@@ -16,11 +16,13 @@ from studies import snapshot
 
 from bayescal import cli
 from bayescal.config import trust
+from bayescal.experiments.frame import losses
 from bayescal.files import manifest
 from bayescal.report.pictures import Picture, render_picture
 from bayescal.report.style import RC
 
 os.environ["BAYESCAL_TRUST"] = "1"  # the code of this repository and of its tests, in processes of theirs too
+losses.RAISE_OTHERS = True  # a programming error is no loss, in processes of this one at least
 os.environ["XDG_CONFIG_HOME"] = tempfile.mkdtemp(prefix="bayescal-tests-")  # what a user has trusted is left alone
 
 

@@ -183,6 +183,27 @@ def write_tiny_study(folder: Path) -> Path:
     return folder / "study.toml"
 
 
+LITTLE_EFFORT = """
+[sampler]
+walkers = 24
+burn_in = 10
+steps = 20
+
+[evidence]
+draws = 1000
+max_draws = 1000
+"""
+
+
+def run_little(call: Callable[..., tuple[int, str, str]], study: Path) -> tuple[int, str, Path]:
+    """Run a study with little effort; return the exit code, what was complained of, and the results' folder."""
+    with study.open("a", encoding="utf-8") as file:
+        file.write(LITTLE_EFFORT)
+    out = study.parent / "results"
+    code, _, complaint = call("run", study, "--out", out, "--quiet", "--workers", 1)
+    return code, complaint, out
+
+
 def edit(path: Path, old: str, new: str) -> None:
     """Replace the first occurrence of a text in a file; it must be there."""
     text = path.read_text()

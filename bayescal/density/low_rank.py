@@ -301,4 +301,8 @@ def gather_columns(columns: Array) -> Array:
     covariance = flat @ np.swapaxes(flat, -1, -2)
     own = np.einsum("...ii->...i", covariance)
     own += SMALLEST_SHARE * own.max(axis=-1, keepdims=True)
-    return np.linalg.cholesky(covariance).reshape(*shape, -1)
+    try:
+        root = np.linalg.cholesky(covariance)
+    except np.linalg.LinAlgError:  # of rows whose scales lie further apart than the share, or that are not finite
+        root = np.swapaxes(np.linalg.qr(np.swapaxes(flat, -1, -2), mode="r"), -1, -2)
+    return root.reshape(*shape, -1)

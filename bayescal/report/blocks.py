@@ -262,6 +262,13 @@ class Page:
             if names.count(name) > 1:
                 raise ValueError(f"figure {name!r} is twice on the page, expected each name once")
 
+    def add_failures(self, failures: Sequence[Statement]) -> Page:
+        """Return the page with more that forbids to rely on the numbers."""
+        if not failures:
+            return self
+        title = self.failures_title or "Do not rely on these results yet. What speaks against them:"
+        return replace(self, failures=(*self.failures, *failures), failures_title=title)
+
     @property
     def failed(self) -> bool:
         """Whether there is bad news."""

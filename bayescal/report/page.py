@@ -23,6 +23,7 @@ from bayescal.report.blocks import (
     Preformatted,
     Section,
     Side,
+    Statement,
     Table,
     choose_first,
     make_pairs,
@@ -101,14 +102,17 @@ def write_page(
             if figure.draw is not None
         }
     )
-    text = render_page(page, pictures, more)
+    failed = tuple(Statement(one.failure, "bad") for one in pictures.values() if one.failure)
+    text = render_page(page.add_failures(failed), pictures, more)
     figures = folder / FIGURES
     if figures.is_symlink():
         raise InputError(f"{figures}: found a link, expected a directory; nothing is written through links")
-    for name in set(earlier) - {f"{FIGURES}/{picture}.png" for picture in pictures}:
+    for name in set(earlier) - {f"{FIGURES}/{name}.png" for name, picture in pictures.items() if picture.png}:
         if FIGURE.fullmatch(name):
             (folder / name).unlink(missing_ok=True)
     for name, picture in pictures.items():
+        if not picture.png:  # it could not be drawn
+            continue
         figures.mkdir(exist_ok=True)
         write_atomically(figures / f"{name}.png", picture.png)
     write_atomically(folder / PAGE, text.encode())

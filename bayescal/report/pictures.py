@@ -38,9 +38,12 @@ class Picture:
     png: bytes  # the figure as a file
     markup: str = ""  # as it stands in a page, escaped; without its name, see `place`
     stacked: str = ""  # as it stands there on a narrow screen; empty where that is the same
+    failure: str = ""  # why there is none, where it could not be drawn
 
     def place(self, name: str) -> Markup:
         """Return the markup with the ids of its parts made the figure's own."""
+        if self.failure:
+            return escape(self.failure)
         forms = [(name, self.markup), (f"{name}-stacked", self.stacked)]
         ids = r'(\bid="|href="#|url\(#)'  # before them a name, which is letters, digits, _ and -
         return Markup("\n").join(Markup(re.sub(ids, rf"\g<1>{own}-", text)) for own, text in forms if text)

@@ -5,7 +5,7 @@ import pytest
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
-from bayescal.density.low_rank import factor_by_columns, find_coefficients
+from bayescal.density.low_rank import factor_by_columns, find_coefficients, gather_columns
 from bayescal.density.outliers import NORMAL, StudentT
 from bayescal.numerics.scratch import Scratch
 
@@ -139,3 +139,18 @@ def test_factors_by_columns_are_those_of_each_matrix(rng):
             assert density[p, b] == pytest.approx(expected + 0.5 * M * np.log(2 * np.pi), rel=1e-10)
             own = np.linalg.solve(known[p] + np.diag(tau[:, b] ** 2), errors[:, p, b])
             assert square[p, b] == pytest.approx(errors[:, p, b] @ own, rel=1e-10)
+
+
+def test_more_columns_than_rows_are_gathered():
+    rng = np.random.default_rng(5)
+    columns = rng.standard_normal((2, 3, 2, 9))
+    flat, found = columns.reshape(2, 6, 9), gather_columns(columns)
+    assert found.shape == (2, 3, 2, 6)
+    own = found.reshape(2, 6, 6)
+    np.testing.assert_allclose(own @ own.swapaxes(1, 2), flat @ flat.swapaxes(1, 2), rtol=1e-8, atol=1e-8)
+
+
+def test_columns_without_a_covariance_raise_nothing():
+    columns = np.ones((1, 2, 1, 5))
+    columns[0, 0] = np.nan  # a machine that does not reach a row
+    assert np.isnan(gather_columns(columns)).any()

@@ -40,22 +40,25 @@ def _stop(*_: object) -> None:
 
 
 @contextlib.contextmanager
-def _in_time() -> Iterator[None]:
-    before = signal.signal(signal.SIGALRM, _stop)
-    signal.alarm(SECONDS)
+def _in_time(seconds: float | None) -> Iterator[None]:
+    """Stop after so many seconds of the processor; of the clock where none are said."""
+    which, alarm = (signal.ITIMER_REAL, signal.SIGALRM) if seconds is None else (signal.ITIMER_PROF, signal.SIGPROF)
+    before = signal.signal(alarm, _stop)
+    signal.setitimer(which, SECONDS if seconds is None else seconds)
     try:
         yield
     finally:
-        signal.alarm(0)
-        signal.signal(signal.SIGALRM, before)
+        signal.setitimer(which, 0.0)
+        signal.signal(alarm, before)
 
 
-def judge_call(arguments: list[object], *watched: Path) -> Outcome:
+def judge_call(arguments: list[object], *watched: Path, seconds: float | None = None) -> Outcome:
     """Call the command line and look for faults.
 
     In the watched folders nothing may have changed after exit code 2, and nothing else than what the call is about
     after any other: what ``--out`` and ``--draws`` name, with what stands beside it under its name, and directories of
-    results that ``report`` and ``seal`` take. Results that stand there are whole.
+    results that ``report`` and ``seal`` take. Results that stand there are whole. A call ends within ``seconds`` of the
+    processor, by default within a minute.
     """
     before = [_list(folder) for folder in watched]
     out, err, code, raised = io.StringIO(), io.StringIO(), 1, ""
@@ -67,12 +70,12 @@ def judge_call(arguments: list[object], *watched: Path) -> Outcome:
         stack.enter_context(contextlib.redirect_stderr(err))
         sys.argv = ["bayescal", *map(str, arguments)]
         try:
-            with _in_time():
+            with _in_time(seconds):
                 cli.main()
         except SystemExit as error:
             code = error.code if isinstance(error.code, int) else 1
         except TooLongError:
-            raised = f"no end within {SECONDS} s: " + traceback.format_exc(limit=-3)
+            raised = f"no end within {seconds or SECONDS:g} s: " + traceback.format_exc(limit=-3)
         except BaseException:  # whatever it is, a user would see a traceback
             raised = traceback.format_exc(limit=-4)
         finally:

@@ -33,6 +33,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))  # as pytest does
 import calibrated_machines as made_up
 import telescope_machines as machines
 from fuzz import disturbed
+from fuzz.drawn import write_project
 from fuzz.hostile import change_file
 from fuzz.judged import Outcome, judge_call
 from fuzz.subjects import DISTURBED, QUICK, Subject, read_subject, write_subjects
@@ -40,11 +41,14 @@ from fuzz.subjects import DISTURBED, QUICK, Subject, read_subject, write_subject
 from bayescal.calibrated.formats import export_machine
 from bayescal.calibrated.predict import predict_poses
 from bayescal.data.actuators import name_actuators
-from bayescal.errors import NumericalError
+from bayescal.errors import InputError, NumericalError
+from bayescal.experiments.frame import losses
 from bayescal.experiments.frame import run as frame
 from bayescal.experiments.frame.load import load, load_experiment
+from bayescal.experiments.frame.results import read_results
 from bayescal.files.manifest import MANIFEST, write_manifest
 from bayescal.numerics.geometry import rotation_vector_from_matrix
+from bayescal.report.page import PAGE
 
 ROOT = Path(__file__).parents[2]
 UNDER_WAY = "under_way.txt"
@@ -314,6 +318,41 @@ def try_tables(ground: Ground, number: int) -> Trial:
     return tell(f"tables {number}: {use}: {path.name}: {said}", outcome.code, [outcome])
 
 
+# --- machines that are drawn -----------------------------------------------------------------------------------------
+
+DRAWN_SECONDS = 120
+"""Of the processor, within which a drawn machine's call ends."""
+
+
+def try_drawn(ground: Ground, number: int) -> Trial:
+    """Draw a machine with its study and its data, and calibrate it to the end: no result of it is lost."""
+    with ground.emptied() as folder:
+        said = write_project(number, folder / "project")
+        config, out, where = folder / "project" / "study.toml", folder / "out", (folder,)
+        looked = judge_call(["validate", config], *where, seconds=DRAWN_SECONDS)
+        call = ["run", config, "--out", out, "--quiet", "--workers", 1]
+        ran = judge_call(call, *where, seconds=DRAWN_SECONDS)
+        outcomes, more = [looked, ran], hold_gate(looked, ran)
+        if ran.code in (0, 3):
+            for command in (["report", out], ["export", out, "--out", folder / "machines", "--force"]):
+                outcomes.append(judge_call(command, *where, seconds=DRAWN_SECONDS))
+            more += list_lost(out, ran)
+        if outcomes[2:3] and outcomes[2].code:
+            more.append(f"report of a finished run ends with exit code {outcomes[2].code}: {outcomes[2].err}")
+    return tell(f"drawn {number}: {said}", ran.code, outcomes, *more)
+
+
+def list_lost(out: Path, ran: Outcome) -> list[str]:
+    """Return what a run that was not refused did not leave: results that are read back, and a page."""
+    if not out.is_dir():
+        return [f"no results after exit code {ran.code}: {ran.err}"]
+    try:
+        read_results(out)
+    except InputError as error:
+        return [f"results are not read back: {error}"]
+    return [] if (out / PAGE).is_file() else ["no page"]
+
+
 # --- disturbed runs --------------------------------------------------------------------------------------------------
 
 
@@ -354,6 +393,7 @@ SORTS = {
     "computed": Sort("the same, computed to the end", 250, try_computed),
     "results": Sort("results of every kind: report, compare, export, predict and other uses", 700, try_results),
     "tables": Sort("tables and files of a calibrated machine: predict, command, certificate, recheck", 400, try_tables),
+    "drawn": Sort("drawn machines: `validate`, `run` to the end, `report`, `export`", 300, try_drawn),
     "disturbed": Sort("runs killed, without room, or met by another", N_DISTURBED, try_disturbed),
 }
 
@@ -381,12 +421,13 @@ def _begin(folder: str) -> None:
     for module in (page, pictures):
         module.render_picture = lambda draw, stacked=True: pictures.Picture(b"not drawn")  # type: ignore[assignment]
     sys.modules["bayescal.cli.app"]._say = lambda line: None  # type: ignore[attr-defined]
+    losses.RAISE_OTHERS = True  # a programming error is a fault, and not the loss of a line
     joblib.cpu_count = frame.cpu_count = lambda: 1  # no processes within these
 
 
 def list_shares(share: float) -> Iterator[tuple[str, range]]:
     """Yield cases by sort, those that take longest first, in pieces of a kind where kinds share what is made."""
-    for sort in ("disturbed", "computed", "results", "tables", "inputs"):
+    for sort in ("disturbed", "drawn", "computed", "results", "tables", "inputs"):
         n = round(share * SORTS[sort].n)
         step = len(disturbed.DISTURBANCES) if sort == "disturbed" else 25
         for k in range(0, n, step):
@@ -429,13 +470,19 @@ def run(share: float, workers: int, minutes: float) -> tuple[dict[str, Counter[i
     return codes, faults, time.monotonic() - begun
 
 
-PAGE = """# Hostile files and disturbed runs
+DOCUMENT = """# Hostile files and disturbed runs
 
 `make hostile` changes configs, tables and results of every kind as slips and malice do, and disturbs runs of every
-kind. Every case follows from its number; the slow tests take the same ones. Each call has to end with exit code 0, 2 or
+kind; and it draws machines with their studies and data as users write them. Every case follows from its number; the
+slow tests take the same ones. Each call has to end with exit code 0, 2 or
 3 and one line per fault, never with a traceback; after exit code 2 nothing has changed on the disk, and nothing ever
 changes outside `--out`; results that stand there are whole. What `validate` accepts `run` does not refuse as bad input;
 what `run` refuses `validate` refuses with the same line.
+
+Machines that are drawn have 0 to 6 coordinates, 1 to 12 channels of any unit, own, external or commanded, 1 to 60 rows,
+some with gaps or held back; among them are singular and mirrored ones, and slips in their data. Each is calibrated to
+the end with little effort: a call ends within {seconds} s of the processor, results and page are there after exit
+codes 0 and 3 and are read back, and an exception that only a programming error raises counts as a fault.
 
 {table}
 
@@ -454,7 +501,9 @@ def write_page(path: Path, codes: dict[str, Counter[int]], faults: list[str]) ->
         lines.append(f"| {one.title} | {counted.total()} | {' | '.join(cells)} | {wrong} |")
     skipped = codes["disturbed"][1]
     note = f"{skipped} of them were left out, as this system lets nobody mount a file system. " if skipped else ""
-    text = PAGE.format(table="\n".join(lines), disturbed=", ".join(disturbed.DISTURBANCES), note=note)
+    text = DOCUMENT.format(
+        table="\n".join(lines), seconds=DRAWN_SECONDS, disturbed=", ".join(disturbed.DISTURBANCES), note=note
+    )
     path.write_text(text, encoding="utf-8")
 
 

@@ -22,6 +22,8 @@ FIRST = {"inputs": 100, "tables": 50}
 RUNS = {"inputs": 300, "tables": 50}
 """How many cases of a sort are quick, and how many with the runs; all others are slow."""
 CASES = [(sort, first) for sort, one in SORTS.items() if sort != "disturbed" for first in range(0, one.n, STEP)]
+DRAWN = (39, 52)
+"""Drawn machines that are calibrated with the runs: one without coordinates, one whose flags are integers."""
 FOUND = (283,)
 """Cases of tables whose faults are mended: a covariance that is not symmetric."""
 
@@ -67,6 +69,12 @@ def test_whole_tables_are_taken(use, ground, tmp_path):
     folder = Path(shutil.copytree(ground.machine, tmp_path / "whole"))
     outcome = judge_call(list_call(use, folder), folder)
     assert (outcome.code, outcome.faults) == (0, ())
+
+
+@pytest.mark.runs
+@pytest.mark.parametrize("number", DRAWN)
+def test_nothing_of_a_drawn_machine_is_lost(number, ground):
+    assert SORTS["drawn"].attempt(ground, number).faults == ""
 
 
 @pytest.mark.parametrize("number", FOUND)

@@ -89,6 +89,14 @@ def test_input_that_is_refused_late_is_found(ground, tmp_path, monkeypatch):
     assert suite.hold_gate(looked, ran)
 
 
+@pytest.mark.runs
+def test_a_lost_run_of_a_drawn_machine_is_found(ground, monkeypatch):
+    monkeypatch.setattr(Study, "compute", raise_value_error)
+    faults = suite.try_drawn(ground, 39).faults
+    assert "ValueError: planted" in faults
+    assert "no results" in faults
+
+
 # --- disturbed runs --------------------------------------------------------------------------------------------------
 
 

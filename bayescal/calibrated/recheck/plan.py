@@ -103,7 +103,8 @@ def _cover_workspace(calibrated: CalibratedMachine, share: float) -> tuple[Array
     model, (low, high) = calibrated.model, bound_workspace(calibrated)
     middle, half = 0.5 * (low + high), 0.5 * share * (high - low)
     q, rng = len(low), np.random.default_rng(0)
-    moves = np.array(list(product(LEVELS, repeat=q))).reshape(-1, q) if len(LEVELS) ** q <= RANDOM else np.zeros((1, q))
+    n = len(LEVELS) ** q
+    moves = np.array(list(product(LEVELS, repeat=q))).reshape(n, q) if n <= RANDOM else np.zeros((1, q))
     moves = np.concatenate([moves, rng.uniform(-1.0, 1.0, (RANDOM - len(moves), q))])
     given = calibrated.typical(len(moves))
     commands = model.read(calibrated.theta, middle + half * moves, given)[:, calibrated.commanded]

@@ -520,7 +520,7 @@ def _search(
         error, slope, _ = likelihood.pick(own).linearise(theta[None], pose[None], white.at_poses(own))
         return error[0], slope[0], np.einsum("pk,pk->p", error[0], error[0])
 
-    pose, joined = start.reshape(-1, q).copy(), np.tile(JOINED * np.ptp(start, axis=0), (len(start), 1))
+    pose, joined = start.reshape(len(every), q).copy(), np.tile(JOINED * np.ptp(start, axis=0), (len(start), 1))
     damping, idle, way = np.full(len(pose), 1e-3), np.zeros(len(pose), dtype=int), np.arange(len(pose))
     error, slope, square = look(way, pose)
     for _ in range(MAX_SEARCH):

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from bayescal.config.registry import find_class, is_file, list_sources
 from bayescal.config.trust import check_same
 from bayescal.errors import InputError
+from bayescal.experiments.frame.losses import attempt, note, note_losses
 from bayescal.experiments.frame.results import Results
-from bayescal.report.blocks import Page, Section, make_section
+from bayescal.report.blocks import Page, Section
 
 CODE = "code"
 """Folder of the results that keeps the code of a kind and of blocks in files of their own."""
@@ -39,17 +41,24 @@ def find_blocks(names: Iterable[str], where: Path, folder: Path | None) -> list[
     return [find_class("BLOCKS", name, base, "blocks", where, folder)() for name in names]
 
 
+def show_sections[S](blocks: Iterable[Callable[[S], Section | None]], subject: S) -> tuple[Section, ...]:
+    """Return what blocks of a page show of something; one that fails costs its section, in which the reason stands."""
+    shown = (_show(block.__name__.removeprefix("show_").replace("_", " "), partial(block, subject)) for block in blocks)
+    return tuple(one for one in shown if one is not None)
+
+
 def add_blocks(page: Page, results: Results, blocks: Iterable[PageBlock]) -> Page:
     """Return a page with what some blocks show of the results; of one that fails, why."""
-    sections = list(page.sections)
-    for one in blocks:
-        try:
-            section = one.show(results)
-        except Exception as error:  # a page without it is better than hours of computing without a page
-            said = f"{type(error).__name__}: {' '.join(str(error).split())}"
-            section = make_section(type(one).__name__, (f"This block could not be shown: {said}",))
-        sections += [] if section is None else [section]
-    return replace(page, sections=tuple(sections))
+    shown = (_show(type(one).__name__, partial(one.show, results)) for one in blocks)
+    return replace(page, sections=(*page.sections, *(one for one in shown if one is not None)))
+
+
+def _show(name: str, show: Callable[[], Section | None]) -> Section | None:
+    what = f"section {name!r} of the page"
+    with note_losses() as losses:
+        found = attempt(what, show, None)
+    kept = [note(one) for one in losses]  # where somebody collects, who says so
+    return Section(f"{name[0].upper()}{name[1:]}", tuple(one.say() for one in losses)) if kept else found
 
 
 def keep_code(folder: Path, kind: str, blocks: Iterable[str]) -> dict[str, str]:

@@ -20,7 +20,8 @@ from threadpoolctl import threadpool_limits
 
 from bayescal.errors import BayescalError, InputError, NumericalError
 from bayescal.experiments.frame.interrupts import follow_parent, shield_children
-from bayescal.experiments.frame.records import Record, encode
+from bayescal.experiments.frame.losses import note_losses
+from bayescal.experiments.frame.records import Record, encode, keep_losses
 from bayescal.numerics.threads import use_threads
 
 type Failure = tuple[type[BayescalError], str]
@@ -162,8 +163,8 @@ def run_quietly[S, T](function: Callable[[S, T], Any], shared: S, task: T) -> Re
     """Return a task's record, or in words why it failed, where BLAS keeps to one thread anyway."""
     try:
         # whatever is not finite is looked for where it matters; numpy's warnings would only litter the terminal
-        with np.errstate(all="ignore"):
-            return encode(function(shared, task))
+        with np.errstate(all="ignore"), note_losses() as losses:
+            return keep_losses(encode(function(shared, task)), losses)
     except InputError as error:
         return InputError, str(error)
     except MemoryError as error:

@@ -12,7 +12,8 @@ from typing import Any
 
 from bayescal.errors import InputError, NumericalError
 from bayescal.experiments.frame.engine import Engine, Processes
-from bayescal.experiments.frame.records import decode
+from bayescal.experiments.frame.losses import Loss, attempt, note
+from bayescal.experiments.frame.records import decode, read_losses
 from bayescal.experiments.frame.store import Store
 from bayescal.experiments.frame.terminal import Progress, Watch, run_marked
 
@@ -35,6 +36,13 @@ class Run:
     engine: Engine = field(default_factory=Processes)
     store: Store | None = None
     progress: Progress = field(default_factory=Progress)
+    losses: list[Loss] = field(default_factory=list)  # what its tasks could not compute
+
+    def _note(self, losses: Iterable[Loss]) -> None:
+        for one in losses:
+            note(one)  # whoever runs this as a task of its own
+            if one not in self.losses:
+                self.losses.append(one)
 
     def map[S, T, R](
         self,
@@ -43,6 +51,7 @@ class Run:
         shared: S,
         tasks: Mapping[str, T],
         returns: Iterable[Any] = (),
+        spare: bool = False,
     ) -> dict[str, R]:
         """Return what a function makes of every task, by the tasks' names and in their order.
 
@@ -55,15 +64,17 @@ class Run:
             numbers must depend on these alone.
         returns : iterable of type
             Dataclasses that the function's results are made of, beside what `records.encode` takes anyway.
+        spare : bool
+            Whether results can do without some of the tasks: one that fails is left out and noted as lost.
 
         Raises
         ------
         InputError
             Where a task finds the input at fault.
         NumericalError
-            Where tasks fail; all others have been finished and are kept.
+            Where tasks fail, or all of those that can be spared; all others have been finished and are kept.
         """
-        return self.begin(stage, function, shared, tasks, returns)()
+        return self.begin(stage, function, shared, tasks, returns, spare)()
 
     def begin[S, T, R](
         self,
@@ -72,6 +83,7 @@ class Run:
         shared: S,
         tasks: Mapping[str, T],
         returns: Iterable[Any] = (),
+        spare: bool = False,
     ) -> Callable[[], dict[str, R]]:
         """Begin what `map` does and return what waits for it: this process may do something else meanwhile.
 
@@ -81,7 +93,11 @@ class Run:
         names, classes = _name_files(stage, tasks), tuple(returns)
         kept = dict(self._read_kept(names, classes))
         missing = {name: task for name, task in tasks.items() if name not in kept}
-        outcomes, watch = self._compute(function, shared, missing)
+        if spare:
+            named = {name: (f"{stage} of {name!r}", task) for name, task in missing.items()}
+            outcomes, watch = self._compute(_spare, (function, shared), named)
+        else:
+            outcomes, watch = self._compute(function, shared, missing)
 
         def wait() -> dict[str, R]:
             fresh = self._follow(stage, names, len(kept), outcomes, classes, watch)
@@ -93,7 +109,9 @@ class Run:
                 if self.store is not None:
                     said += f"; {len(found) - len(failures)} of {len(tasks)} tasks are kept in {self.store.partial}"
                 raise NumericalError(said)
-            return {name: found[name] for name in tasks}
+            if spare and tasks and all(one is None for one in found.values()):
+                raise NumericalError("; ".join(one.say() for one in self.losses))
+            return {name: found[name] for name in tasks if not (spare and found[name] is None)}
 
         return wait
 
@@ -131,9 +149,10 @@ class Run:
             kept = None if self.store is None else self.store.load_task(file)
             if kept is not None:
                 try:
-                    result = decode(kept, classes)
+                    result, losses = decode(kept, classes), read_losses(kept)
                 except (ValueError, KeyError, TypeError):
                     continue  # of another version, or damaged: computed anew
+                self._note(losses)
                 yield name, result
 
     def _follow(
@@ -160,6 +179,7 @@ class Run:
                 if self.store is not None:
                     self.store.save_task(names[name], outcome)
                 result = decode(outcome, classes)
+                self._note(read_losses(outcome))
                 progress.done += 1
                 yield name, result
 
@@ -170,6 +190,12 @@ class Run:
 
 def _name_files(stage: str, tasks: Iterable[str]) -> dict[str, str]:
     return {name: f"{_slug(stage)}-{_slug(name)}" for name in tasks}
+
+
+def _spare[S, T, R](both: tuple[Callable[[S, T], R], S], named: tuple[str, T]) -> R | None:
+    """Return what a function makes of a task; None where it fails, which is noted."""
+    (function, shared), (name, task) = both, named
+    return attempt(name, lambda: function(shared, task), None)
 
 
 def _call[S, R](both: tuple[Callable[[S], R], S], _: None) -> R:

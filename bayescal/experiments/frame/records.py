@@ -7,12 +7,13 @@ that a file decides nothing of what is run.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from typing import TYPE_CHECKING, Any, get_args, get_type_hints
 
 import numpy as np
 
+from bayescal.experiments.frame.losses import LOST, Loss, list_losses, record_losses
 from bayescal.files.plain_text import add_article
 from bayescal.numerics.geometry import Array
 
@@ -21,6 +22,9 @@ if TYPE_CHECKING:
 
 TREE = "tree"
 TAG = "#"
+
+LOSSES = "losses"
+"""Of a record: what a task could not compute."""
 
 type Record = dict[str, Array]
 
@@ -34,6 +38,19 @@ def encode(value: Any) -> Record:
     arrays: Record = {}
     tree = _encode(value, arrays)
     return {TREE: np.frombuffer(json.dumps(tree).encode(), dtype=np.uint8), **arrays}
+
+
+def keep_losses(record: Record, losses: Sequence[Loss]) -> Record:
+    """Return a task's record with what it could not compute."""
+    text = json.dumps({LOST: record_losses(losses)}).encode()
+    return {**record, LOSSES: np.frombuffer(text, dtype=np.uint8)} if losses else record
+
+
+def read_losses(record: Mapping[str, Array]) -> list[Loss]:
+    """Return what a task could not compute; ValueError or TypeError where a record is none."""
+    if LOSSES not in record:
+        return []
+    return list_losses(json.loads(bytes(record[LOSSES].astype(np.uint8))))
 
 
 def _encode(value: Any, arrays: Record) -> Any:

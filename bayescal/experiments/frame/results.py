@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
@@ -107,8 +108,17 @@ def list_written(folder: Path) -> list[str] | None:
 
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
-    """Write a JSON object, which has no number for what is not finite."""
-    path.write_text(json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
+    """Write a JSON object, which has no number for what is not finite: null stands for it."""
+    text = json.dumps(_make_json(content), indent=1, ensure_ascii=False, allow_nan=False)
+    path.write_text(text + "\n", encoding="utf-8")
+
+
+def _make_json(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _make_json(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_make_json(one) for one in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def find_kind(column: pd.Series) -> ColumnKind:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -25,6 +25,7 @@ from bayescal.experiments.frame.engine import Processes, call_side_by_side, impo
 from bayescal.experiments.frame.identity import describe_provenance, identify
 from bayescal.experiments.frame.interrupts import hold_lock
 from bayescal.experiments.frame.load import AnyExperiment, find_kind, load, read_inputs
+from bayescal.experiments.frame.losses import LOST, Loss, attempt, list_losses, note_losses, record_losses
 from bayescal.experiments.frame.memory import GIB, Need, check_memory
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import (
@@ -42,14 +43,16 @@ from bayescal.experiments.frame.store import Store
 from bayescal.experiments.frame.terminal import Progress
 from bayescal.files.atomic import read_json
 from bayescal.files.manifest import MANIFEST, renew_manifest, write_manifest
-from bayescal.report.blocks import Page
+from bayescal.report.blocks import Page, Statement
 from bayescal.report.page import PAGE, is_of_page, show_provenance, write_page
+from bayescal.report.pictures import Picture
 
 if TYPE_CHECKING:
     import pandas as pd
 
 LATE = "which showed only when it was computed"
 """Said of what is at fault with inputs that passed the gate."""
+THE_PAGE = "the page"
 LONG, LARGE = 60.0, 1.0  # s and GiB beside processes' own, from which on a run says what it takes before it begins
 MANY_PICTURES = 10  # fewer are drawn before other processes have started
 
@@ -71,7 +74,8 @@ class Finished:
     @property
     def failures(self) -> list[str]:
         """What forbids to rely on the results, in words."""
-        return self.experiment.list_failures(self.results)
+        lost = [one.say() for one in list_losses(self.results.summary)]
+        return [*self.experiment.list_failures(self.results), *lost]
 
     @property
     def converged(self) -> bool:
@@ -104,7 +108,7 @@ def admit(config: ExperimentConfig, folder: Path, workers: int) -> Admitted:
     for.
     """
     experiment = find_kind(config.kind, folder, folder)
-    with threadpool_limits(1):
+    with threadpool_limits(1), np.errstate(all="ignore"):  # whatever is not finite is looked for where it matters
         inputs = read_inputs(experiment, config, folder)
         need = experiment.estimate_memory(inputs)
         check_memory(need, workers)
@@ -174,7 +178,10 @@ def _compute(admitted: Admitted, run: Run, discard: Callable[[], None] = lambda:
     """
     experiment, inputs = admitted.experiment, admitted.inputs
     try:
-        return experiment.compute(inputs, run)
+        with note_losses() as losses:
+            results = experiment.compute(inputs, run)
+        lost = [*run.losses, *(one for one in losses if one not in run.losses)]
+        return replace(results, summary={**results.summary, LOST: record_losses(lost)}) if lost else results
     except InputError as error:
         discard()
         raise NumericalError(f"{error} ({LATE})") from error
@@ -257,7 +264,8 @@ def _list_doubts(experiment: AnyExperiment, inputs: Any) -> list[str]:
 def _ask(question: Callable[[Any], list[str]], inputs: Any) -> list[str]:
     """Return what is said of inputs that passed the gate; a question that fails on them says nothing."""
     try:
-        return question(inputs)
+        with np.errstate(all="ignore"):
+            return question(inputs)
     except BayescalError:
         return []
 
@@ -270,31 +278,68 @@ def _write(
     results = replace(results, provenance={**results.provenance, MANIFEST_KEY: MANIFEST})
     with start_ahead(workers, experiment.page_imports) as await_workers:
         write_results(replace(results, summary=summary), folder, experiment.tables_in, experiment.digits)
-        page = _write_page(experiment, blocks, folder, workers, await_workers)
+        with note_losses() as losses:
+            page = attempt(THE_PAGE, lambda: _build_page(experiment, folder), None)
+            page = _make_empty_page(results) if page is None else page
+        page, more = _write_page(page, blocks, folder, losses, workers, await_workers)
     verdict = [{"lead": one.lead, "text": one.text, "level": one.level} for one in page.verdict]
+    lost = [*list_losses(summary), *losses, *more]
+    summary |= {LOST: record_losses(lost)} if lost else {}
     write_json(folder / SUMMARY_FILE, {**summary, "headline": page.headline, "verdict": verdict})
     write_manifest(folder)
     return page
 
 
+def _build_page(experiment: AnyExperiment, folder: Path) -> Page:
+    try:
+        return experiment.page(read_results(folder, checked=False))
+    except InputError as error:  # of results that were written just now: nobody's input
+        raise NumericalError(str(error)) from error
+
+
+def _make_empty_page(results: Results) -> Page:
+    """Return the page of results whose own page cannot be made."""
+    name, kind = (str(results.provenance.get(key, "")) for key in ("name", "kind"))
+    said = "Its tables and its summary were written; its page could not be made."
+    return Page(kind.capitalize(), name, str(results.provenance.get("title", name)), "", said, (), ())
+
+
 def _write_page(
-    experiment: AnyExperiment,
+    page: Page,
     blocks: Sequence[PageBlock],
     folder: Path,
+    losses: Sequence[Loss],
     workers: int,
     await_workers: Callable[[], None] = lambda: None,
-) -> Page:
+) -> tuple[Page, list[Loss]]:
+    """Write a page and what blocks of one's own show; return it and what could not be shown besides ``losses``."""
     results = read_results(folder, checked=False)
-    page = add_blocks(experiment.page(results), results, blocks)
+    with note_losses() as lost:
+        page = add_blocks(page, results, blocks)
+    every = dict.fromkeys([*list_losses(results.summary), *losses, *lost])
+    page = page.add_failures([Statement(f"{one.say()}.", "bad") for one in every])
     earlier = list_written(folder)
     if earlier is None:  # new ones, or of an earlier version: all figures are its own
         earlier = [path.relative_to(folder).as_posix() for path in folder.glob("figures/*.png")]
     many = sum(1 for _ in page.figures()) >= MANY_PICTURES
     if many:
         await_workers()
-    render = partial(call_side_by_side, workers if many else 1)
+    not_drawn: list[Loss] = []
+
+    def render(calls: Mapping[str, Callable[[], Picture]]) -> dict[str, Picture]:
+        spared = {name: partial(_draw, f"figure {name!r}", call) for name, call in calls.items()}
+        drawn = call_side_by_side(workers if many else 1, spared)
+        not_drawn.extend(one for one in drawn.values() if isinstance(one, Loss))
+        return {k: Picture(b"", failure=f"{one.say()}.") if isinstance(one, Loss) else one for k, one in drawn.items()}
+
     write_page(page, folder, (show_provenance(results.provenance),), earlier, render)
-    return page
+    return page, [*lost, *not_drawn]
+
+
+def _draw(what: str, draw: Callable[[], Picture]) -> Picture | Loss:
+    with note_losses() as losses:
+        found = attempt(what, draw, None)
+    return losses[0] if found is None else found
 
 
 def write_report(folder: Path, trust: bool = False, workers: int = 1) -> Path:
@@ -311,7 +356,13 @@ def write_report(folder: Path, trust: bool = False, workers: int = 1) -> Path:
             experiment = find_results_kind(folder, results)
             names = [find_kept(folder, results, "BLOCKS", str(name)) for name in results.config.get("blocks", [])]
             blocks = find_blocks(names, folder, folder / CODE)
-        _write_page(experiment, blocks, folder, workers)
+        known = list_losses(results.summary)
+        with note_losses() as losses:
+            page = _make_empty_page(results) if THE_PAGE in {one.what for one in known} else experiment.page(results)
+        for one in losses:
+            if one.what not in {other.what for other in known}:  # a run would have told it
+                raise ValueError(one.say())
+        _write_page(page, blocks, folder, losses, workers)
         renew_manifest(folder, is_of_page)
     except (KeyError, IndexError, TypeError, ValueError, AttributeError, ArithmeticError, AssertionError) as error:
         what = f"{type(error).__name__}: {' '.join(str(error).split())}"

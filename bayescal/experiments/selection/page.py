@@ -12,6 +12,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
+from bayescal.experiments.frame.blocks import show_sections
 from bayescal.experiments.selection.compute import DESIGN, RANDOM
 from bayescal.experiments.selection.schema import SelectionConfig
 from bayescal.experiments.selection.verdict import (
@@ -390,7 +391,6 @@ def build_page(
 ) -> Page:
     """Return the page of an experiment's results: parts and judgements in their order, and a headline of them."""
     config, summary = tables.config, tables.results.summary
-    shown = (block(tables) for block in blocks)
     return Page(
         KIND,
         config.name,
@@ -398,7 +398,7 @@ def build_page(
         name_origin(config.origin.model_dump()),
         headline(tables),
         tuple(state_verdict(tables, judgements)),
-        tuple(section for section in shown if section is not None),
+        show_sections(blocks, tables),
         (
             ("Machine", summary["machine"]),
             ("Candidates", _describe_candidates(config, summary["n_measured"])),

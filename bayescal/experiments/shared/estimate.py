@@ -6,15 +6,18 @@ row left out, by the power of prior and data, by what noise and tolerances say, 
 
 from __future__ import annotations
 
+import math
 import time
 import zlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, Self, cast
 
 import numpy as np
 
+from bayescal.experiments.frame.losses import attempt
 from bayescal.experiments.shared.packing import pack_tree
 from bayescal.experiments.shared.search_memory import KEPT_READINGS
 from bayescal.experiments.shared.soundness import ChiSquare, measure_pulls
@@ -59,6 +62,8 @@ TREE = "tree"
 EASY_EFFICIENCY, EASY_PARETO_K = 0.3, 0.5
 """Efficiency of importance sampling from which on, and Pareto k up to which, ensembles are short: the weights have a
 variance, and most jumps of the proposal are accepted."""
+NO_BRIDGE, NO_SQUARE = BridgeEvidence(math.nan, math.nan, False), ChiSquare(math.nan, math.nan)
+"""Of what could not be computed."""
 TIMED = 16  # densities by which the time of a fit is estimated
 SEARCHED, JUDGED = 1.8, 1.3
 """Time of a fit in that of its planned densities, search and correction among it, and in that of its rows' densities at
@@ -257,8 +262,13 @@ class Fit(Estimate):
 
     def pack(self, tree: xr.DataTree, only_saved: tuple[str, ...]) -> Self:
         """Return it with its tree as a file's bytes in place of what nothing but that needs."""
+        found = self.drop(only_saved)
+        return replace(found, evaluated=found.evaluated | {TREE: pack_tree(tree)})
+
+    def drop(self, only_saved: tuple[str, ...]) -> Self:
+        """Return it without what nothing but its file needs."""
         evaluated = {name: value for name, value in self.evaluated.items() if name not in only_saved}
-        return replace(self, evaluated=evaluated | {TREE: pack_tree(tree)})
+        return replace(self, evaluated=evaluated)
 
 
 def time_fit(subject: Subject, sampler: SamplerConfig, effort: EvidenceConfig) -> float:
@@ -295,17 +305,19 @@ def fit_posterior(subject: Subject, seed: int, name: str, sampler: SamplerConfig
     posterior = cast("Fittable", exploration.straight.posterior)
     evaluated = subject.evaluate(posterior, found.y, evaluate_seed)
     left_out = leave_out(found.draws, evaluated["log_likelihood"])
-    left_out = refit_doubtful(left_out, posterior, exploration, sampler.walkers, refit_seed)
+    refit = partial(refit_doubtful, left_out, posterior, exploration, sampler.walkers, refit_seed)
+    scale_power = partial(_scale_power, posterior, found.draws, evaluated["log_likelihood"])
+    of, prior = f"of {name!r}", partial(subject.replicate_prior, posterior, prior_seed)
     return Fit(
         **vars(found),
         names=posterior.names,
         units=posterior.units,
         prior_sd=np.array([prior.sd for prior in posterior.all_priors().values()]),
-        evaluated=evaluated | subject.replicate_prior(posterior, prior_seed),
-        left_out=left_out,
-        misfit=subject.measure_misfit(posterior, found.mode),
-        pulls=measure_pulls(posterior, found.draws),
-        power_scaling=_scale_power(posterior, found.draws, evaluated["log_likelihood"]),
+        evaluated=evaluated | attempt(f"prior draws {of}", prior, dict[str, Array]()),
+        left_out=attempt(f"rows left out again {of}", refit, left_out),
+        misfit=attempt(f"the misfit {of}", lambda: subject.measure_misfit(posterior, found.mode), NO_SQUARE),
+        pulls=attempt(f"the distance from nominal {of}", lambda: measure_pulls(posterior, found.draws), NO_SQUARE),
+        power_scaling=attempt(f"the power scaling {of}", scale_power, np.full((found.mean.size, 2), np.nan)),
         wall_seconds=time.perf_counter() - began,
     )
 
@@ -343,20 +355,25 @@ def _estimate(
     far = draw_far_out(found, _seed_for(seed, name, "tails"))
     found, importance = widen_tails(found, importance, far, importance_seed, effort)
     sample = _sample(found, importance, far, ensemble_seed, sampler)
-    bridge = estimate_by_bridge(
-        found.straight.log_density,
-        sample.straight,
-        sample.log_density,
-        np.random.default_rng(bridge_seed),
-        effort.draws,
-        found.proposal,
+    bridge = attempt(
+        f"bridge sampling of {name!r}",
+        lambda: estimate_by_bridge(
+            found.straight.log_density,
+            sample.straight,
+            sample.log_density,
+            np.random.default_rng(bridge_seed),
+            effort.draws,
+            found.proposal,
+        ),
+        NO_BRIDGE,
     )
     scouts = send_scouts(found, sample, far, _seed_for(seed, name, "scouts"))
     tails = compare_tails(found, sample, far)
     check = None
     if effort.check is not None:
-        tempered = estimate_by_tempering(found.straight.posterior, _seed_for(seed, name, "tempered"))
-        check = Check(tempered.log_evidence, tempered.standard_error, tempered.mixed)
+        by_tempering = partial(estimate_by_tempering, found.straight.posterior, _seed_for(seed, name, "tempered"))
+        tempered = attempt(f"tempering of {name!r}", by_tempering, None)
+        check = None if tempered is None else Check(tempered.log_evidence, tempered.standard_error, tempered.mixed)
     costly, correction = None if subject is None else subject.find_costly(found), None
     if costly is not None:
         correction = correct_draws(costly, found, sample, correct_seed)

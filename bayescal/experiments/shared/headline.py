@@ -30,6 +30,14 @@ LIKELY = 0.9
 """Probability from which on a requirement counts as safely met."""
 RERUN = "more `steps` and `burn_in` in `[sampler]`"
 """What cures sampling that did not converge, unless its problems name another cure."""
+ESTIMATES = (
+    *("log_evidence", "log_evidence_se", "log_evidence_importance", "log_evidence_importance_se"),
+    *("log_evidence_bridge", "log_evidence_bridge_se", "efficiency", "pareto_k"),
+    *("elpd_loo", "elpd_loo_se", "elpd_loo_difference", "elpd_loo_difference_se", "stacking_weight"),
+    *("loo_pareto_k_max", "misfit_chi2", "misfit_dof", "pulls_chi2", "pulls_dof"),
+    *("rhat_max", "ess_bulk_min", "ess_tail_min"),
+)
+"""Of a variant in a study's summary: numbers that may not have come out, which JSON says by null."""
 NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
 
 
@@ -75,7 +83,12 @@ def order_candidates(candidates: Sequence[Candidate]) -> list[Candidate]:
     """
     first = next(iter(group_candidates(candidates)), [])
     others = [one for one in candidates if one not in first]
-    return [*first, *sorted(others, key=lambda one: (not one.converged, -one.log_evidence))]
+    return [*first, *sorted(others, key=lambda one: (not one.converged, -rank_evidence(one.log_evidence)))]
+
+
+def rank_evidence(log_evidence: float | None) -> float:
+    """Return a log-evidence by which variants are ordered: one that did not come out is behind all others."""
+    return -math.inf if log_evidence is None or not math.isfinite(log_evidence) else log_evidence
 
 
 def find_rivals(candidates: Sequence[Candidate]) -> list[Candidate]:
@@ -88,12 +101,21 @@ def find_rivals(candidates: Sequence[Candidate]) -> list[Candidate]:
 def choose_candidate(candidates: Sequence[Candidate]) -> Candidate:
     """Return the one to use: the simplest that fits as well as the best, of those that converged where any did."""
     groups = group_candidates(candidates)
-    return groups[0][0] if groups else max(candidates, key=lambda one: one.log_evidence)
+    return groups[0][0] if groups else max(candidates, key=lambda one: rank_evidence(one.log_evidence))
+
+
+def read_rows(summary: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Return what a study's summary says of each variant, NaN for an estimate that has no number."""
+    return {name: _fill_row(row) if isinstance(row, dict) else row for name, row in summary["variants"].items()}
+
+
+def _fill_row(row: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: math.nan if value is None and key in ESTIMATES else value for key, value in row.items()}
 
 
 def list_candidates(summary: Mapping[str, Any]) -> list[Candidate]:
     """Return the variants of the most data of a study's summary, of which one is to be used, in the study's order."""
-    rows = summary["variants"]
+    rows = read_rows(summary)
     ranking = max(summary["rankings"], key=lambda names: (rows[names[0]].get("n_equations", 0), len(names)))
     return [describe_candidate(name, row) for name, row in rows.items() if name in ranking]
 

@@ -114,6 +114,7 @@ def _blame(readings: Readings, row: int) -> str:
         values[row, k] = np.nan
         moved = readings.with_table(Table(values, np.arange(len(values))))
         off = moved.measure_rows()
-        if off[row] <= COMMON * max(float(np.median(np.delete(off, row))), 1.0):
+        others = np.delete(off, row)
+        if off[row] <= COMMON * max(float(np.median(others)) if len(others) else 0.0, 1.0):
             found.append((float(off[row]), readings.channels[k].name))
     return min(found)[1] if found else ""

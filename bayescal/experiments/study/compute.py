@@ -9,6 +9,7 @@ from typing import Any
 
 import pandas as pd
 
+from bayescal.experiments.frame.losses import attempt
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.shared.estimate import TREE
@@ -25,7 +26,7 @@ from bayescal.experiments.study.tables import rank_variants
 def compute_study(inputs: StudyInputs, run: Run) -> Results:
     """Return what a study found."""
     config, held, factors = inputs.config, inputs.verification, inputs.config.sensitivity.factor
-    fits = run.map("sampling", fit_variant, inputs, {name: name for name in inputs.variants}, (ReadingFit,))
+    fits = run.map("sampling", fit_variant, inputs, {name: name for name in inputs.variants}, (ReadingFit,), spare=True)
     await_widths = begin_widths(inputs, fits, run)  # while workers compute them, all that needs none
     (variants, tables, more), slip, claims = describe_readings(inputs, fits, run), inputs.slip, inputs.claims
     summary = {
@@ -48,10 +49,11 @@ def compute_study(inputs: StudyInputs, run: Run) -> Results:
         found = run.once("noise and tolerances", _find_misstated, (inputs, _name_best(fits)), (Misstated,))
         summary["misstated"] = None if found is None else asdict(found)
     if claims is not None:
-        tables |= run.once("claims", _judge, (inputs, dict(summary)))
+        judge = partial(run.once, "claims", _judge, (inputs, dict(summary)))
+        tables |= attempt(f"the claims of {config.claims}", judge, dict[str, pd.DataFrame]())
     if widths := await_widths():
         tables["sensitivity"] = tabulate_widths(fits, widths, factors)
-    trees = {name: fit.evaluated[TREE] for name, fit in fits.items()}
+    trees = {name: fit.evaluated[TREE] for name, fit in fits.items() if TREE in fit.evaluated}
     files = {f"posterior/{stem_of(name)}.nc": partial(write_packed, tree) for name, tree in trees.items()}
     return Results(summary, tables, {**files, **list_machine_files(inputs)})
 

@@ -15,7 +15,7 @@ from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.frame.terminal import show_verdict
 from bayescal.experiments.shared.calibrating import Calibrating, load_same
-from bayescal.experiments.shared.headline import list_candidates
+from bayescal.experiments.shared.headline import list_candidates, read_rows
 from bayescal.experiments.shared.measured import MeasuredReadings, Measuring
 from bayescal.experiments.shared.readings.instruments import list_machines
 from bayescal.experiments.shared.readings.machine_kind import MachineExperiment
@@ -134,7 +134,7 @@ class Study(MachineExperiment[StudyConfig, StudyInputs], Measuring, Calibrating)
         for name, one in results.items():
             try:
                 data[name] = _identify_data(one.provenance)
-                fits = one.summary["variants"]
+                fits = read_rows(one.summary)
                 rows += [
                     _describe_variant(name, variant, fits[variant])
                     for variant in (candidate.name for candidate in list_candidates(one.summary))

@@ -6,6 +6,7 @@ that wider ones about the same centres lack, so that these start where the study
 
 from __future__ import annotations
 
+import math
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,6 +17,7 @@ import pandas as pd
 from bayescal.errors import NumericalError
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.shared.estimate import Fit, shift_evidence
+from bayescal.experiments.shared.headline import rank_evidence
 from bayescal.experiments.shared.study_schema import stem_of
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.readings import ReadingSubject
@@ -29,7 +31,7 @@ from bayescal.inference.exploration import (
     explore_near,
     weigh_proposal,
 )
-from bayescal.inference.importance import ImportanceEvidence
+from bayescal.inference.importance import NO_PARETO, ImportanceEvidence
 from bayescal.inference.schema import EvidenceConfig
 from bayescal.inference.target import Fittable
 from bayescal.limits import OUT_OF_QUESTION
@@ -37,6 +39,8 @@ from bayescal.numerics.geometry import Array
 
 DRAWS = 2000
 """Draws of a proposal, a block."""
+NOT_FOUND = ImportanceEvidence(math.nan, math.nan, math.nan, NO_PARETO, 0)
+"""Of a width whose evidence could not be computed."""
 ERROR = 0.03
 """Standard error in nats that is enough."""
 
@@ -65,9 +69,9 @@ def list_width_tasks(fits: Mapping[str, Fit], factors: Sequence[float]) -> list[
 
     The long ones, of many modes and wide priors, come first: a worker that begins one last keeps all others waiting.
     """
-    best = max(fit.importance.log_evidence for fit in fits.values())
+    best = max(rank_evidence(fit.importance.log_evidence) for fit in fits.values())
     tasks = [
-        WidthTask(name, factor, fit.modes, best - fit.importance.log_evidence)
+        WidthTask(name, factor, fit.modes, best - rank_evidence(fit.importance.log_evidence))
         for factor in factors
         for name, fit in fits.items()
         if factor != 1.0
@@ -85,7 +89,7 @@ def begin_widths(
     tasks = {task.key: task for task in list_width_tasks(fits, inputs.config.sensitivity.factor)}
     if not tasks:
         return dict
-    wait = run.begin("prior widths", weigh_widths, inputs, tasks, (ImportanceEvidence,))
+    wait = run.begin("prior widths", weigh_widths, inputs, tasks, (ImportanceEvidence,), spare=True)
     return lambda: {(tasks[key].factor, tasks[key].variant): found for key, found in wait().items()}
 
 
@@ -134,7 +138,7 @@ def tabulate_widths(
     rows = []
     for factor in factors:
         for name, fit in fits.items():
-            found = widths[factor, name] if factor != 1.0 else fit.importance
+            found = widths.get((factor, name), NOT_FOUND) if factor != 1.0 else fit.importance
             rows.append(
                 {
                     "variant": name,

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -21,12 +22,15 @@ from bayescal.density.calibration.prediction import (
     replicate_readings,
 )
 from bayescal.density.prediction import Prediction, compute_elpd
+from bayescal.experiments.frame.losses import attempt
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.shared.estimate import Arrays, Fit, Subject, fit_posterior
 from bayescal.experiments.shared.function_errors import has_lengths, tabulate_functions, tabulate_model_error
 from bayescal.experiments.shared.readings.beside import Beside
 from bayescal.experiments.shared.readings.inputs import ReadingInputs, Variant
 from bayescal.experiments.shared.readings.knowledge import (
+    Knowledge,
+    Learnt,
     assess,
     learn_posterior,
     list_next,
@@ -140,35 +144,83 @@ def fit_variant(inputs: ReadingInputs, name: str) -> ReadingFit:
     y = fit.kept_of(0)  # a mean over several solutions is no machine
     some = y[spread(len(y), ERROR_DRAWS)]
     rng, own = (np.random.default_rng([config.seed, k, zlib.crc32(name.encode())]) for k in (9, 10))
-    errors = tabulate_functions(name, posterior, y, rng)
-    with np.errstate(all="ignore"):
-        drawn = posterior.likelihood.draw_common(*posterior.at(some), rng)
-    errors[ERRORS] = tabulate_errors(config, variant, posterior, some, drawn)
-    terms = config.leg_error.of(variant.config.model_error)
-    errors |= tabulate_model_error(name, variant.data, variant.verification, posterior, some, drawn, terms, own)
+    of, none, no_tables = f"of {name!r}", pd.DataFrame(), dict[str, pd.DataFrame]()
     machine = MachineInUse.find(posterior, y)
-    known = [machine.known, *(KnownFunctions.find(posterior, fit.kept_of(k + 1)) for k in range(len(fit.others)))]
-    packed = fit.pack(subject.build_tree(fit, name, known), ONLY_SAVED)
+    each = [fit.kept_of(k + 1) for k in range(len(fit.others))]
+    find, unknown = partial(KnownFunctions.find, posterior), list[KnownFunctions | None]([None] * len(each))
+    known = [
+        machine.known,
+        *attempt(f"other solutions {of}", lambda: [find(one) for one in each], unknown),
+    ]
+    tables = attempt(f"functions {of}", lambda: tabulate_functions(name, posterior, y, rng), no_tables)
+    more = partial(_tabulate_errors, inputs, variant, posterior, some, rng, own)
+    tables = tables | attempt(f"errors {of}", more, no_tables)
+    pack = partial(_pack, subject, fit, name, known)
+    packed = attempt(f"the posterior's file {of}", pack, fit.drop(ONLY_SAVED))
     with stage("held-back poses"):
-        held = [hold_back(inputs, (name, 0), (posterior, fit.kept))] if variant.verification.any() else []
+        hold = partial(hold_back, inputs, (name, 0), (posterior, fit.kept))
+        is_held = variant.verification.any()
+        held = attempt(f"the held-back poses {of}", lambda: [hold()] if is_held else [], list[Held]())
     with stage("accuracy"):
-        knowledge = assess(config, variant, posterior, y.mean(axis=0), learn_posterior(variant, machine))
-        poses = _predict_poses(variant, posterior, y, own)
+        learnt = partial(learn_posterior, variant, machine)
+        know = partial(_assess, inputs, variant, posterior, y, learnt)
+        knowledge = attempt(f"what the data tell {of}", know, None)
+        poses = attempt(f"the errors of poses {of}", lambda: _predict_poses(variant, posterior, y, own), None)
+        beside = partial(_tabulate_beside, inputs.beside, variant, posterior.theta(y))
         mean = dict(zip(fit.names, fit.mean, strict=True))
-        tables = {
-            "parameters": tabulate_parameters(variant, fit, knowledge.verdicts),
-            "before_after": tabulate_before_after(variant, poses, mean, own),
-            "requirements": tabulate_requirements(config, variant, machine, y, config.seed),
+        compare = partial(tabulate_before_after, variant, poses, mean, own)
+        require = partial(tabulate_requirements, config, variant, machine, y, config.seed)
+        verdicts = ("",) * posterior.n_geometry if knowledge is None else knowledge.verdicts
+        tables |= {
+            "parameters": tabulate_parameters(variant, fit, verdicts),
+            "before_after": attempt(f"before and after {of}", compare, none),
+            "requirements": attempt(f"the requirements {of}", require, none),
             **_tabulate_residuals(variant, _explain(posterior, fit), fit),
-            "accuracy": tabulate_accuracy(variant, knowledge, config.units),
-            "ridges": pd.DataFrame(list_ridges(variant, knowledge)),
-            "next": pd.DataFrame(list_next(variant, knowledge)),
-            "beside": _tabulate_beside(inputs.beside, variant, posterior.theta(y)),
-            **errors,
-            "pose_errors": pd.DataFrame() if poses is None else tabulate_pose_errors(variant, poses),
+            **({} if knowledge is None else _tabulate_knowledge(inputs, variant, knowledge)),
+            "beside": attempt(f"values from elsewhere {of}", beside, none),
+            "pose_errors": none if poses is None else tabulate_pose_errors(variant, poses),
         }
     tables = {key: table for key, table in tables.items() if not table.empty}
     return ReadingFit(**vars(packed), tables=tables, held=held, poses=poses)
+
+
+def _tabulate_errors(
+    inputs: ReadingInputs,
+    variant: Variant,
+    posterior: CalibrationPosterior,
+    some: Array,
+    rng: np.random.Generator,
+    own: np.random.Generator,
+) -> dict[str, pd.DataFrame]:
+    """Return the tables of what draws (T, n) have of errors common to all rows, and of the model error."""
+    config, name = inputs.config, variant.name
+    with np.errstate(all="ignore"):
+        drawn = posterior.likelihood.draw_common(*posterior.at(some), rng)
+    terms = config.leg_error.of(variant.config.model_error)
+    found = {ERRORS: tabulate_errors(config, variant, posterior, some, drawn)}
+    return found | tabulate_model_error(name, variant.data, variant.verification, posterior, some, drawn, terms, own)
+
+
+def _pack(subject: ReadingSubject, fit: Fit, name: str, known: Sequence[KnownFunctions | None]) -> Fit:
+    return fit.pack(subject.build_tree(fit, name, known), ONLY_SAVED)
+
+
+def _assess(
+    inputs: ReadingInputs,
+    variant: Variant,
+    posterior: CalibrationPosterior,
+    y: Array,
+    learn: Callable[[], Learnt],
+) -> Knowledge:
+    return assess(inputs.config, variant, posterior, y.mean(axis=0), learn())
+
+
+def _tabulate_knowledge(inputs: ReadingInputs, variant: Variant, knowledge: Knowledge) -> dict[str, pd.DataFrame]:
+    return {
+        "accuracy": tabulate_accuracy(variant, knowledge, inputs.config.units),
+        "ridges": pd.DataFrame(list_ridges(variant, knowledge)),
+        "next": pd.DataFrame(list_next(variant, knowledge)),
+    }
 
 
 def _predict_poses(
@@ -368,10 +420,10 @@ def describe_readings(
         if not variant.verification.any()
         for fold in range(len(list_folds(inputs, variant)))
     }
-    predicted = run.map("held-back poses", hold_back, inputs, folds, (Held,)) if folds else {}
+    predicted = run.map("held-back poses", hold_back, inputs, folds, (Held,), spare=True) if folds else {}
     every: list[tuple[Variant, ReadingFit, list[Held]]] = []
     for name, fit in found.items():
-        own = [predicted[task] for task, (owner, _) in folds.items() if owner == name]
+        own = [predicted[task] for task, (owner, _) in folds.items() if owner == name and task in predicted]
         every.append((inputs.variants[name], fit, [*fit.held, *own]))
     rows = pd.DataFrame([_describe(*one) for one in every])
     variants = tabulate_comparison(rows, {name: fit.left_out for name, fit in found.items()})
@@ -384,8 +436,10 @@ def describe_readings(
         "tool_predictions": join_tables(
             tabulate_predictions(variant, held, of_tool=True) for variant, _, held in every
         ),
-        "tau_scale": tabulate_tau_scale(inputs, found),
-        **tabulate_legs(inputs),
+        "tau_scale": attempt(
+            "other scales of the model error", lambda: tabulate_tau_scale(inputs, found), pd.DataFrame()
+        ),
+        **attempt("joints and flexures", lambda: tabulate_legs(inputs), dict[str, pd.DataFrame]()),
     }
     known = {str(row.pop("variant")): plain(row) for row in variants.to_dict("records")}
     for row in tables["requirements"].to_dict("records") if "requirements" in tables else ():

@@ -15,6 +15,7 @@ from bayescal.config.classes import label_class
 from bayescal.density.calibration.model_error import IndependentErrors
 from bayescal.density.prediction import Prediction
 from bayescal.experiments.shared.estimate import Fit, Moments
+from bayescal.experiments.shared.headline import rank_evidence
 from bayescal.experiments.shared.joints import tabulate_joints
 from bayescal.experiments.shared.origin import name_origin
 from bayescal.experiments.shared.readings.inputs import ReadingInputs, Variant
@@ -41,6 +42,8 @@ COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
 AXIS = re.compile(r"(?P<before>|.*[\W_]|.*[a-z0-9](?=[XYZ]))(?P<axis>[xyzXYZ])(?P<after>[\[_]?\d*\]?)")
 """Name of a position's channel."""
 USES = ("calibration", "verification")
+SAME_SCALE = 1e-6
+"""Relative difference of two scales up to which they are one: units are converted with rounding."""
 NOISE = "noise"
 """Verdict on a parameter that is not one of the machine's."""
 SEVERAL, DIFFERENT = "several", 3.0
@@ -136,7 +139,7 @@ def rank_variants(rows: Mapping[str, Mapping[str, Any]]) -> list[list[str]]:
     for name, row in rows.items():
         groups.setdefault(row["data"], []).append(name)
     return [
-        sorted(names, key=lambda name: (not rows[name]["converged"], -rows[name]["log_evidence"]))
+        sorted(names, key=lambda name: (not rows[name]["converged"], -rank_evidence(rows[name]["log_evidence"])))
         for names in groups.values()
     ]
 
@@ -294,7 +297,8 @@ def tabulate_tau_scale(inputs: ReadingInputs, fits: Mapping[str, Fit]) -> pd.Dat
             continue
         places = [fit.names.index(one.names[0]) for one in terms]
         own, square = terms[0].scale / MICROMETRE, np.sum((fit.draws[..., places] / MICROMETRE) ** 2, axis=-1).ravel()
-        for scale in sorted({own, *inputs.config.sensitivity.tau_scale_um}):
+        listed = [one for one in inputs.config.sensitivity.tau_scale_um if not np.isclose(one, own, rtol=SAME_SCALE)]
+        for scale in sorted({own, *listed}):
             log_weights = len(terms) * np.log(own / scale) + 0.5 * square * (own**-2 - scale**-2)
             gain = float(logsumexp(log_weights) - np.log(len(log_weights)))
             relative = np.exp(log_weights - gain)

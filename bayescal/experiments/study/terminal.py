@@ -10,7 +10,13 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 
 from bayescal.experiments.frame.terminal import Shown, print_table, print_text
-from bayescal.experiments.shared.headline import describe_candidate, order_candidates, say_named_first, state_rivals
+from bayescal.experiments.shared.headline import (
+    describe_candidate,
+    order_candidates,
+    read_rows,
+    say_named_first,
+    state_rivals,
+)
 from bayescal.experiments.shared.origin import name_origin
 from bayescal.experiments.study.page.solutions import say_solutions
 from bayescal.report.numbers import MICROMETRES, NOTHING, format_estimate, format_fixed
@@ -42,6 +48,7 @@ COMPARED = (
 
 def show_ranking(summary: Mapping[str, Any], console: Console) -> None:
     """Print the variants of a study, those of one set of data together, and what did not converge."""
+    summary = {**summary, "variants": read_rows(summary)}
     console.print(f"{summary['title']} ({name_origin(summary['origin'])})")
     use = "verification" if summary["n_poses"]["verification"] else "calibration"
     of_poses = any(fit.get(use) for fit in summary["variants"].values())

@@ -229,6 +229,12 @@ class Channel:
     period: float | None = None
     rotation: str = ""
 
+    def __post_init__(self) -> None:
+        """Take a number that is one or zero as the flag that it means; InputError for what means none."""
+        if self.external not in (True, False):
+            raise InputError(f"channel {self.name!r}: external: found {self.external!r}, expected True or False")
+        object.__setattr__(self, "external", bool(self.external))
+
     @property
     def kind(self) -> str:
         """Its name without the number of its leg."""

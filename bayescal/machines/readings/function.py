@@ -376,8 +376,8 @@ class FunctionModel(ReadingModel):
 
     @property
     def states_tool(self) -> bool:
-        """Whether the machine says what has to be accurate."""
-        return bool(self.machine.tool_channels)
+        """Whether the machine says what has to be accurate; where nothing moves nothing has to."""
+        return bool(self.machine.tool_channels) or not self.coordinates
 
     @property
     def tells_rotation(self) -> bool:

@@ -15,6 +15,7 @@ import pytest
 import toys
 from studies import edit
 
+from bayescal.experiments.frame import losses
 from bayescal.experiments.frame import run as frame
 
 pytestmark = pytest.mark.runs
@@ -124,17 +125,22 @@ class Broken(PageBlock):
 """
 
 
-def test_blocks_of_a_file_are_on_the_page(call, tmp_path, request):
+def test_blocks_of_a_file_are_on_the_page(call, tmp_path, request, monkeypatch):
     """What fails says so there; all is regenerated from results, whose code runs where somebody trusts it."""
+    monkeypatch.setattr(losses, "RAISE_OTHERS", False)
     names = [f"blocks.py:{name}" for name in ("Total", "Nothing", "Broken")]
     path, out = toys.write_toy(tmp_path, f"blocks = {json.dumps(names)}\n"), tmp_path / "out"
     (tmp_path / "blocks.py").write_text(BLOCKS)
-    assert call("run", path, "--out", out, "--workers", 1, "--quiet")[0] == 0
+    code, _, complaint = call("run", path, "--out", out, "--workers", 1, "--quiet")
+    assert code == 3
+    assert "'Broken'" in complaint
+    assert "KeyError: 'no such' (blocks.py, line" in complaint
     whole = read_all(out)
     page = whole["report.html"].decode()
     total = json.loads(whole["summary.json"])["total"]
     assert f"It is {total!r}." in page
-    assert "This block could not be shown: KeyError: 'no such'" in page.replace("&#39;", "'")
+    assert "KeyError: 'no such' (blocks.py, line" in page.replace("&#39;", "'")
+    assert [one["what"] for one in json.loads(whole["summary.json"])["lost"]] == ["section 'Broken' of the page"]
     assert "Nothing" not in page.partition("blocks.py")[0]
     assert whole["code/blocks.py"] == BLOCKS.encode()
     assert "blocks.py" in json.loads(whole["provenance.json"])["files"]

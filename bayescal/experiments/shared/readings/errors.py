@@ -87,7 +87,7 @@ def measure_ranges(model: ReadingModel, data: Measurements, workspace: Workspace
         steps = np.array([*product((-1.0, 0.0, 1.0), repeat=q)])
     else:
         steps = np.random.default_rng(0).integers(-1, 2, (LARGEST_GRID, q)).astype(np.float64)
-    pose = np.concatenate([workspace.middle[None], workspace.middle + workspace.half * steps.reshape(-1, q)])
+    pose = np.concatenate([workspace.middle[None], workspace.middle + workspace.half * steps.reshape(len(steps), q)])
     given = {name: np.full(len(pose), np.median(value)) for name, value in data.given.items()}
     with np.errstate(all="ignore"):
         read = model.read(model.layout.nominal, pose, given)

@@ -92,7 +92,7 @@ class Workspace:
         """Return poses from which to look for others, the middle first, shape (S, q)."""
         q = len(self.low)
         if 3**q <= LARGEST_GRID:
-            grid = np.array([*product((0.0, -1.0, 1.0), repeat=q)]).reshape(-1, q)
+            grid = np.array([*product((0.0, -1.0, 1.0), repeat=q)]).reshape(3**q, q)
         else:
             rng = np.random.default_rng([seed, 4])
             grid = np.concatenate([np.zeros((1, q)), rng.uniform(-1.0, 1.0, (LARGEST_GRID - 1, q))])

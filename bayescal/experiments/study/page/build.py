@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from bayescal.experiments.frame.blocks import show_sections
+from bayescal.experiments.frame.losses import attempt
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.shared import knowledge_page
 from bayescal.experiments.shared.origin import name_origin
@@ -23,6 +25,7 @@ from bayescal.experiments.study.page.soundness import has_warnings, list_failure
 from bayescal.experiments.study.page.verdict import state_headline, state_verdict
 from bayescal.report.blocks import Page, Section
 
+NO_HEADLINE = "Results were computed; see what of the page could not be made."
 FAILURES = "Do not rely on these numbers yet. What speaks against them:"
 
 type PageBlock = Callable[[StudyResults], Section | None]
@@ -81,14 +84,14 @@ def build_page(results: Results) -> Page:
         name=summary["experiment"],
         title=summary["title"],
         origin=name_origin(summary["origin"]),
-        headline=state_headline(study),
-        verdict=tuple(state_verdict(study)),
-        sections=tuple(section for block in BLOCKS if (section := block(study)) is not None),
+        headline=attempt("the headline", lambda: state_headline(study), NO_HEADLINE),
+        verdict=attempt("the verdict", lambda: tuple(state_verdict(study)), ()),
+        sections=show_sections(BLOCKS, study),
         facts=(
             ("Machine", str(summary["machine"])),
             ("Data of the variant to use", str(study.fit(study.chosen)["data"])),
         ),
         failures=tuple(list_failures(study)),
         failures_title=FAILURES,
-        doubtful=has_warnings(study),
+        doubtful=attempt("the verdict", lambda: has_warnings(study), True),
     )

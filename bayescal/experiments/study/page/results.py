@@ -16,7 +16,14 @@ import pandas as pd
 
 from bayescal.errors import InputError
 from bayescal.experiments.frame.results import NUMBER, SUMMARY_FILE, Kinds, Results, Row, check_keys, list_rows
-from bayescal.experiments.shared.headline import Candidate, choose_best, group_candidates, label_title, list_candidates
+from bayescal.experiments.shared.headline import (
+    Candidate,
+    choose_best,
+    group_candidates,
+    label_title,
+    list_candidates,
+    read_rows,
+)
 from bayescal.experiments.shared.knowledge_page import is_aligned
 from bayescal.experiments.shared.study_schema import stem_of
 from bayescal.experiments.shared.trees import MODE, name_file
@@ -161,7 +168,9 @@ class StudyResults:
             missing.
         """
         folder = results.folder or Path()
-        _check_summary(results.summary, folder / SUMMARY_FILE)
+        check_keys(results.summary, SUMMARY_KEYS, folder / SUMMARY_FILE, "")
+        summary = {**results.summary, "variants": read_rows(results.summary)}
+        _check_summary(summary, folder / SUMMARY_FILE)
         tables = {name: table for name, table in results.tables.items() if not table.empty}
         _check_tables(tables, folder)
         if "claims" in tables and "publication" not in results.summary:
@@ -172,7 +181,7 @@ class StudyResults:
             tables |= {"parameters": every[~(every["mode"] > 1)], SOLUTIONS: every[every["mode"].notna()]}
         if (factor := choose_error_unit(results.summary.get("model_error_in"))[0]) != 1.0:
             tables |= {name: _scale_columns(tables[name], factor) for name in OF_ERRORS if name in tables}
-        found = cls(results.summary, results.config, tables)
+        found = cls(summary, results.config, tables)
         if results.folder is None:
             return found
         read = {name: _read_draws(folder, name) for name in found.ranking}
@@ -550,7 +559,6 @@ def _check_tables(tables: Mapping[str, pd.DataFrame], results: Path) -> None:
 
 
 def _check_summary(summary: dict[str, Any], path: Path) -> None:
-    check_keys(summary, SUMMARY_KEYS, path, "")
     check_keys(summary["n_poses"], dict.fromkeys(USES, NUMBER), path, "n_poses.")
     ranked = [name for names in summary["rankings"] for name in names]
     if not summary["variants"] or sorted(ranked) != sorted(summary["variants"]):

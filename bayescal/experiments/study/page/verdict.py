@@ -69,7 +69,8 @@ def state_headline(study: StudyResults) -> str:
     if "slip" in study.summary:
         return write_headline([say_suspicion(study)])
     choice = f"{said} Then {choice[0].lower()}{choice[1:]}" if (said := say_suspicion(study)) else choice
-    return write_headline([f"{choice}; {_say_uncertainty(study)}", say_headline(study), _say_required(study)])
+    whole = "; ".join(filter(None, (choice, _say_uncertainty(study))))
+    return write_headline([whole, say_headline(study), _say_required(study)])
 
 
 def _say_required(study: StudyResults) -> str:
@@ -100,8 +101,11 @@ def _state_required(study: StudyResults) -> list[Statement]:
 
 
 def _say_uncertainty(study: StudyResults) -> str:
-    """Return the tool's uncertainty over the workspace."""
-    known = [row for row in study.rows("accuracy", study.chosen) if math.isfinite(row["after"])]
+    """Return the tool's uncertainty over the workspace; nothing of a machine without one."""
+    every = study.rows("accuracy", study.chosen)
+    known = [row for row in every if math.isfinite(row["after"])]
+    if not every:
+        return ""
     if not known:
         return "its own sensors do not determine where the machine is"
     what = "tool" if study.summary.get("states_tool", True) else "coordinates"
