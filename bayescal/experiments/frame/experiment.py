@@ -107,9 +107,12 @@ class Experiment[C: ExperimentConfig, I](ABC):
         del inputs
         return []
 
-    def doubt(self, inputs: I) -> list[str]:
-        """Return what is probably wrong with inputs that nothing forbids to compute with, in words; it takes little."""
-        del inputs
+    def doubt(self, inputs: I, *, before_run: bool = False) -> list[str]:
+        """Return what is probably wrong with inputs that nothing forbids to compute with, in words; it takes seconds.
+
+        What a run finds by itself need not be looked for before one.
+        """
+        del inputs, before_run
         return []
 
     def suspect(self, inputs: I) -> list[str]:

@@ -258,7 +258,7 @@ def compute_experiment(config: ExperimentConfig, folder: Path, workers: int = 1)
 
 def _list_doubts(experiment: AnyExperiment, inputs: Any) -> list[str]:
     """Return what is, and what may be, wrong with inputs that passed the gate."""
-    return [*_ask(experiment.suspect, inputs), *_ask(experiment.doubt, inputs)]
+    return [*_ask(experiment.suspect, inputs), *_ask(partial(experiment.doubt, before_run=True), inputs)]
 
 
 def _ask(question: Callable[[Any], list[str]], inputs: Any) -> list[str]:

@@ -40,8 +40,9 @@ class NextPose(OfAnother[NextConfig, NextInputs]):
             "fewer candidates or draws",
         )
 
-    def doubt(self, inputs: NextInputs) -> list[str]:
+    def doubt(self, inputs: NextInputs, *, before_run: bool = False) -> list[str]:
         """Return what would explain the poses measured so far many times better than they are."""
+        del before_run
         return [] if inputs.slip is None else [inputs.slip.say()]
 
     def compute(self, inputs: NextInputs, run: Run) -> Results:

@@ -29,8 +29,9 @@ class Sessions(OfAnother[SessionsConfig, SessionsInputs]):
     compute = staticmethod(compute_sessions)
     page = staticmethod(build_page)
 
-    def doubt(self, inputs: SessionsInputs) -> list[str]:
+    def doubt(self, inputs: SessionsInputs, *, before_run: bool = False) -> list[str]:
         """Return whether temperatures are stated that nothing is made of."""
+        del before_run
         if inputs.config.thermal is not None or not np.isfinite(inputs.temperature).any():
             return []
         return ["sessions state temperatures, and there is no [thermal]: what they do counts as drift"]

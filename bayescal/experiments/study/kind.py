@@ -67,11 +67,11 @@ class Study(MachineExperiment[StudyConfig, StudyInputs], Measuring, Calibrating)
         """Return what the data can determine of each variant."""
         return inputs.outlook()
 
-    def doubt(self, inputs: StudyInputs) -> list[str]:
+    def doubt(self, inputs: StudyInputs, *, before_run: bool = False) -> list[str]:
         """Return what may be wrong: a place that only wide tolerances explain, a noise or a tolerance."""
         if inputs.slip is not None:
             return []
-        found = inputs.misstated
+        found = None if before_run else inputs.misstated
         return [*doubt_zero(inputs), *([] if found is None or found.fault == WIDE else [found.say()])]
 
     def suspect(self, inputs: StudyInputs) -> list[str]:
