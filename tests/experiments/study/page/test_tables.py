@@ -311,7 +311,7 @@ def test_figures_and_symbols_are_those_of_a_publication_where_there_is_one(hexap
         "\n".join(one.caption for one in read_page(folder).figures() if one.draw is not None)
         for folder in (telescope, hexapod)
     )
-    assert "after" not in alone
+    assert "(after " not in alone
     for number in ("figures 15 to 17", "figure 18", "figure 7"):
         assert f"(after {PUBLICATION['source']} {number})" in captions
     (table,) = show_notation(read_study(hexapod)).blocks
