@@ -81,6 +81,7 @@ def validate(experiment: Experiment, no_plugins: NoPlugins = False, trust: Trust
     if found.suspicions or found.doubts:
         echo(f"next: correct the data or the config, then bayescal validate {experiment} again")
     if found.suspicions:  # as a run would end
+        echo(f"bayescal: {experiment}: the data seem to be wrong", err=True)
         raise typer.Exit(3)
     if found.doubts:
         return

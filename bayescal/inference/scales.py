@@ -10,7 +10,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import minimize
 from scipy.special import logsumexp
 
 from bayescal.errors import NumericalError
@@ -52,6 +51,8 @@ class Scales:
 
 def find_scales_mode(log_density: LogDensity, start: Array) -> Array:
     """Return where a log-density of n coordinates, the standard normal prior included, is largest."""
+    from scipy.optimize import minimize  # a tenth of a second to import, for those who search
+
     if not len(start):
         return start
     if not np.isfinite(log_density(start)):

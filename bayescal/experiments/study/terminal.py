@@ -18,7 +18,6 @@ from bayescal.experiments.shared.headline import (
     state_rivals,
 )
 from bayescal.experiments.shared.origin import name_origin
-from bayescal.experiments.study.page.solutions import say_solutions
 from bayescal.report.numbers import MICROMETRES, NOTHING, format_estimate, format_fixed
 
 if TYPE_CHECKING:
@@ -48,6 +47,8 @@ COMPARED = (
 
 def show_ranking(summary: Mapping[str, Any], console: Console) -> None:
     """Print the variants of a study, those of one set of data together, and what did not converge."""
+    from bayescal.experiments.study.page.solutions import say_solutions  # pandas, for those who show results
+
     summary = {**summary, "variants": read_rows(summary)}
     console.print(f"{summary['title']} ({name_origin(summary['origin'])})")
     use = "verification" if summary["n_poses"]["verification"] else "calibration"

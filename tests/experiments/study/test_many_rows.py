@@ -39,7 +39,7 @@ from bayescal.experiments.frame.run import check_file
 check_file(Path("study.toml"))
 print(*{NEEDLESS} & {*sys.modules})
 """
-NEEDLESS = {"pandas", "xarray", "matplotlib", "arviz_stats", "scipy.stats", "scipy.interpolate", "scipy.optimize"}
+NEEDLESS = {"pandas", "xarray", "matplotlib", "arviz_stats", "scipy.stats", "scipy.interpolate"}
 
 
 @pytest.fixture(scope="module")

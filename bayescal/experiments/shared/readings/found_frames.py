@@ -13,7 +13,6 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from bayescal.density.calibration.likelihood import CalibrationLikelihood, CalibrationPosterior
 from bayescal.density.calibration.measurements import Comparison, Measurements
@@ -412,6 +411,8 @@ class _Problem:
         return min((self._polish(one) for one in best), key=self.rms)
 
     def _polish(self, start: Array) -> Array:
+        from scipy.optimize import least_squares  # a tenth of a second to import, for those with instruments
+
         n, x = len(start), start
         for _ in range(2):  # with the size of residuals from which on a row is taken for an outlier
             found = least_squares(
@@ -445,6 +446,8 @@ class _Problem:
 
     def _check_stated(self, name: str, start: Array, found: Array, share: float, known: np.ndarray) -> None:
         """Raise InputError where stated values contradict what was found by many of their tolerances."""
+        from scipy.optimize import least_squares
+
         sd, n = self.sd[self.free], len(start)
 
         def miss(x: Array) -> Array:
