@@ -197,13 +197,13 @@ class Ground:
 
 def hold_gate(looked: Outcome, ran: Outcome) -> list[str]:
     """Return where `validate` and `run` do not say the same of an experiment."""
-    if looked.code == 0 and ran.code == 2:
+    if looked.code in (0, 3) and ran.code == 2:
         return [f"validate accepts what run refuses: {ran.err}"]
     if looked.code == 2 and (ran.code != 2 or ran.err not in looked.err.splitlines(keepends=True)):
         return [f"validate refuses with {looked.err!r}, run has {ran.code}: {ran.err!r}"]
     if frame.LATE in ran.err:
         return [f"validate accepts what is refused when it is computed: {ran.err}"]
-    return [] if looked.code in (0, 2) else [f"validate ends with exit code {looked.code}: {looked.err}"]
+    return [] if looked.code in (0, 2, 3) else [f"validate ends with exit code {looked.code}: {looked.err}"]
 
 
 def try_inputs(ground: Ground, number: int) -> Trial:
