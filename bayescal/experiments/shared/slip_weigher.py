@@ -12,6 +12,7 @@ from bayescal.experiments.shared.slip_rows import Sight, White
 from bayescal.numerics.geometry import Array
 
 BESIDE = 2  # how many factors on either side of the best one are tried as errors change
+NO_FACTOR = -1e9  # log-density of errors with which the rows' covariance has no factor
 STEEP = 100.0  # nats by the square of a coordinate beyond what errors are allowed
 
 
@@ -47,8 +48,15 @@ class Weigher:
         self.factors = FACTORS
 
     def weigh(self, zeta: Array) -> float:
-        """Return the log-density; next to none of errors as large as no machine has them."""
-        return self._weigh(zeta) - STEEP * float(np.sum(np.maximum(zeta - self.search.most, 0.0) ** 2))
+        """Return the log-density; next to none of errors as large as no machine has them.
+
+        None where the rows' covariance has no factor: errors beside a noise that is lost in their rounding.
+        """
+        try:
+            value = self._weigh(zeta)
+        except np.linalg.LinAlgError:
+            return NO_FACTOR
+        return value - STEEP * float(np.sum(np.maximum(zeta - self.search.most, 0.0) ** 2))
 
     def _weigh(self, zeta: Array) -> float:
         cause = self.cause
