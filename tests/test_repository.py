@@ -28,6 +28,7 @@ TINY = {
     "pose_selection.py --candidates 300 --iterations 5 --sets 5": (),
     "sampling.py --warm-up 50 --draws 50": ("jax", "numpyro"),
     "sessions.py --twins 1": (),
+    "stated.py --machines linear --studies 1": (),
     "slips.py --studies 1 --machines hexaglide --slips clean unit": (),
 }
 """By command: what it needs that the tests do not."""

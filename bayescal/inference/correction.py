@@ -91,7 +91,8 @@ class Correction:
     @property
     def is_trusted(self) -> bool:
         """Whether moved draws are good for draws of the costly density."""
-        return self.efficiency >= (MOVED_LIMIT if self.pareto_k <= PARETO_K_LIMIT else ALIKE_LIMIT)
+        is_alike = ALIKE_LIMIT <= self.efficiency <= 1.0 + 1e-9  # more is what rounding makes of weights that are no numbers
+        return is_alike or (self.efficiency >= MOVED_LIMIT and self.pareto_k <= PARETO_K_LIMIT)
 
 
 @dataclass(frozen=True, eq=False)
