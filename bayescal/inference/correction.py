@@ -91,7 +91,7 @@ class Correction:
     @property
     def is_trusted(self) -> bool:
         """Whether moved draws are good for draws of the costly density."""
-        is_alike = ALIKE_LIMIT <= self.efficiency <= 1.0 + 1e-9  # more is what rounding makes of weights that are no numbers
+        is_alike = ALIKE_LIMIT <= self.efficiency <= 1.0 + 1e-9  # more: rounding
         return is_alike or (self.efficiency >= MOVED_LIMIT and self.pareto_k <= PARETO_K_LIMIT)
 
 
