@@ -47,6 +47,7 @@ def question(tmp_path) -> Path:
 
 
 def test_it_says_what_to_measure_and_what_to_expect(question, call, no_pictures):
+    question.write_text('accuracy_frame = "base"\n' + question.read_text())
     studies.edit(question, "z = 0.02", "z = 0.004")
     studies.edit(question, "draws", "first = 4\ndraws")
     out = question.parent / "out"

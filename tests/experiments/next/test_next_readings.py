@@ -144,6 +144,7 @@ def question(tmp_path) -> Path:
 
 @pytest.mark.runs
 def test_it_says_where_to_go_and_what_to_expect(question, call, no_pictures):
+    question.write_text('accuracy_frame = "base"\n' + question.read_text())
     out = question.parent / "out"
     code, said, complaint = call("next", question, "--out", out)
     assert (code, complaint) == (0, "")

@@ -77,7 +77,7 @@ def test_every_figure_is_drawn_without_a_warning(page):
     assert set(images) == {
         *("errors", "errors_none", "errors_linear", "errors_matrix", "bounds", "parameters", "hardpoints", "flexure"),
         *("ridges", "deflections", "tau", "sensitivity", "poses"),
-        *("ranks", "pareto_k"),
+        *("ranks", "pareto_k", "before_after"),
     }
     assert all(image.startswith(b"\x89PNG") for image in images.values())
 

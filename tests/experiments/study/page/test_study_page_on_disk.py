@@ -22,7 +22,7 @@ def test_page_is_self_contained_well_formed_and_has_the_same_bytes_again(make_re
     text = page.read_text(encoding="utf-8")
     reader = Reader(text)
     assert reader.open == []
-    assert reader.pictures == 12
+    assert reader.pictures == 13
     assert all(r.startswith(("data:image/png;base64,", "#")) for r in reader.references)
     assert reader.tags.count("script") == 1
     assert not {"link", "iframe", "object"} & set(reader.tags)
@@ -73,7 +73,7 @@ def test_without_draws_and_ring_the_report_says_what_is_left_out(make_results, n
 def test_without_verification_poses_the_figures_are_drawn(make_results, pictures):
     folder = make_results(verification=False)
     text = write_report(folder).read_text(encoding="utf-8")
-    assert Reader(text).pictures == 12
+    assert Reader(text).pictures == 13
     assert '<td class="text plain">none</td>' in text
 
 
@@ -99,7 +99,7 @@ def test_twelve_variants_make_one_page_with_long_tables_folded(make_results, no_
     text = write_report(folder).read_text(encoding="utf-8")
     reader = Reader(text)
     assert reader.open == []
-    assert reader.pictures == 15
+    assert reader.pictures == 16
     assert {r[1:] for r in reader.references if r.startswith("#")} <= set(re.findall(r'id="([^"]+)"', text))
     folds = re.findall(r"<details( open)?>\s*<summary>(.*?)</summary>", text)
     assert not any(is_open for is_open, _ in folds)
@@ -112,7 +112,7 @@ def test_twelve_variants_make_one_page_with_long_tables_folded(make_results, no_
 
 def test_a_single_variant_is_reported(make_results):
     text = write_report(make_results(variants={"six_pus/linear": (10.0, 1.0)})).read_text(encoding="utf-8")
-    assert Reader(text).pictures == 11
+    assert Reader(text).pictures == 12
     assert (
         "Use 6-PUS with the linear deformation, the only variant; tool x 0.013 mm (standard uncertainty, k = 1)"
         in text.replace("\u00a0", " ")
