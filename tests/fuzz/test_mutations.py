@@ -18,7 +18,7 @@ from bayescal.experiments import USES as ASKED
 pytestmark = pytest.mark.usefixtures("no_pictures", "wary")
 
 STEP = 25
-FIRST = {"inputs": 100, "tables": 50}
+FIRST = {"inputs": 25, "tables": 25}
 RUNS = {"inputs": 300, "tables": 50}
 """How many cases of a sort are quick, and how many with the runs; all others are slow."""
 CASES = [(sort, first) for sort, one in SORTS.items() if sort != "disturbed" for first in range(0, one.n, STEP)]

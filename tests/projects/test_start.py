@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from shares import run_rest
 
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.frame.run import check_experiment
@@ -12,11 +13,12 @@ from bayescal.projects.start import INSTRUMENTS, MACHINES, OWN, start_project
 
 SHIPPED = "examples/own_machine"
 LEGS = [machine for machine in MACHINES if machine != OWN]
+PROJECTS = [(machine, instrument) for instrument in INSTRUMENTS for machine in LEGS]
 
 
-@pytest.mark.parametrize("instrument", INSTRUMENTS)
-@pytest.mark.parametrize("machine", LEGS)
-def test_a_project_is_fit_to_run_and_says_that_it_is_simulated(tmp_path, machine, instrument):
+@pytest.mark.parametrize("project", run_rest(PROJECTS, 2), ids="-".join)
+def test_a_project_is_fit_to_run_and_says_that_it_is_simulated(tmp_path, project):
+    machine, instrument = project
     folder = tmp_path / "mine"
     files = start_project(folder, machine, instrument)
     for name in ("study.toml", "audit.toml", "simulate.toml"):

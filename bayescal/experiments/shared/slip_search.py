@@ -72,6 +72,7 @@ QUIET = -2.0  # coordinate of a model error's size at which it explains next to 
 ABSENT = -6.0  # the same of a size that is not there
 LARGE = 1.5  # the same of a size that is far beyond its scale: half-Cauchy ten times, with a probability of 7 %
 FITS_WELL, HOPELESS = 1.2, 8.0  # rms of a cause that leaves little, and nats a row below it of what is not fitted then
+TURNS = 3  # of a noise's factor and of errors' sizes, each with the other held
 FITS, MOST_FITS = 3, 8  # steps of a fit, and at most where the log-density still rises
 SETTLED = 1.0  # nats by which it rises less
 TOGETHER = 100  # tables that are looked at at once
@@ -590,7 +591,10 @@ class _Search:
             if step == 0:
                 zeta = profile(weigher.weigh, starts, turns=not cause.fault)
             elif step == FITS - 1:
-                zeta = profile(weigher.weigh, (zeta, self._silence(zeta)), levels=not cause.fault)
+                zeta = profile(weigher.weigh, (zeta, self._silence(zeta)), levels=not cause.fault, turns=False)
+                weigher.weigh(zeta)
+                with weigher.held():
+                    zeta = profile(weigher.weigh, (zeta,), levels=False)
             before, last = last, weigher.weigh(zeta)
             y, unknown, _ = weigher.solve(zeta)
             if step >= FITS - 1 and last < before + SETTLED:
@@ -617,11 +621,18 @@ class _Search:
 
     def integrate(self, found: _Fit) -> _Fit:
         """Return a fit with the errors' sizes integrated; as it was where no optimum of theirs is found."""
-        try:
-            value, zeta = integrate_sizes(found.weigher.weigh, found.zeta)
-        except (NumericalError, np.linalg.LinAlgError):
-            return found
-        found.weigher.weigh(zeta)
+        weigher, zeta = found.weigher, found.zeta
+        weigher.weigh(zeta)
+        for _ in range(TURNS):
+            size = weigher.size
+            try:
+                with weigher.held():
+                    value, zeta = integrate_sizes(weigher.weigh, zeta)
+            except (NumericalError, np.linalg.LinAlgError):
+                return found
+            weigher.weigh(zeta)
+            if not weigher.cause.noise or weigher.size == size:
+                break
         return self._describe(found.weigher, zeta, value, found.beside)
 
     def _integrate_base(self, others: list[Array]) -> float:

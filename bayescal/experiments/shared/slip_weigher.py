@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -47,6 +49,13 @@ class Weigher:
     def __post_init__(self) -> None:
         self.factors = FACTORS
 
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """Keep a noise's factor as it is while errors are searched: about their optimum it moves nothing."""
+        before, self.factors = self.factors, (self.size,) if self.cause.noise else self.factors
+        yield
+        self.factors = before
+
     def weigh(self, zeta: Array) -> float:
         """Return the log-density; next to none of errors as large as no machine has them.
 
@@ -62,8 +71,9 @@ class Weigher:
         cause = self.cause
         if cause.noise:
             value, self.size = self.search.try_noise(self.seen, cause, zeta, self.factors)
-            place = int(np.searchsorted(FACTORS, self.size))
-            self.factors = FACTORS[max(place - BESIDE, 0) : place + BESIDE + 1]
+            if len(self.factors) > 1:
+                place = int(np.searchsorted(FACTORS, self.size))
+                self.factors = FACTORS[max(place - BESIDE, 0) : place + BESIDE + 1]
             return value
         if cause.without:
             return self.search.leave_out(self.seen.whiten(zeta), self._without)

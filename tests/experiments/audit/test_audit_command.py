@@ -122,6 +122,7 @@ def test_a_design_at_fault_is_one_line_and_nothing_is_written(refuse, tmp_path, 
     refuse(f"design.toml.*{message}", tmp_path / "out", "audit", write(tmp_path, text, shipped), "--workers", 1)
 
 
+@pytest.mark.runs
 def test_a_posterior_that_did_not_converge_is_exit_code_3(call, design, tmp_path, monkeypatch, no_pictures):
     design.write_text(SMALL.replace("simulated_calibrations = 4", "simulated_calibrations = 0"))
     studies.edit(design, "expected_over_draws = 3", "expected_over_draws = 0")

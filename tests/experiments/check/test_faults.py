@@ -162,6 +162,7 @@ def folded():
     return machines.build_posterior("none", poses, symbols=symbols)
 
 
+@pytest.mark.runs
 def test_a_missed_mode_is_named(folded, monkeypatch):
     """A search that tries no mirror images finds but one of them."""
     monkeypatch.setattr(faults, "PAIRS", 2)

@@ -15,6 +15,7 @@ from bayescal.experiments.frame.load import load
 from bayescal.experiments.shared.slips import ROWS, FoundSlip, state_denied, state_slip
 
 
+@pytest.mark.runs
 def test_the_next_pose_of_exchanged_legs_is_doubted(tmp_path):
     path = contract.write_next(tmp_path)
     experiment, config = load(path)

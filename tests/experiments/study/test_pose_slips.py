@@ -62,7 +62,7 @@ CAUSES = {
 }
 
 
-@pytest.mark.parametrize("cause", run_rest(CAUSES, 2))
+@pytest.mark.parametrize("cause", run_rest(CAUSES, 1))
 def test_likely_cause_is_found(fed, cause):
     change, said = CAUSES[cause]
     assert said in look(fed, change=change)
@@ -91,7 +91,8 @@ def test_poses_of_the_base_are_turned_round_into_those_of_the_platform():
     np.testing.assert_allclose(found[1], turned, atol=1e-12)
 
 
-@pytest.mark.parametrize("probe", run_rest([instruments.PROBE[: instruments.PROBE.index("P2")], instruments.PROBE], 1))
+@pytest.mark.runs
+@pytest.mark.parametrize("probe", [instruments.PROBE[: instruments.PROBE.index("P2")], instruments.PROBE])
 def test_exchanged_legs_are_found_from_points_in_free_frames(probe, tmp_path, monkeypatch):
     """A single point, which does not tell the pose, and four, which do."""
     monkeypatch.setattr(instruments, "PROBE", probe)
@@ -122,7 +123,7 @@ ELSEWHERE = {
 }
 
 
-@pytest.mark.parametrize("where", run_rest(ELSEWHERE, 2))
+@pytest.mark.parametrize("where", run_rest(ELSEWHERE, 1))
 def test_rows_of_actuators_that_stand_elsewhere_are_found(fed, where):
     change, said = ELSEWHERE[where]
     assert said in look(fed, "actuators.csv", change)

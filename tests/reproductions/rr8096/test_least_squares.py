@@ -253,6 +253,7 @@ def test_every_variant_has_its_printed_table(inputs):
     assert papers.claims.Rr8096().describe()["tables"]["beam/linear"] == "table 6(c)"
 
 
+@pytest.mark.runs
 def test_what_frees_more_than_the_report_has_no_printed_table():
     ridges = studies.load_study(studies.TELESCOPE / "ridges.toml")
     assert read_tables(ridges) == {}
