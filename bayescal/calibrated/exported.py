@@ -351,7 +351,7 @@ def _read_errors(config: ErrorsConfig, folder: Path, model: ReadingModel, theta:
     covariance = None
     if config.matrix_covariance is not None:
         covariance = read_matrix_covariance(folder / config.matrix_covariance, model.n_legs)
-    return LegErrors(noise, variance, model.machine, theta, covariance)
+    return LegErrors(noise, variance, model, theta, covariance)
 
 
 def _read_covariance(folder: Path, name: str | None) -> tuple[tuple[str, ...], Array | None]:
@@ -480,6 +480,7 @@ def format_mechanism(mechanism: Mechanism, comments: Sequence[str] = ()) -> str:
             "direction": mechanism.directions if mechanism.drive == "base" else None,
             "initial_actuator_position_mm": mechanism.initial_actuator_positions,
             "actuator_range_mm": mechanism.actuator_range,
+            "actuator_gain": mechanism.actuator_gains,
         },
     }
     if flexures is not None:

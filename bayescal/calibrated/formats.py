@@ -33,6 +33,7 @@ HELP = (
     "A joint's position is the length of its strut: joint N = length N + actuator position - initial position,",
     "where an actuator position is what bayescal's tables call rho_(N+1)_mm.",
 )
+GAINED = "The difference of both positions is times the joint's gain."
 METRE = 1e-3  # m per mm
 ORIGIN = np.zeros(3)
 AXES = {"x": "1 0 0", "y": "0 1 0", "z": "0 0 1"}
@@ -115,6 +116,7 @@ def _describe_legs(machine: Machine) -> dict[str, Any]:
         "leg_lengths_mm": mechanism.leg_lengths.tolist(),
         "initial_actuator_positions_mm": mechanism.initial_actuator_positions.tolist(),
         "actuator_range_mm": mechanism.actuator_range,
+        **({} if mechanism.actuator_gains is None else {"actuator_gains": mechanism.actuator_gains.tolist()}),
     }
 
 
@@ -145,10 +147,12 @@ def list_genhexkins_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
     mechanism = calibrated.legs.mechanism
     if mechanism.n_legs != STRUTS:
         raise InputError(f"format genhexkins: found {mechanism.n_legs} struts, expected {STRUTS}")
-    lines = [f"# {comment}" for comment in (*calibrated.source.describe(), *HELP)]
+    gains = mechanism.actuator_gains
+    lines = [f"# {one}" for one in (*calibrated.source.describe(), *HELP, *([] if gains is None else [GAINED]))]
     for k in range(STRUTS):
         length, start = mechanism.leg_lengths[k], mechanism.initial_actuator_positions[k]
-        lines.append(f"# joint {k}: length {float(length)!r} at the initial position {float(start)!r}")
+        gain = "" if gains is None else f", gain {float(gains[k])!r}"
+        lines.append(f"# joint {k}: length {float(length)!r} at the initial position {float(start)!r}{gain}")
     for pin, points in (("base", mechanism.base_points), ("platform", mechanism.platform_points)):
         for k, point in enumerate(points):
             lines += [f"setp genhexkins.{pin}.{k}.{axis} {float(x)!r}" for axis, x in zip("xyz", point, strict=True)]
@@ -169,7 +173,12 @@ def list_urdf_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
     mechanism = calibrated.legs.mechanism
     home = check_home_pose(calibrated.legs)
     robot = Xml.Element("robot", name=mechanism.name)
-    for comment in (*calibrated.source.describe(), "Lengths in m, angles in rad; all joints are zero at home."):
+    gains = mechanism.actuator_gains
+    said = [*calibrated.source.describe(), "Lengths in m, angles in rad; all joints are zero at home."]
+    if gains is not None:  # joints of the tree have the true travel
+        each = ", ".join(f"leg {k} {float(gain)!r}" for k, gain in enumerate(gains, start=1))
+        said.append(f"An actuator's joint is its gain times what it reads beyond its initial position: {each}.")
+    for comment in said:
         robot.append(Xml.Comment(f" {comment.replace('--', '- -')} "))
     for name in ("base", "platform"):
         Xml.SubElement(robot, "link", name=name)
@@ -184,16 +193,17 @@ def _add_leg(robot: Xml.Element, calibrated: CalibratedMachine, leg: int, upper:
     """Add a leg's chain from the base to the platform, or to where it belongs."""
     mechanism, name = calibrated.legs.mechanism, f"leg_{leg + 1}"
     lower, strut = mechanism.home_joints[leg], mechanism.drive == "strut"
+    reach = mechanism.actuator_range * (1.0 if mechanism.actuator_gains is None else float(mechanism.actuator_gains[leg]))
     along, link, place = _frame_along(upper - lower), "base", (lower, np.eye(3))
     if not strut:
         guide = _frame_along(mechanism.directions[leg])
-        link = _add_joint(robot, link, f"{name}_actuator", "z", (lower, guide), mechanism.actuator_range)
+        link = _add_joint(robot, link, f"{name}_actuator", "z", (lower, guide), reach)
         place = (ORIGIN, guide.T)
     link = _add_joint(robot, link, f"{name}_base_universal_1", "x", (place[0], place[1] @ along))
     link = _add_joint(robot, link, f"{name}_base_universal_2", "y", (ORIGIN, np.eye(3)))
     span = (np.array([0.0, 0.0, np.linalg.norm(upper - lower)]), np.eye(3))
     if strut:
-        link = _add_joint(robot, link, f"{name}_actuator", "z", span, mechanism.actuator_range)
+        link = _add_joint(robot, link, f"{name}_actuator", "z", span, reach)
         span = (ORIGIN, np.eye(3))
     link = _add_joint(robot, link, f"{name}_turn", "z", span)
     link = _add_joint(robot, link, f"{name}_platform_universal_1", "x", (ORIGIN, np.eye(3)))

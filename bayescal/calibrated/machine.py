@@ -32,7 +32,7 @@ from bayescal.machines.models.six_ups import SixUps
 from bayescal.machines.parameters import ParameterLayout
 from bayescal.machines.readings import Channel, Legs, ReadingModel
 from bayescal.machines.readings.base import NOTHING, Given
-from bayescal.machines.readings.legs import divide_closure
+from bayescal.machines.readings.legs import GAIN, divide_closure
 from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array, matrix_from_rotation_vector
 
 KAPPA, TRAVEL = "kappa", "rho0"
@@ -59,7 +59,7 @@ def find_hindrance(machine: Machine) -> str:
     return ""
 
 
-def settle_machine(machine: Machine, theta: Array) -> Machine:
+def settle_legs(legs: Legs, theta: Array) -> Legs:
     """Return the machine whose nominal parameters are those of another, θ (D,), wherever they stand in its layout.
 
     Three things are elsewhere than in the parameters. Actuators' readings go on counting from the initial positions: an
@@ -67,6 +67,7 @@ def settle_machine(machine: Machine, theta: Array) -> Machine:
     by the components that suit them. κ of each leg is the diagonal of a deformation matrix: no other file holds one per
     leg.
     """
+    machine = legs.machine
     layout, mechanism = machine.layout, machine.mechanism
     attachments, directions = _place_actuators(machine, theta)
     moved = replace(
@@ -76,13 +77,14 @@ def settle_machine(machine: Machine, theta: Array) -> Machine:
         directions=mechanism.directions if directions is None else directions,
         leg_lengths=layout.take(theta, "l"),
         flexures=_settle_flexures(layout, theta, mechanism.flexures),
+        actuator_gains=legs.layout.take(theta, GAIN) if legs.has_gains else None,
     )
     deformation: Deformation = NoDeformation()
     if KAPPA in layout.index:
         kappa = layout.take(theta, KAPPA)
         rest = machine.deformation.matrix if isinstance(machine.deformation, MatrixDeformation) else np.zeros((1, 1))
         deformation = MatrixDeformation(np.where(np.eye(len(kappa), dtype=bool), np.diag(kappa), rest))
-    return build_machine(type(machine.model), moved, deformation)
+    return Legs(build_machine(type(machine.model), moved, deformation))
 
 
 def _place_actuators(machine: Machine, theta: Array) -> tuple[Array, Array | None]:
@@ -116,20 +118,20 @@ def _settle_section(
     return BeamSection(*(float(layout.take(theta, f"{k}_{part}")[0]) for k in ("k1", "k2", "k3")))
 
 
-def express_parameters(machine: Machine, settled: Machine, theta: Array) -> Array:
+def express_parameters(legs: Legs, settled: Legs, theta: Array) -> Array:
     """Return parameter vectors (..., D) of a machine as those of a settled one, shape (..., D')."""
-    old, new = machine.layout, settled.layout
+    old, new = legs.layout, settled.layout
     result = np.broadcast_to(new.nominal, (*theta.shape[:-1], new.size)).copy()
     for symbol in set(old.symbols) & set(new.symbols):
         result[..., new.index[symbol]] = old.take(theta, symbol)
-    attachments, directions = _place_actuators(machine, theta)
+    attachments, directions = _place_actuators(legs.machine, theta)
     for k, axis in enumerate("xyz"):
         result[..., new.index[f"a_{axis}"]] = attachments[..., k]
     if directions is not None:
         local = chart_of(new).to_local(directions)
         for k, symbol in enumerate(new.direction_symbols):
             result[..., new.index[symbol]] = local[..., k]
-        result[..., new.index[TRAVEL]] = settled.mechanism.initial_actuator_positions
+        result[..., new.index[TRAVEL]] = settled.machine.mechanism.initial_actuator_positions
     return result
 
 
@@ -192,25 +194,33 @@ class LegErrors(Errors):
     deflection does not pass them on: δ = A⁻¹ diag(A_ii) ε.
     """
 
-    machine: Machine
-    theta: Array  # (D,)
+    legs: Legs
+    theta: Array  # (D,), in the legs' layout
     # (N, N, N): covariance of each row of a measured deformation matrix K, whose diagonal is a parameter and counts
     # as known
     matrix_covariance: Array | None = None
 
     def covariance(self, pose: Array, commands: Array) -> Array:
-        """Return σ_ρ² 1 + A⁻¹ diag(A_ii² (τ_i² + v_i)) A⁻ᵀ, where v_i is the variance of Δb_z that K's rest leaves."""
+        """Return σ_ρ² 1 + A⁻¹ diag(A_ii² (τ_i² + v_i)) A⁻ᵀ, where v_i is the variance of Δb_z that K's rest leaves.
+
+        Of actuators with gains γ it is that of what they read: errors of their travel, over γ; σ_ρ and τ are of readings.
+        """
+        machine, standing = self.legs.machine, self.legs.place_actuators(self.theta, commands)
         with np.errstate(all="ignore"):  # poses that were not found
             rotation = matrix_from_rotation_vector(np.nan_to_num(pose[..., 3:]))
-            closure = self.machine.model.prepare(self.machine.layout, self.theta)
-            slopes = closure(pose[..., :3], rotation, self.machine.basis(commands), False).actuators
+            closure = machine.model.prepare(machine.layout, self.theta[: machine.layout.size])
+            slopes = closure(pose[..., :3], rotation, machine.basis(standing), False).actuators
         own = slopes * np.eye(slopes.shape[-1])
         passed = divide_closure(slopes, own)
         variance = np.broadcast_to(self.model_variance, commands.shape)
+        gain = self.legs.layout.take(self.theta, GAIN) if self.legs.has_gains else None
+        if gain is not None:
+            passed = passed * gain / gain[:, None]
         if self.matrix_covariance is not None:
-            displacement = commands - self.machine.mechanism.initial_actuator_positions
+            displacement = standing - machine.mechanism.initial_actuator_positions
             others = displacement[..., None, :] * (1.0 - np.eye(displacement.shape[-1]))
-            variance = variance + np.einsum("...ij,ijk,...ik->...i", others, self.matrix_covariance, others)
+            rest = np.einsum("...ij,ijk,...ik->...i", others, self.matrix_covariance, others)
+            variance = variance + (rest if gain is None else rest / gain**2)
         return np.asarray(self.noise + (passed * variance[..., None, :]) @ np.swapaxes(passed, -1, -2))
 
     def split(self) -> dict[str, Errors]:
@@ -386,12 +396,12 @@ def build_calibrated(
     One with errors of its legs' closures is settled where drawings hold its kinematics; these errors are then its own.
     """
     if isinstance(model, Legs) and isinstance(errors, LegErrors):
-        machine = model.machine
-        if not find_hindrance(machine):
-            settled = settle_machine(machine, theta)
-            draws = None if draws is None else express_parameters(machine, settled, draws)
-            machine, theta = settled, settled.layout.nominal
-        model, errors = Legs(machine), replace(errors, machine=machine, theta=theta)
+        legs = Legs(model.machine, has_gains=model.has_gains)
+        if not find_hindrance(model.machine):
+            settled = settle_legs(legs, theta)
+            draws = None if draws is None else express_parameters(legs, settled, draws)
+            legs, theta = settled, settled.layout.nominal
+        model, errors = legs, replace(errors, legs=legs, theta=theta)
     free, covariance, kept = np.empty(0, dtype=int), None, None
     if draws is not None:
         free = np.flatnonzero(np.ptp(draws, axis=0) > LEAST_SPREAD * (1.0 + np.abs(theta)))

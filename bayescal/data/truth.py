@@ -43,6 +43,11 @@ def format_true_poses(comments: Sequence[str], coordinates: Sequence[str], names
     return format_table(comments, ("pose", *coordinates), rows)
 
 
+def list_true_symbols(path: Path) -> set[str]:
+    """Return the symbols of the parameters of a file."""
+    return {name.partition("[")[0] for name in read_table(path, PARAMETER_COLUMNS).text("parameter")}
+
+
 def read_true_parameters(path: Path, layout: ParameterLayout) -> Array:
     """Return the parameters (D,) of a file, each once, in any order.
 

@@ -78,6 +78,8 @@ class Mechanism:
     home_position: tuple[float, float, float] | None = None
     # without a home position, whether the platform stands below the lower joints at home and not above them
     platform_below: bool = False
+    # (N,): true travel of each actuator from its initial position over what it reads; None where nothing is said of it
+    actuator_gains: Array | None = None
 
     def __post_init__(self) -> None:
         """Check the number of legs and that the actuators' directions are unit vectors."""
@@ -107,6 +109,13 @@ class Mechanism:
         """Return blocks of parameters laid out for this machine."""
         chart = self.chart if self.drive == "base" else None
         return ParameterLayout(tuple(blocks), chart, HomeStart(self.home_position, self.platform_below))
+
+    def place_actuators(self, readings: Array) -> Array:
+        """Return where actuators of the nominal machine stand that read (..., N), mm."""
+        if self.actuator_gains is None:
+            return readings
+        start = self.initial_actuator_positions
+        return np.asarray(start + self.actuator_gains * (readings - start))
 
     @property
     def home_joints(self) -> Array:

@@ -66,6 +66,7 @@ def load_mechanism(path: Path) -> Mechanism:
             drive=config.legs.drive,
             home_position=home.position,
             platform_below=home.below,
+            actuator_gains=legs.get("legs.actuator_gain"),
         )
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
@@ -81,6 +82,8 @@ def _legs(config: MechanismConfig, base: Array, home: HomeStart, path: Path) -> 
         "legs.direction": _directions(config, path),
         "legs.initial_actuator_position_mm": np.atleast_1d(np.array(config.legs.initial_actuator_position_mm)),
     }
+    if config.legs.actuator_gain is not None:
+        columns["legs.actuator_gain"] = np.atleast_1d(np.array(config.legs.actuator_gain, dtype=np.float64))
     if config.flexures is not None:
         columns["flexures.length_mm"] = np.atleast_1d(np.array(config.flexures.length_mm))
         columns["flexures.beta"] = np.atleast_1d(np.array(config.flexures.beta))

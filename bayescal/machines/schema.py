@@ -64,6 +64,8 @@ class LegsConfig(Section):
     """What the actuators read at home."""
     actuator_range_mm: Positive
     """How far an actuator may move from its initial position, to either side."""
+    actuator_gain: PositivePerLeg | None = None
+    """True travel of an actuator over what it reads, both from its initial position; 1 where nothing is said [1]."""
 
     @model_validator(mode="after")
     def _check_drive(self) -> Self:

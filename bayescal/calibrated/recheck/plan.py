@@ -89,14 +89,15 @@ def list_candidates(calibrated: CalibratedMachine, share: float) -> tuple[Array,
     Of a machine on six legs those of its actuators. Redundant legs cannot be combined at will: theirs hold random poses
     about home. Any other machine's hold such poses of its workspace, and random ones where these are few.
     """
-    if not isinstance(calibrated.model, Legs):
+    legs = legs_of(calibrated.model)
+    if legs is None:
         return _cover_workspace(calibrated, share)
-    mechanism = calibrated.legs.mechanism
+    mechanism = legs.machine.mechanism
     reach = share * mechanism.actuator_range
     if mechanism.n_legs == DEGREES_OF_FREEDOM:
         moves = reach * np.array(list(product(LEVELS, repeat=mechanism.n_legs)))
-        return _keep_reached(calibrated, mechanism.initial_actuator_positions + moves), {}
-    return _place_near_home(calibrated, reach), {}
+        return _keep_reached(legs, calibrated.theta, mechanism.initial_actuator_positions + moves), {}
+    return _place_near_home(legs, calibrated.theta, reach), {}
 
 
 def _cover_workspace(calibrated: CalibratedMachine, share: float) -> tuple[Array, Given]:
@@ -116,26 +117,26 @@ def _cover_workspace(calibrated: CalibratedMachine, share: float) -> tuple[Array
     return commands[within & found], {name: value[within & found] for name, value in given.items()}
 
 
-def _place_near_home(calibrated: CalibratedMachine, reach: float) -> Array:
+def _place_near_home(legs: Legs, theta: Array, reach: float) -> Array:
     """Return the actuator positions (C, N) of random poses at which the one that moves most moves by about a reach."""
-    machine, theta = calibrated.legs, calibrated.theta
-    mechanism = machine.mechanism
+    machine = legs.machine
+    mechanism, own = machine.mechanism, theta[: machine.layout.size]
     start = mechanism.initial_actuator_positions
-    home = solve_forward_kinematics(machine, theta, start)
-    here = machine.linearise(theta, home.position, home.rotation, start)
+    home = solve_forward_kinematics(machine, own, start)
+    here = machine.linearise(own, home.position, home.rotation, start)
     size = np.array([1.0] * 3 + [1.0 / np.linalg.norm(mechanism.platform_points, axis=1).max()] * 3)
     moves = np.random.default_rng(0).uniform(-1.0, 1.0, (RANDOM, DEGREES_OF_FREEDOM)) * size
     needed = np.abs(moves @ np.linalg.solve(here.actuators, here.pose).T).max(axis=1, keepdims=True)
     moves *= reach / needed
     rotation = matrix_from_rotation_vector(moves[:, 3:]) @ home.rotation
-    found = solve_inverse_kinematics(machine, theta, home.position + moves[:, :3], rotation, check=False)
-    within = np.abs(found.actuators - start).max(axis=1) <= mechanism.actuator_range
-    return _keep_reached(calibrated, found.actuators[found.converged & within])
+    found = solve_inverse_kinematics(machine, own, home.position + moves[:, :3], rotation, check=False)
+    read = legs.read_actuators(theta, found.actuators)
+    within = np.abs(read - start).max(axis=1) <= mechanism.actuator_range
+    return _keep_reached(legs, theta, read[found.converged & within])
 
 
-def _keep_reached(calibrated: CalibratedMachine, actuators: Array) -> Array:
-    found = solve_forward_kinematics(calibrated.legs, calibrated.theta, actuators, check=False)
-    return actuators[found.converged]
+def _keep_reached(legs: Legs, theta: Array, actuators: Array) -> Array:
+    return actuators[legs.solve(theta, actuators).converged]
 
 
 def plan_recheck(

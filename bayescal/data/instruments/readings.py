@@ -232,7 +232,8 @@ ANGLES = {180.0 / np.pi: "radians", np.pi / 180.0: "sixtieths of degrees"}
 
 def check_units(machine: Machine, instrument: Tracked, path: Path) -> None:
     """Raise InputError where another unit explains readings that the nominal machine does not."""
-    found = solve_forward_kinematics(machine, machine.layout.nominal, instrument.actuators, check=False)
+    standing = machine.mechanism.place_actuators(instrument.actuators)
+    found = solve_forward_kinematics(machine, machine.layout.nominal, standing, check=False)
     if isinstance(instrument, TrackedPoses):
         turn = rotation_vector_from_matrix(found.rotation)
         _compare(instrument.values[:, :3], found.position, LENGTHS, "positions", "mm", path)
@@ -260,7 +261,8 @@ def _compare(found: Array, expected: Array, units: dict[float, str], what: str, 
 
 def check_places(machine: Machine, readings: TrackedPoints, places: Array, path: Path) -> None:
     """Raise InputError where points lie nowhere near where the nominal machine and stations (S, 3) have them."""
-    found = solve_forward_kinematics(machine, machine.layout.nominal, readings.actuators, check=False)
+    standing = machine.mechanism.place_actuators(readings.actuators)
+    found = solve_forward_kinematics(machine, machine.layout.nominal, standing, check=False)
     points = found.position[:, None] + np.einsum("pij,qj->pqi", found.rotation, readings.probe)
     for s, name in enumerate(readings.stations):
         seen = readings.seen[:, s]

@@ -132,10 +132,17 @@ def _place_legs(config: NextConfig, folder: Path, measured: MeasuredReadings, le
             f"workspace: found {', '.join(section)} of a machine on legs, expected position_mm and rotation_deg"
         )
     priors = {name: one for name, one in posterior.priors.items() if name in legs.machine.layout.names}
-    design, volume = Design(legs.machine, priors, posterior.fixed), read_workspace(section)
-    workspace = candidates = read_candidates(config, folder, design, volume).placed.actuators
+    mechanism, nominal = legs.machine.mechanism, legs.layout.nominal
+    fixed = {name: one for name, one in posterior.fixed.items() if name in legs.machine.layout.names}
+    machine = replace(legs.machine, mechanism=replace(mechanism, actuator_gains=None))  # by true travel
+    design, volume = Design(machine, priors, fixed), read_workspace(section)
+    candidates = read_candidates(config, folder, design, volume).placed.actuators
+    if mechanism.n_legs != DEGREES_OF_FREEDOM or config.candidates.half is not None:  # by where the platform stands
+        candidates = legs.read_actuators(nominal, candidates)
+    workspace = candidates
     if volume is not None:
-        workspace = find_workspace_actuators(design.machine, design.theta, volume, volume.n_poses, config.seed)
+        standing = find_workspace_actuators(machine, design.theta, volume, volume.n_poses, config.seed)
+        workspace = legs.read_actuators(nominal, standing)
     return Poses(workspace, {}, commanded=True), Poses(candidates, {}, commanded=True)
 
 

@@ -232,6 +232,8 @@ def find_motions(measured: MeasuredReadings, theta: Array, moves: Array) -> tupl
     model, data = measured.posterior.likelihood.model, measured.posterior.likelihood.data
     if isinstance(model, Legs):
         machine, actuators = model.machine, model.machine.mechanism.initial_actuator_positions
+        n_own = machine.layout.size  # all others, gains among them, do nothing at home
+        theta, moves = theta[:n_own], moves[:, :n_own]
         home = solve_forward_kinematics(machine, theta, actuators)
         slope = machine.linearise(theta, home.position, home.rotation, actuators).parameters
         length = np.diagonal(slope[:, machine.layout.index["l"]])

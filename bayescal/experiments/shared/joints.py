@@ -25,7 +25,7 @@ def tabulate_joints(mechanism: Mechanism, actuators: Array, names: Sequence[str]
     Parameters
     ----------
     actuators : ndarray, shape (P, N)
-        Actuator positions ρ of the poses, mm.
+        What the actuators read at the poses, mm.
     names : sequence of str
         Of the poses.
 
@@ -37,7 +37,7 @@ def tabulate_joints(mechanism: Mechanism, actuators: Array, names: Sequence[str]
         beyond the first sixty.
     """
     start, names = mechanism.initial_actuator_positions, [HOME, *map(str, names[:MOST_POSES])]
-    actuators = np.vstack([start, actuators[:MOST_POSES]])
+    actuators = mechanism.place_actuators(np.vstack([start, actuators[:MOST_POSES]]))
     model = next(one for one in ("six_pus", "six_ups") if MODELS[one].drive == mechanism.drive)
     machine = build_machine(MODELS[model], mechanism, NoDeformation())  # on perfect joints, whatever is identified
     found = solve_forward_kinematics(machine, machine.layout.nominal, actuators, check=False)

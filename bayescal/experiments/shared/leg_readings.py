@@ -74,7 +74,9 @@ def find_recheck_slip(calibrated: CalibratedMachine, poses: MeasuredPoses) -> Fo
     a leg that moved: by so much each may be off in all rows. The calibrated machine has its posterior's covariance, and
     poses are whole, in the base frame.
     """
-    names, theta, sd = calibrated.legs.layout.names, calibrated.theta, calibrated.sd
+    legs = legs_of(calibrated.model)
+    assert legs is not None
+    names, theta, sd = legs.layout.names, calibrated.theta, calibrated.sd
     known = list(zip(names, theta.tolist(), sd.tolist(), strict=True))
     priors: dict[str, Prior] = {name: NormalPrior(value, size) for name, value, size in known if size > 0.0}
     fixed = {name: value for name, value, size in known if not size > 0.0}
@@ -82,5 +84,5 @@ def find_recheck_slip(calibrated: CalibratedMachine, poses: MeasuredPoses) -> Fo
     noise = np.sqrt(np.diagonal(errors.noise) + errors.model_variance)
     n = len(noise)
     moved = np.broadcast_to(MOVED * np.eye(n + DEGREES_OF_FREEDOM, n), (poses.n_poses, n + DEGREES_OF_FREEDOM, n))
-    readings = place_legs(Legs(calibrated.legs), poses, noise, priors, Errors((SharedErrors(moved),)), fixed)
+    readings = place_legs(legs, poses, noise, priors, Errors((SharedErrors(moved),)), fixed)
     return find_slip([readings], (CHANNEL, FRAME))

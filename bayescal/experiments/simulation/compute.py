@@ -178,13 +178,18 @@ def read_model(config: SimulationConfig, folder: Path) -> ReadingModel:
 
     InputError for faults of the files, for a mechanism without a model, and for a model or matrix of another machine.
     """
-    path, matrix = folder / config.machine, None if config.truth is None else config.truth.deformation_matrix
+    path, truth = folder / config.machine, config.truth
+    matrix, named = None if truth is None else truth.deformation_matrix, set(config.parameters)
+    if truth is not None:
+        named |= {*(truth.offsets or {})}
+        named |= set() if truth.parameters is None else list_true_symbols(folder / truth.parameters)
     if "kind" not in read_toml(path)[0]:
-        return place(_read_mechanism(config, folder, matrix), read_instruments(config.instruments, folder))
+        legs = _read_mechanism(config, folder, matrix).with_optional(named)
+        return place(legs, read_instruments(config.instruments, folder))
     for field, found in (("model", config.model), ("truth.deformation_matrix", matrix)):
         if found is not None:
             raise InputError(f"{field}: found {found!r} beside a machine whose file says its kind, expected none")
-    return place(read_reading_model(path), read_instruments(config.instruments, folder))
+    return place(read_reading_model(path).with_optional(named), read_instruments(config.instruments, folder))
 
 
 def _read_mechanism(config: SimulationConfig, folder: Path, matrix: str | None) -> Legs:
@@ -219,13 +224,18 @@ def read_truth(config: SimulationConfig, layout: ParameterLayout, folder: Path) 
 class Twin:
     """The machine behind simulated data, and where it is measured."""
 
-    machine: Machine  # mechanism, model and matrix deformation
+    legs: Legs  # mechanism, model and matrix deformation
     theta: Array  # (D,), true parameters of the machine
     config: SimulationConfig
     folder: Path  # where the config's file names start
     calibration: Array  # (P, N), displacements of the actuators from their initial positions, mm
     verification: Array
     frames: Array | None  # (S + 1, 6), true ones of stations and probe, mm and rad; None for photogrammetry
+
+    @property
+    def machine(self) -> Machine:
+        """Mechanism, model and matrix deformation."""
+        return self.legs.machine
 
     @property
     def mechanism(self) -> Mechanism:
@@ -235,7 +245,7 @@ class Twin:
     @property
     def layout(self) -> ParameterLayout:
         """All true parameters', those of the instrument's frames among them."""
-        own = self.machine.layout
+        own = self.legs.layout
         return own if self.frames is None else own.extend(frame_blocks(len(self.frames) - 1))
 
     @property
@@ -289,6 +299,7 @@ def build_twin(config: SimulationConfig, folder: Path) -> Twin:
             f"machine: found {config.machine!r}, which has no legs, expected a mechanism, whose platform "
             "[targets] and [instrument] see; any machine has [sensors] and [instruments]"
         )
+    legs = Legs(model.machine, has_gains=model.has_gains)  # without inclinometers
     machine, poses, targets = model.machine, config.poses, config.targets
     assert poses is not None
     check_home_pose(machine)
@@ -299,10 +310,10 @@ def build_twin(config: SimulationConfig, folder: Path) -> Twin:
         )
     tables = (poses.calibration, poses.verification)
     calibration, verification = (read_moves(folder / name, poses.unit_mm, model.n_legs) for name in tables)
-    theta = read_truth(config, machine.layout, folder)
+    theta = read_truth(config, legs.layout, folder)
     assert theta is not None
     frames = None if config.instrument is None else _read_frames(config.instrument, folder)
-    return Twin(machine, theta, config, folder, calibration, verification, frames)
+    return Twin(legs, theta, config, folder, calibration, verification, frames)
 
 
 def _read_frames(config: PlatformInstrumentConfig, folder: Path) -> Array:
@@ -354,12 +365,12 @@ def survey_twin(twin: Twin, rng: np.random.Generator, theta: Array | None = None
 
 
 def move(twin: Twin, rng: np.random.Generator, theta: Array) -> tuple[Array, Array, ForwardKinematics]:
-    """Return commanded and actual actuator positions (P, N), mm, and the poses of a machine θ (D,) there."""
+    """Return what actuators are commanded to read and where they stand, (P, N), mm, and the poses of a machine θ (D,)."""
     assert twin.config.noise is not None
     displacement = np.concatenate([twin.calibration, twin.verification])
     commanded = twin.mechanism.initial_actuator_positions + displacement
-    actual = commanded + rng.normal(0.0, twin.config.noise.actuator_um * MICROMETRE, commanded.shape)
-    found = solve_forward_kinematics(twin.machine, theta, actual, check=False)
+    read = commanded + rng.normal(0.0, twin.config.noise.actuator_um * MICROMETRE, commanded.shape)
+    found = twin.legs.solve(theta, read)
     for k in np.flatnonzero(~found.converged)[:1]:
         poses, n_calibration = twin.config.poses, len(twin.calibration)
         assert poses is not None
@@ -370,7 +381,7 @@ def move(twin: Twin, rng: np.random.Generator, theta: Array) -> tuple[Array, Arr
             "expected ones that the machine can take: smaller ones, in the unit of unit_mm, columns in the order of "
             "the machine's legs"
         )
-    return commanded, actual, found
+    return commanded, twin.legs.place_actuators(theta, read), found
 
 
 def stack_poses(found: ForwardKinematics) -> Array:
@@ -417,7 +428,7 @@ def format_truth(twin: Twin, poses: Array) -> dict[str, str]:
     about_parameters = "True parameters of the machine that the survey is of."
     about_poses = "True poses of the platform frame in the base frame at the survey: position, rotation vector."
     return {
-        PARAMETERS_FILE: format_true_parameters([origin, about_parameters], twin.machine.layout, twin.theta),
+        PARAMETERS_FILE: format_true_parameters([origin, about_parameters], twin.legs.layout, twin.theta),
         POSES_FILE: format_true_poses([origin, about_poses], POSE_COORDINATES, twin.names, poses),
     }
 

@@ -163,12 +163,13 @@ def calibrate_machine(
     path = Path(os.path.normpath(folder / (chosen.machine or config.machine)))
     covariance = None
     if chosen.model is None:
-        model = read_kept(path, results.hashes)
+        model = read_kept(path, results.hashes).with_optional(config.parameters)
     elif experiment is not None and not config.by_tables:
         inputs = StudyInputs.load(config, folder)
         whole, pads = legs_of(inputs.variants[chosen.name].whole), None if inputs.seen is None else inputs.seen.pads
         assert whole is not None
-        model, covariance = Legs(whole.machine), None if pads is None else pads.matrix.by_row
+        model = Legs(whole.machine, has_gains=whole.has_gains)
+        covariance = None if pads is None else pads.matrix.by_row
     else:
         for what, name in zip(("MODELS", "DEFORMATIONS"), chosen.seen, strict=True):
             if name not in list_references(what):
@@ -193,11 +194,12 @@ def calibrate_machine(
     functions = _read_functions(results, chosen.name, solution)
     units = {name: unit for name, unit in results.summary.get("column_units", {}).items() if name in model.names}
     if isinstance(model, Legs):  # a mechanism on legs is one whatever calibrated it
-        machine, size = model.machine, model.machine.layout.size
-        covariance = covariance if machine.deformation.uses_matrix else None
-        by_legs = LegErrors(errors.noise, errors.model_variance, machine, theta[:size], covariance)
+        own = Legs(model.machine, has_gains=model.has_gains)  # without inclinometers, whose zeros come last
+        size = own.layout.size
+        covariance = covariance if own.machine.deformation.uses_matrix else None
+        by_legs = LegErrors(errors.noise, errors.model_variance, own, theta[:size], covariance)
         some = None if draws is None else draws[:, :size]
-        legs = build_calibrated(Legs(machine), theta[:size], some, by_legs, source, commands)
+        legs = build_calibrated(own, theta[:size], some, by_legs, source, commands)
         aligned = config.accuracy_frame == "aligned"
         legs = replace(legs, functions=_change(functions, legs), units=units, aligned=aligned)
         return replace(legs, noise=noise[model.select(legs.model.names)]) if np.isfinite(noise).any() else legs

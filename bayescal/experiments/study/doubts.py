@@ -31,7 +31,8 @@ def doubt_zero(inputs: ReadingInputs) -> list[str]:
         return []
     machine, read = legs.machine, first.data.values[:, [names.index(one) for one in wanted]]
     read = read[np.isfinite(read).all(axis=1)]
-    shift = find_shift(machine, read[:, -3:], read[:, :-3]) if len(read) else None
+    standing = machine.mechanism.place_actuators(read[:, :-3])
+    shift = find_shift(machine, read[:, -3:], standing) if len(read) else None
     if shift is None:
         return []
     mean, scatter = shift

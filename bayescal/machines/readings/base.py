@@ -379,6 +379,14 @@ class ReadingModel(ABC):
         read, limits = values[..., self.select(self.commanded)], self.command_range
         return np.asarray((read < limits[:, 0] - SLACK) | (read > limits[:, 1] + SLACK))
 
+    def with_optional(self, names: Iterable[str]) -> ReadingModel:
+        """Return the same machine with those of its optional parameters that are named; it has none by default.
+
+        Parameters that few ask for are in no layout but of those who name them, in a config for instance.
+        """
+        del names
+        return self
+
     def near(self, values: Array) -> ReadingModel:
         """Return the same machine that looks for its readings near measured ones (P, K) of P poses; by default itself.
 

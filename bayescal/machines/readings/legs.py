@@ -3,7 +3,10 @@
 The pose v is position and rotation vector of the platform frame in the base frame. What a machine reads there:
 
 - ``rho[i]``: the position of actuator i, by inverse kinematics. With the closure f(pose, ρ; d) = 0 the derivatives are
-  ∂ρ/∂v = -(∂f/∂ρ)⁻¹ ∂f/∂v and ∂ρ/∂d = -(∂f/∂ρ)⁻¹ ∂f/∂d, those of a hexapod's struts being its Jacobian's.
+  ∂ρ/∂v = -(∂f/∂ρ)⁻¹ ∂f/∂v and ∂ρ/∂d = -(∂f/∂ρ)⁻¹ ∂f/∂d, those of a hexapod's struts being its Jacobian's. With a
+  ``gain`` γ of each actuator among the parameters (a lead error of its screw, a scale of its encoder) it reads
+  s = ρ_0 + (ρ - ρ_0) / γ, ρ_0 its nominal initial position: there it changes nothing, so that l and ρ^0 hardly imitate
+  it. It changes what is read and nothing of the closure: joints are deflected by the true travel.
 - ``tilt_a[i]``, ``tilt_b[i]``: how far leg i is inclined at its base joint, about two axes fixed there: angles of its
   vector g from the nominal one at home, in the planes of e0 with e1 and with e2,
 
@@ -16,7 +19,7 @@ The pose v is position and rotation vector of the platform frame in the base fra
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -24,6 +27,7 @@ import numpy as np
 
 from bayescal.machines.coordinates import ClosingCoordinates, Coordinates
 from bayescal.machines.kinematics import (
+    ForwardKinematics,
     Machine,
     check_home_pose,
     compute_home_legs,
@@ -55,6 +59,7 @@ from bayescal.numerics.geometry import (
 )
 
 TILTS = ("tilt_a", "tilt_b")
+GAIN = "gain"
 TURN = 0.5 * np.pi  # rad, the largest half width of a workspace about an axis
 UPRIGHT = 1.0 - 1e-9  # of a leg's direction along z, beyond which x is taken for horizontal
 
@@ -76,6 +81,8 @@ class Legs(ReadingModel):
     name: str = ""  # that of the mechanism where it is left out
     # whether it could have inclinometers, whose zeros are parameters then: K = 3 N + 6 sensors in place of N + 6
     inclined: bool = False
+    # whether gains of the actuators are parameters; always where the mechanism states them
+    has_gains: bool = False
     known: Array | None = None  # (P, N): where encoders were read at poses asked of it; see `ReadingModel.near`
 
     actuated = ("rho",)  # the encoders
@@ -85,6 +92,12 @@ class Legs(ReadingModel):
         """Take over the mechanism's name."""
         super().__post_init__()
         object.__setattr__(self, "name", self.name or self.machine.mechanism.name)
+        object.__setattr__(self, "has_gains", self.has_gains or self.machine.mechanism.actuator_gains is not None)
+
+    def with_optional(self, names: Iterable[str]) -> Legs:
+        """Return the same with gains of its actuators where they are named; see `ReadingModel.with_optional`."""
+        own = self.has_gains or GAIN in self.machine.layout.symbols  # a custom model may have such a parameter
+        return self if own or GAIN not in names else replace(self, has_gains=True)
 
     @property
     def n_legs(self) -> int:
@@ -93,11 +106,13 @@ class Legs(ReadingModel):
 
     @cached_property
     def layout(self) -> ParameterLayout:
-        """The machine's parameters, then the zeros of inclinometers; nominally they read zero at home."""
-        kinds = TILTS if self.inclined else ()
-        return self.machine.layout.extend(
-            tuple(ParameterBlock(f"{kind}0", (0.0,) * self.n_legs, "rad") for kind in kinds)
-        )
+        """The machine's parameters, gains, then the zeros of inclinometers; nominally they read zero at home."""
+        blocks = [ParameterBlock(f"{kind}0", (0.0,) * self.n_legs, "rad") for kind in (TILTS if self.inclined else ())]
+        if self.has_gains:
+            gains = self.machine.mechanism.actuator_gains
+            nominal = (1.0,) * self.n_legs if gains is None else tuple(gains.tolist())
+            blocks.insert(0, ParameterBlock(GAIN, nominal, "1", lower=0.0))
+        return self.machine.layout.extend(tuple(blocks))
 
     @cached_property
     def sensors(self) -> tuple[Channel, ...]:
@@ -144,6 +159,8 @@ class Legs(ReadingModel):
             self.machine.layout.nominal, home[:3], rotation, mechanism.initial_actuator_positions
         )
         by_actuators = np.abs(np.linalg.pinv(here.pose) @ here.actuators)
+        if mechanism.actuator_gains is not None:
+            by_actuators = by_actuators * mechanism.actuator_gains
         reach = np.minimum(mechanism.actuator_range * by_actuators.sum(axis=-1), [np.inf] * 3 + [TURN] * 3)
         kinds = zip(POSE_CHANNELS, home, reach, strict=True)
         return tuple(Coordinate(one.name, one.unit, float(at), float(half)) for one, at, half in kinds)
@@ -169,12 +186,31 @@ class Legs(ReadingModel):
         """Return the machine's own parameters, without the zeros of inclinometers."""
         return theta[..., : self.machine.layout.size]
 
+    def place_actuators(self, theta: Array, readings: Array) -> Array:
+        """Return where actuators stand that read (..., N), mm, of machines (..., D)."""
+        if not self.has_gains:
+            return readings
+        start = self.machine.mechanism.initial_actuator_positions
+        return np.asarray(start + self.layout.take(theta, GAIN) * (readings - start))
+
+    def read_actuators(self, theta: Array, positions: Array) -> Array:
+        """Return what actuators read that stand at positions (..., N), mm."""
+        if not self.has_gains:
+            return positions
+        start = self.machine.mechanism.initial_actuator_positions
+        return np.asarray(start + (positions - start) / self.layout.take(theta, GAIN))
+
+    def solve(self, theta: Array, readings: Array) -> ForwardKinematics:
+        """Return the platform's poses where actuators read (..., N), mm; it says of which there is none."""
+        standing = self.place_actuators(theta, readings)
+        return solve_forward_kinematics(self.machine, self._own(theta), standing, check=False)
+
     def _hold(self, theta: Array, pose: Array) -> tuple[Array, Array, Array]:
-        """Return position, rotation and the actuators that hold it, NaN where there are none."""
+        """Return position, rotation and where the actuators that hold it stand, NaN where there are none."""
         position, rotation = pose[..., :3], matrix_from_rotation_vector(np.nan_to_num(pose[..., 3:]))
         with np.errstate(all="ignore"):
-            own = self._own(theta)
-            found = solve_inverse_kinematics(self.machine, own, position, rotation, check=False, near=self.known)
+            own, near = self._own(theta), None if self.known is None else self.place_actuators(theta, self.known)
+            found = solve_inverse_kinematics(self.machine, own, position, rotation, check=False, near=near)
         return position, rotation, np.where(found.converged[..., None], found.actuators, np.nan)
 
     def _measure_tilt(self, kind: str, theta: Array, legs: LegVectors) -> tuple[Array, Array]:
@@ -198,7 +234,7 @@ class Legs(ReadingModel):
             basis = self.machine.basis(actuators)
             legs = compute_leg_vectors(self.machine.layout, self._own(theta), position, rotation, basis)
             tilts = [self._measure_tilt(kind, theta, legs) for kind in self._tilts]
-        return self.take(self._join(pose, actuators, tilts))
+        return self.take(self._join(pose, self.read_actuators(theta, actuators), tilts))
 
     def linearise(self, theta: Array, pose: Array, with_parameters: bool = True, given: Given = NOTHING) -> Readings:
         """Return the readings with their derivatives; see `ReadingModel.linearise`."""
@@ -210,7 +246,8 @@ class Legs(ReadingModel):
             closure = machine.model.prepare(machine.layout, own)(position, rotation, basis, with_parameters)
             legs = compute_leg_vectors(machine.layout, own, position, rotation, basis) if self._tilts else None
         tilts = [] if legs is None else [self._measure_tilt(kind, theta, legs) for kind in self._tilts]
-        values = self._join(pose, actuators, tilts)
+        read = self.read_actuators(theta, actuators)
+        values = self._join(pose, read, tilts)
         # by the pose's error in the base frame, then by its coordinates
         by_pose = np.zeros((*values.shape, len(POSE)))
         by_pose[..., :n, :] = -divide_closure(closure.actuators, closure.pose)
@@ -225,6 +262,13 @@ class Legs(ReadingModel):
                 by_parameters[..., rows, :] = back.actuators @ by_parameters[..., :n, :]
                 by_parameters[..., rows, : machine.layout.size] += scatter(machine.layout, back.columns)
                 by_parameters[..., rows, self.layout.index[f"{kind}0"]] -= np.eye(n)
+        if self.has_gains:
+            gain = self.layout.take(theta, GAIN)
+            by_pose[..., :n, :] /= gain[..., None]
+            if with_parameters:
+                by_parameters[..., :n, :] /= gain[..., None]
+                apart = (read - machine.mechanism.initial_actuator_positions) / gain
+                by_parameters[..., :n, self.layout.index[GAIN]] = -np.eye(n) * apart[..., None]
         own_rows = by_pose[..., : -len(POSE), 3:]
         own_rows[...] = own_rows @ compute_left_jacobian(np.nan_to_num(pose[..., 3:]))
         by_pose[..., -len(POSE) :, :] = np.eye(len(POSE))
@@ -251,6 +295,9 @@ class Legs(ReadingModel):
         gain = np.zeros((*actuators.shape[:-1], len(self.computed), len(self.computed)))
         gain[...] = np.eye(len(self.computed))
         gain[..., :n, :n] = divide_closure(whole, lone)
+        if self.has_gains:
+            scale = self.layout.take(theta, GAIN)
+            gain[..., :n, :n] *= scale[..., None, :] / scale[..., :, None]
         return np.swapaxes(self.take(np.swapaxes(self.take(gain), -1, -2)), -1, -2)
 
     def rotation(self, pose: Array) -> Array:
@@ -290,7 +337,7 @@ class Legs(ReadingModel):
         places = np.flatnonzero([one.kind == "rho" for one in self.channels])
         if self._tilts or len(places) < self.n_legs or not np.isfinite(values[:, places]).all():
             return None
-        machine, own, actuators = self.machine, self._own(theta), values[:, places]
+        machine, own, actuators = self.machine, self._own(theta), self.place_actuators(theta, values[:, places])
         position, rotation = pose[:, :3], matrix_from_rotation_vector(pose[:, 3:])
         closure = machine.model.bind(machine.layout, position, rotation, machine.basis(actuators))
         at_own = machine.basis_at(own, actuators)
@@ -300,7 +347,10 @@ class Legs(ReadingModel):
         more = here.pose - closure.along(unit).transpose(1, 0, 2)
         inverse = divide_closure(here.actuators, np.broadcast_to(np.eye(actuators.shape[1]), here.actuators.shape))
         turns = compute_left_jacobian(pose[:, 3:])
-        return BoundLegs(places, len(own), machine, (position, rotation), actuators, closure, inverse, more, turns)
+        gains = self.layout.index[GAIN] if self.has_gains else None
+        here_gain = None if gains is None else theta[gains]
+        place = (position, rotation)
+        return BoundLegs(places, len(own), machine, place, actuators, closure, inverse, more, turns, gains, here_gain)
 
     def straighten(self, known: Coordinates, hidden: bool) -> Coordinates:
         """Return coordinates that follow directions and joints; see `bayescal.machines.coordinates`.
@@ -329,7 +379,7 @@ class Legs(ReadingModel):
         """
         if len(self.commanded) < self.n_legs:
             return super().locate(theta, commands, given, start, weights)
-        found = solve_forward_kinematics(self.machine, self._own(theta), commands, check=False)
+        found = self.solve(theta, commands)
         good = found.converged
         turned = np.full((*good.shape, 3), np.nan)
         turned[good] = rotation_vector_from_matrix(found.rotation[good])
@@ -346,14 +396,20 @@ class Legs(ReadingModel):
             return super().respond(theta, mean, pose, commands, given)
         machine = self.machine
         position, rotation = pose[:, :3], matrix_from_rotation_vector(np.nan_to_num(pose[:, 3:]))
+        standing = self.place_actuators(mean, commands)
         with np.errstate(all="ignore"):  # poses that were not found
-            basis = machine.basis(commands)
+            basis = machine.basis(standing)
             closure = machine.model.bind(machine.layout, position, rotation, basis)
             residual = closure.evaluate(np.asfortranarray(self._own(theta))).transpose(1, 0, 2)
             own = self._own(mean)
-            at_mean = machine.basis_at(own, commands)
+            at_mean = machine.basis_at(own, standing)
             here = machine.model.prepare(machine.layout, own)(position, rotation, at_mean, False)
-            return -divide_closure(here.actuators, residual)
+            moved = -divide_closure(here.actuators, residual)
+        if not self.has_gains:
+            return moved
+        start = machine.mechanism.initial_actuator_positions
+        travel = (standing - start)[..., None] + moved
+        return np.asarray(travel / self.layout.take(theta, GAIN).T - (commands - start)[..., None])
 
 
 def legs_of(model: ReadingModel) -> Legs | None:
@@ -375,11 +431,17 @@ class BoundLegs(Bound):
     inverse: Array  # (P, N, N): (∂f/∂ρ)⁻¹
     more: Array  # (P, N, 6): what the closure leaves out of ∂f/∂pose
     turns: Array  # (P, 3, 3): from a change of a rotation vector to a rotation in the base frame
+    gains: np.ndarray | None  # (N,): where the actuators' gains stand among the parameters; None without
+    here_gain: Array | None  # (N,): those of the machine whose slope it has
 
     def read(self, theta: Array) -> Array:
-        """Return ρ - (∂f/∂ρ)⁻¹ f at the measured ρ; see `Bound.read`."""
+        """Return ρ - (∂f/∂ρ)⁻¹ f at the measured ρ, through the gains; see `Bound.read`."""
         residual = self.closure.evaluate(np.asfortranarray(theta[:, : self.n_own]))
-        return np.asarray((self.actuators[..., None] - self.inverse @ residual.transpose(1, 0, 2)).transpose(1, 0, 2))
+        standing = self.actuators[..., None] - self.inverse @ residual.transpose(1, 0, 2)
+        if self.gains is not None:
+            start = self.machine.mechanism.initial_actuator_positions[:, None]
+            standing = start + (standing - start) / theta[:, self.gains].T
+        return np.asarray(standing.transpose(1, 0, 2))
 
     def differentiate(self, theta: Array) -> tuple[Array, Array]:
         """Return those of the closure at the measured ρ; see `Bound.differentiate`."""
@@ -389,6 +451,11 @@ class BoundLegs(Bound):
         by_pose[..., 3:] = by_pose[..., 3:] @ self.turns
         by_parameters = np.zeros((*by_pose.shape[:2], len(theta)))
         by_parameters[..., : self.n_own] = -divide_closure(here.actuators, here.parameters)
+        if self.gains is not None:
+            gain = theta[self.gains]
+            read = self.read(theta[None])[..., 0].T - machine.mechanism.initial_actuator_positions
+            by_pose, by_parameters = by_pose / gain[:, None], by_parameters / gain[:, None]
+            by_parameters[..., self.gains] = -np.eye(len(gain)) * (read / gain)[..., None]
         return by_pose, by_parameters
 
     def follow(self, step: Array) -> Array:
@@ -396,7 +463,9 @@ class BoundLegs(Bound):
         moved = step.copy()
         moved[3:] = (self.turns @ step[3:].transpose(1, 0, 2)).transpose(1, 0, 2)
         change = self.closure.along(moved).transpose(1, 0, 2) + self.more @ moved.transpose(1, 0, 2)
-        return np.asarray(-(self.inverse @ change).transpose(1, 0, 2))
+        read = -(self.inverse @ change)
+        read = read if self.here_gain is None else read / self.here_gain[:, None]
+        return np.asarray(read.transpose(1, 0, 2))
 
 
 def divide_closure(actuators: Array, rows: Array) -> Array:

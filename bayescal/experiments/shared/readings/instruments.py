@@ -40,6 +40,10 @@ class Placed(Protocol):
         """By channel or kind of channels."""
 
     @property
+    def parameters(self) -> Mapping[str, Any]:
+        """By symbol; optional ones of a machine are there where they are named."""
+
+    @property
     def deformation(self) -> DeformationConfig:
         """Nominal deformation of the platform of a machine on legs."""
 
@@ -71,12 +75,13 @@ def read_model(
     if "kind" in read_toml(path)[0]:
         if variant.model is not None:
             raise InputError(f"model: found {variant.model!r}, expected it of a mechanism's file alone, not of {path}")
-        return read_reading_model(path)
+        return read_reading_model(path).with_optional(config.parameters)
     if variant.model is None:
         raise InputError(f"model: missing, expected the kinematic model that the mechanism {path} is seen by")
     seen = ModelConfig(model=variant.model, deformation=variant.deformation)
     inclined = any(name.partition("[")[0] in TILTS for name in config.sensors)
-    return Legs(read_machine(path, seen, config.deformation, folder, matrix), inclined=inclined)
+    machine = read_machine(path, seen, config.deformation, folder, matrix)
+    return Legs(machine, inclined=inclined).with_optional(config.parameters)
 
 
 def _list_seen(config: StudyConfig, folder: Path) -> list[Path]:

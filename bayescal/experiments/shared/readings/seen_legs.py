@@ -51,10 +51,10 @@ class Pads:
         A joint that is known to be deflected by δ more than it is shows in its actuator as (∂f/∂ρ)⁻¹ ∂f/∂δ δ. K was
         measured in the same photographs as the poses for calibration: their errors depend on its own.
         """
-        machine, basis = model.machine, model.machine.basis(poses.actuators)
-        n = model.n_legs
+        machine, mechanism = model.machine, model.machine.mechanism
+        standing, n = mechanism.place_actuators(poses.actuators), model.n_legs
+        basis, displacement = machine.basis(standing), standing - mechanism.initial_actuator_positions
         rest = np.flatnonzero(~np.eye(n, dtype=bool))
-        displacement = poses.actuators - machine.mechanism.initial_actuator_positions
         design = np.einsum("ij,pk->pijk", np.eye(n), displacement).reshape(len(displacement), n, -1)[..., rest]
         root = np.linalg.cholesky(self.matrix.covariance[np.ix_(rest, rest)])
         gain = basis.actuator_gain
@@ -67,7 +67,8 @@ class Pads:
         own, beside = np.zeros(shape), np.zeros(shape)
         names = list(model.names)
         legs, seen = ([names.index(one) for one in names if (one in POSE) == of_pose] for of_pose in (False, True))
-        own[:, legs] = divide_closure(less, (more - less) @ design @ root)
+        moved = divide_closure(less, (more - less) @ design @ root)
+        own[:, legs] = moved if mechanism.actuator_gains is None else moved / mechanism.actuator_gains[:, None]
         on_poses = np.linalg.solve(root, self._with_poses(~verification)[:, rest])
         beside[np.ix_(~verification, seen)] = np.swapaxes(on_poses, -1, -2)
         return KnownErrors(own + beside), KnownErrors(beside, -1.0)
@@ -118,7 +119,8 @@ class SeenLegs:
     @property
     def displacement(self) -> Array:
         """Actuator displacements from the nominal initial positions, shape (P, N), mm."""
-        return self.measured.poses.actuators - self.mechanism.initial_actuator_positions
+        mechanism = self.mechanism
+        return mechanism.place_actuators(self.measured.poses.actuators) - mechanism.initial_actuator_positions
 
     @cached_property
     def pads(self) -> Pads | None:
