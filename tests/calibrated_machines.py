@@ -21,7 +21,7 @@ def build_leg_errors(
 ) -> LegErrors:
     """Return the errors of a machine on legs by σ_ρ in mm and the posterior means of τ_i² in mm², shape (N,)."""
     noise = actuator_noise**2 * np.eye(machine.mechanism.n_legs)
-    return LegErrors(noise, model_variance, machine, theta, matrix_covariance)
+    return LegErrors(noise, model_variance, Legs(machine), theta, matrix_covariance)
 
 
 def draw_machines(machine: Machine, n_draws: int, rng: np.random.Generator, scale: float = 1e-3) -> np.ndarray:

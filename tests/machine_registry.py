@@ -74,6 +74,7 @@ LEVEL = {
 TURNING = {
     "legs": lambda: build_legs("struts"),
     "coupled legs": lambda: build_legs("coupled"),
+    "coupled legs with gains": lambda: build_legs("coupled").with_optional(["gain"]),
     "m2 struts": lambda: read("experiments/m2_hexapod_table/machine.toml"),
     "sliding platform": sliding_star,
     "turning arm": lambda: FunctionModel("arm", TurningArm(None)),

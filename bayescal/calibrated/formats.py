@@ -193,7 +193,8 @@ def _add_leg(robot: Xml.Element, calibrated: CalibratedMachine, leg: int, upper:
     """Add a leg's chain from the base to the platform, or to where it belongs."""
     mechanism, name = calibrated.legs.mechanism, f"leg_{leg + 1}"
     lower, strut = mechanism.home_joints[leg], mechanism.drive == "strut"
-    reach = mechanism.actuator_range * (1.0 if mechanism.actuator_gains is None else float(mechanism.actuator_gains[leg]))
+    gain = 1.0 if mechanism.actuator_gains is None else float(mechanism.actuator_gains[leg])
+    reach = gain * mechanism.actuator_range
     along, link, place = _frame_along(upper - lower), "base", (lower, np.eye(3))
     if not strut:
         guide = _frame_along(mechanism.directions[leg])

@@ -203,7 +203,7 @@ class LegErrors(Errors):
     def covariance(self, pose: Array, commands: Array) -> Array:
         """Return σ_ρ² 1 + A⁻¹ diag(A_ii² (τ_i² + v_i)) A⁻ᵀ, where v_i is the variance of Δb_z that K's rest leaves.
 
-        Of actuators with gains γ it is that of what they read: errors of their travel, over γ; σ_ρ and τ are of readings.
+        Of actuators with gains γ it is that of what they read: errors of travel are over γ; σ_ρ and τ are of readings.
         """
         machine, standing = self.legs.machine, self.legs.place_actuators(self.theta, commands)
         with np.errstate(all="ignore"):  # poses that were not found

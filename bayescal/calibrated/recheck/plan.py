@@ -40,7 +40,7 @@ from bayescal.density.calibration.measurements import Measurements
 from bayescal.errors import InputError, name_faults
 from bayescal.files.csv_tables import format_table, read_table
 from bayescal.machines.kinematics import solve_forward_kinematics, solve_inverse_kinematics
-from bayescal.machines.readings import POSE, Given, Legs
+from bayescal.machines.readings import POSE, Given, Legs, legs_of
 from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array, matrix_from_rotation_vector
 from bayescal.numerics.units import ARCSECOND, MICROMETRE
 

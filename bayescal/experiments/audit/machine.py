@@ -20,7 +20,7 @@ from bayescal.experiments.audit.schema import AuditConfig, PosesConfig, VariantC
 from bayescal.experiments.shared.readings.errors import build_terms_of_model, find_own_channels, measure_ranges
 from bayescal.experiments.shared.readings.inputs import Variant
 from bayescal.experiments.shared.readings.noise import noise_of_channels
-from bayescal.experiments.shared.readings.priors import choose_priors
+from bayescal.experiments.shared.readings.priors import check_optional, choose_priors
 from bayescal.experiments.shared.readings.schema import ChannelConfig, FreeConfig
 from bayescal.experiments.shared.readings.workspace import (
     Workspace,
@@ -113,6 +113,7 @@ class PlannedMachine:
         chosen = whole.select(self.spread(list(config.sensors) if section.sensors is None else section.sensors))
         model = whole.pick(chosen)
         priors, fixed, common = choose_priors(config, section, model.layout, self.symbols)
+        check_optional(model, [one for name in priors for one in common.get(name, (name,))])
         shared = section.model_dump(include=set(FreeConfig.model_fields) | {"name", "sensors"})
         shape = (len(planned.names), len(chosen))
         variant = Variant(

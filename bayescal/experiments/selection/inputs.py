@@ -147,6 +147,11 @@ def read_selection(config: SelectionConfig, folder: Path) -> SelectionInputs:
 def read_design(config: SelectionConfig, folder: Path) -> Design:
     """Return the machine as expected, and what measures it."""
     machine = read_machine(folder / config.machine, config.variant, config.deformation, folder)
+    if machine.mechanism.actuator_gains is not None:
+        raise InputError(
+            f"{folder / config.machine}: legs.actuator_gain: found gains, expected none: poses are selected by true "
+            "travel; remove it and divide the displacements that are found by the gains"
+        )
     free, symbols = FreeConfig(free=config.variant.free), known_symbols(machine.mechanism)
     priors, fixed, _ = choose_priors(config, free, machine.layout, symbols)
     sensors = {name: build_sensor(name, section, folder) for name, section in config.sensors.items()}

@@ -17,7 +17,7 @@ from bayescal.density.priors import NormalPrior, Prior
 from bayescal.experiments.shared.slip_rows import Readings
 from bayescal.experiments.shared.slip_search import find_slip
 from bayescal.experiments.shared.slips import CHANNEL, FRAME, FoundSlip
-from bayescal.machines.readings import Legs
+from bayescal.machines.readings import Legs, legs_of
 from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array, rotation_vector_from_matrix
 
 MOVED = 1.0  # mm, by which each leg may have moved since its calibration

@@ -32,6 +32,7 @@ from bayescal.data.truth import (
     POSES_FILE,
     format_true_parameters,
     format_true_poses,
+    list_true_symbols,
     read_true_parameters,
     round_as_written,
 )
@@ -39,7 +40,7 @@ from bayescal.density.priors import NormalPrior, Prior, UniformPrior
 from bayescal.errors import InputError, NumericalError
 from bayescal.experiments.shared.readings.instruments import read_instruments
 from bayescal.experiments.shared.readings.noise import noise_of_channels
-from bayescal.experiments.shared.readings.priors import choose_priors, spread_over_legs
+from bayescal.experiments.shared.readings.priors import check_optional, choose_priors, spread_over_legs
 from bayescal.experiments.shared.readings.reading_tables import USES
 from bayescal.experiments.shared.readings.workspace import (
     Workspace,
@@ -57,7 +58,7 @@ from bayescal.experiments.simulation.schema import (
 )
 from bayescal.files.csv_tables import format_table, read_matrix
 from bayescal.machines.deformations import MatrixDeformation
-from bayescal.machines.kinematics import ForwardKinematics, Machine, check_home_pose, solve_forward_kinematics
+from bayescal.machines.kinematics import ForwardKinematics, Machine, check_home_pose
 from bayescal.machines.mechanism import Mechanism
 from bayescal.machines.parameters import ParameterLayout
 from bayescal.machines.read import build_chosen_machine, choose_model, load_mechanism, points_of, read_reading_model
@@ -168,6 +169,7 @@ def plan_readings(config: SimulationConfig, folder: Path) -> ReadingPlan:
     noise = noise_of_channels(config.sensors, whole)
     chosen = whole.select(config.sensors)
     priors, fixed, common = choose_priors(config, config, whole.layout)
+    check_optional(whole.pick(chosen), [one for name in priors for one in common.get(name, (name,))])
     truth = read_truth(config, whole.layout, folder)
     workspace = build_workspace(whole, config.workspace, config.units)
     return ReadingPlan(config, whole.pick(chosen), noise[chosen], priors, fixed, common, workspace, truth)
@@ -365,7 +367,7 @@ def survey_twin(twin: Twin, rng: np.random.Generator, theta: Array | None = None
 
 
 def move(twin: Twin, rng: np.random.Generator, theta: Array) -> tuple[Array, Array, ForwardKinematics]:
-    """Return what actuators are commanded to read and where they stand, (P, N), mm, and the poses of a machine θ (D,)."""
+    """Return what actuators are to read and where they stand, (P, N), mm, and the poses of a machine θ (D,) there."""
     assert twin.config.noise is not None
     displacement = np.concatenate([twin.calibration, twin.verification])
     commanded = twin.mechanism.initial_actuator_positions + displacement

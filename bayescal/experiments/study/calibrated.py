@@ -194,12 +194,12 @@ def calibrate_machine(
     functions = _read_functions(results, chosen.name, solution)
     units = {name: unit for name, unit in results.summary.get("column_units", {}).items() if name in model.names}
     if isinstance(model, Legs):  # a mechanism on legs is one whatever calibrated it
-        own = Legs(model.machine, has_gains=model.has_gains)  # without inclinometers, whose zeros come last
-        size = own.layout.size
-        covariance = covariance if own.machine.deformation.uses_matrix else None
-        by_legs = LegErrors(errors.noise, errors.model_variance, own, theta[:size], covariance)
+        bare = Legs(model.machine, has_gains=model.has_gains)  # without inclinometers, whose zeros come last
+        size = bare.layout.size
+        covariance = covariance if bare.machine.deformation.uses_matrix else None
+        by_legs = LegErrors(errors.noise, errors.model_variance, bare, theta[:size], covariance)
         some = None if draws is None else draws[:, :size]
-        legs = build_calibrated(own, theta[:size], some, by_legs, source, commands)
+        legs = build_calibrated(bare, theta[:size], some, by_legs, source, commands)
         aligned = config.accuracy_frame == "aligned"
         legs = replace(legs, functions=_change(functions, legs), units=units, aligned=aligned)
         return replace(legs, noise=noise[model.select(legs.model.names)]) if np.isfinite(noise).any() else legs

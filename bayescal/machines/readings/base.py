@@ -413,6 +413,11 @@ class ReadingModel(ABC):
         return None
 
     @property
+    def optional(self) -> Mapping[str, str]:
+        """Symbols of optional parameters that it has, each with the kind of the channels that they are of."""
+        return {}
+
+    @property
     def instrument_symbols(self) -> tuple[str, ...]:
         """Symbols of parameters that are those of instruments beside the machine."""
         return ()

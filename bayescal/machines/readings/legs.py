@@ -19,7 +19,7 @@ The pose v is position and rotation vector of the platform frame in the base fra
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -98,6 +98,11 @@ class Legs(ReadingModel):
         """Return the same with gains of its actuators where they are named; see `ReadingModel.with_optional`."""
         own = self.has_gains or GAIN in self.machine.layout.symbols  # a custom model may have such a parameter
         return self if own or GAIN not in names else replace(self, has_gains=True)
+
+    @property
+    def optional(self) -> Mapping[str, str]:
+        """The gains, which are those of encoders."""
+        return {GAIN: "rho"} if self.has_gains else {}
 
     @property
     def n_legs(self) -> int:

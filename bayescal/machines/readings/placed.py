@@ -390,6 +390,7 @@ class Placed(ReadingModel):
     states_tool = hand_on("whole.states_tool")
     tells_rotation = hand_on("whole.tells_rotation")
     check_given = hand_on("whole.check_given")
+    optional = hand_on("whole.optional")
     straighten = hand_on("whole.straighten")
     rotation = hand_on("whole.rotation")
 

@@ -34,6 +34,7 @@ def build_tracker(points):
 
 
 CASES = {model: lambda model=model: build_legs(model) for model in MODELS}
+CASES |= {f"{model} with gains": lambda model=model: build_legs(model).with_optional(["gain"]) for model in MODELS}
 CASES |= {"tracker of poses": lambda: build_tracker(False), "tracker of points": lambda: build_tracker(True)}
 
 

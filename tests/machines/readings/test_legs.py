@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
 import pytest
 import studies
+import telescope_machines as telescope
 from machine_registry import LEGS, build_legs, sizes_of
 
 from bayescal.errors import InputError
 from bayescal.machines.kinematics import solve_forward_kinematics
+from bayescal.machines.models import MODELS
 from bayescal.machines.read import find_machine_classes, list_machine_sources, read_reading_model
 from bayescal.machines.readings import POSE, Legs
 from bayescal.numerics.geometry import matrix_from_rotation_vector, rotation_vector_from_matrix
@@ -124,6 +127,71 @@ def test_a_leg_that_errs_deflects_no_other(model):
     assert np.abs(shown - np.eye(6)).max() > 1e-3
     some = model.pick(np.array([1, 2, 5, 18]))
     np.testing.assert_array_equal(some.error_gain(theta, pose), gain[..., [1, 2, 5, 18], :][..., [1, 2, 5, 18]])
+
+
+# --- gains of the actuators ------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(params=[*MODELS, "strut"])
+def geared(request) -> Legs:
+    """Return a machine with gains, of every kinematic model, its joints deflected by what all actuators travel."""
+    if request.param == "strut":
+        return build_legs("struts").with_optional(["gain"])
+    return Legs(telescope.build_machine("matrix", model=request.param)).with_optional(["gain"])
+
+
+def gear(legs: Legs) -> np.ndarray:
+    """Return a machine (D,) whose actuators travel by up to a percent more or less than they read."""
+    theta = legs.layout.nominal.copy()
+    theta[legs.layout.index["gain"]] = 1.0 + 0.01 * np.linspace(-1.0, 1.0, legs.n_legs)
+    return theta
+
+
+def test_an_actuator_has_travelled_its_gain_times_what_it_reads(geared):
+    theta, start = gear(geared), geared.machine.mechanism.initial_actuator_positions
+    alone, reach = Legs(geared.machine), geared.machine.mechanism.actuator_range
+    pose = geared.home_pose + np.random.default_rng(1).uniform(-0.2, 0.2, (5, 6)) * [
+        one.reach for one in geared.coordinates
+    ]
+    places = geared.select(geared.commanded)
+    travel = alone.read(alone.layout.nominal, pose)[:, alone.select(alone.commanded)] - start
+    read = geared.read(theta, pose)[:, places] - start
+    np.testing.assert_allclose(theta[geared.layout.index["gain"]] * read, travel, atol=1e-9 * reach)
+    assert np.abs(read - travel).max() > 1e-3 * reach
+    found, good = geared.locate(theta, start + read)
+    assert good.all()
+    np.testing.assert_allclose(found, pose, atol=1e-7)
+
+
+def test_gains_change_nothing_at_home(geared):
+    at_home = geared.read(gear(geared), geared.home_pose)
+    np.testing.assert_allclose(at_home, geared.read(geared.layout.nominal, geared.home_pose), atol=1e-9)
+    slope = geared.linearise(gear(geared), geared.home_pose).by_parameters[:, geared.layout.index["gain"]]
+    np.testing.assert_allclose(slope, 0.0, atol=1e-9)
+
+
+def test_commands_are_answered_as_by_the_machine_itself(geared):
+    """To first order about the mean machine, of machines with other gains."""
+    mean = gear(geared)
+    draws = np.repeat(mean[None], 3, axis=0)
+    draws[:, geared.layout.index["gain"]] += 1e-4 * np.random.default_rng(2).standard_normal((3, geared.n_legs))
+    start, reach = geared.machine.mechanism.initial_actuator_positions, geared.machine.mechanism.actuator_range
+    commands = start + 0.3 * reach * np.random.default_rng(3).uniform(-1, 1, (4, geared.n_legs))
+    pose, _ = geared.locate(mean, commands)
+    places = geared.select(geared.commanded)
+    exact = geared.read(draws[:, None], pose)[..., places].transpose(1, 2, 0) - commands[..., None]
+    assert np.abs(exact).max() > 1e-5 * reach
+    np.testing.assert_allclose(geared.respond(draws, mean, pose, commands), exact, atol=1e-3 * np.abs(exact).max())
+
+
+def test_gains_are_parameters_where_they_are_named(model):
+    bare = replace(model, inclined=False, channels=())
+    assert "gain" not in model.layout.symbols
+    assert model.with_optional(["l", "gian"]) is model
+    named = bare.with_optional({"gain": None})
+    assert named.layout.names[-6:] == tuple(f"gain[{leg}]" for leg in range(1, 7))
+    stated = replace(bare.machine.mechanism, actuator_gains=np.full(6, 1.01))
+    np.testing.assert_array_equal(Legs(replace(bare.machine, mechanism=stated)).layout.nominal[-6:], 1.01)
 
 
 # --- from a file -----------------------------------------------------------------------------------------------------

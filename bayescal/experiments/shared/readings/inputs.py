@@ -29,7 +29,7 @@ from bayescal.experiments.shared.readings.errors import (
 from bayescal.experiments.shared.readings.found_frames import find_frames, settle_unstated
 from bayescal.experiments.shared.readings.instruments import keep_files, read_instruments, read_model
 from bayescal.experiments.shared.readings.noise import build_noise, stated_noise
-from bayescal.experiments.shared.readings.priors import choose_priors, widen
+from bayescal.experiments.shared.readings.priors import check_optional, choose_priors, widen
 from bayescal.experiments.shared.readings.reading_tables import PoseReadings, read_tables
 from bayescal.experiments.shared.readings.seen_legs import SeenLegs, look
 from bayescal.experiments.shared.readings.workspace import Workspace, build_workspace, find_region, find_starts
@@ -227,7 +227,9 @@ def _build(
     _check_noise(data, model)
     check_columns(data, model, {channel: column for channel, column, _ in readings.columns})
     read_requirements(config.requirements, model, config.units)
-    model.check_given(data.poses, data.given, [one for name in priors for one in common.get(name, (name,))])
+    free = [one for name in priors for one in common.get(name, (name,))]
+    check_optional(model, free)
+    model.check_given(data.poses, data.given, free)
     workspace = build_workspace(model, config.workspace, config.units)
     noise = (*build_noise(config, section, whole, chosen), *known)
     unplaced = Variant(

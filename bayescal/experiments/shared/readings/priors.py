@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Protocol
 
 from bayescal.config.load import suggest
@@ -13,6 +13,7 @@ from bayescal.experiments.shared.readings.schema import FreeConfig
 from bayescal.experiments.shared.schema import UnitsConfig
 from bayescal.limits import WIDTH_BOUNDS
 from bayescal.machines.parameters import ParameterBlock, ParameterLayout
+from bayescal.machines.readings import ReadingModel
 from bayescal.numerics.units import Units
 
 type Chosen = tuple[dict[str, Prior], dict[str, float], dict[str, tuple[str, ...]]]
@@ -72,6 +73,18 @@ def choose_priors(
     check_ranges(priors, layout)
     common = _list_common(choice.common, priors, layout)
     return _join(priors, common), fixed, common
+
+
+def check_optional(model: ReadingModel, free: Iterable[str]) -> None:
+    """Raise InputError where optional parameters of channels are free and none of these channels is read."""
+    names = list(free)
+    for symbol, kind in model.optional.items():
+        members = [name for name in model.layout.block(symbol).names if name in names]
+        if members and not {f"{kind}{name.removeprefix(symbol)}" for name in members} & {*model.names}:
+            raise InputError(
+                f"parameters.{symbol}: found {members[0]} free where no actuator is read, "
+                f"expected {kind} among the sensors"
+            )
 
 
 def _choose_free(parameters: Mapping[str, PriorConfig], choice: FreeConfig, layout: ParameterLayout) -> set[str]:
