@@ -33,7 +33,7 @@ HELP = (
     "A joint's position is the length of its strut: joint N = length N + actuator position - initial position,",
     "where an actuator position is what bayescal's tables call rho_(N+1)_mm.",
 )
-GAINED = "The difference of both positions is times the joint's gain."
+GAINED = "Of actuators with gains it is joint N = length N + gain N * (actuator position - initial position)."
 METRE = 1e-3  # m per mm
 ORIGIN = np.zeros(3)
 AXES = {"x": "1 0 0", "y": "0 1 0", "z": "0 0 1"}
