@@ -13,18 +13,18 @@ SOURCE = Source("made_up", "any/none", "Made up for the tests, never measured")
 
 
 def build_leg_errors(
-    machine: Machine,
+    machine: Machine | Legs,
     theta: np.ndarray,
     actuator_noise: float,
     model_variance: np.ndarray,
     matrix_covariance: np.ndarray | None = None,
 ) -> LegErrors:
     """Return the errors of a machine on legs by σ_ρ in mm and the posterior means of τ_i² in mm², shape (N,)."""
-    noise = actuator_noise**2 * np.eye(machine.mechanism.n_legs)
-    return LegErrors(noise, model_variance, Legs(machine), theta, matrix_covariance)
+    legs = machine if isinstance(machine, Legs) else Legs(machine)
+    return LegErrors(actuator_noise**2 * np.eye(legs.n_legs), model_variance, legs, theta, matrix_covariance)
 
 
-def draw_machines(machine: Machine, n_draws: int, rng: np.random.Generator, scale: float = 1e-3) -> np.ndarray:
+def draw_machines(machine: Machine | Legs, n_draws: int, rng: np.random.Generator, scale: float = 1e-3) -> np.ndarray:
     """Return parameter vectors (S, D) correlated along ridges, off nominal and spread by a share of `spread_of`."""
     layout = machine.layout
     spread = machines.spread_of(layout)
@@ -34,16 +34,16 @@ def draw_machines(machine: Machine, n_draws: int, rng: np.random.Generator, scal
 
 
 def build_made_up(
-    machine: Machine, rng: np.random.Generator, n_draws: int = 400, scale: float = 1e-3, **changes: object
+    machine: Machine | Legs, rng: np.random.Generator, n_draws: int = 400, scale: float = 1e-3, **changes: object
 ) -> CalibratedMachine:
     """Return a machine calibrated by made-up draws."""
     draws = draw_machines(machine, n_draws, rng, scale)
-    n_legs = machine.mechanism.n_legs
+    legs = machine if isinstance(machine, Legs) else Legs(machine)
     fields = {
-        "errors": build_leg_errors(machine, machine.layout.nominal, 1e-3, np.full(n_legs, 4e-6)),
+        "errors": build_leg_errors(legs, legs.layout.nominal, 1e-3, np.full(legs.n_legs, 4e-6)),
         "source": SOURCE,
     }
-    return build_calibrated(Legs(machine), draws.mean(axis=0), draws, **(fields | changes))
+    return build_calibrated(legs, draws.mean(axis=0), draws, **(fields | changes))
 
 
 def measurable_actuators(machine: Machine, n: int, rng: np.random.Generator) -> np.ndarray:

@@ -15,11 +15,11 @@ import telescope_machines as machines
 
 from bayescal.calibrated.exported import check_covariance, format_mechanism, read_exported
 from bayescal.calibrated.formats import export_machine
-from bayescal.calibrated.machine import build_calibrated, express_parameters, settle_machine
-from bayescal.calibrated.predict import predict_poses
+from bayescal.calibrated.machine import LegErrors, build_calibrated, express_parameters, settle_legs
+from bayescal.calibrated.predict import command_poses, predict_poses
 from bayescal.errors import InputError
 from bayescal.machines.deformations import NoDeformation
-from bayescal.machines.kinematics import Machine, build_machine, solve_forward_kinematics
+from bayescal.machines.kinematics import Machine, build_machine
 from bayescal.machines.mechanism import ExternalLoad
 from bayescal.machines.models.six_pus import SixPus
 from bayescal.machines.read import load_mechanism
@@ -45,20 +45,58 @@ def assert_same_poses(found, expected) -> None:
     np.testing.assert_allclose(found.rotation, expected.rotation, **SAME_TURN)
 
 
+@pytest.mark.parametrize("has_gains", [False, True])
 @pytest.mark.parametrize(("model", "n_legs", "deformation"), CASES)
-def test_settled_machine_has_the_same_poses(model, n_legs, deformation, rng):
-    machine = build(model, n_legs, deformation)
-    theta = calibrated.draw_machines(machine, 3, rng, scale=0.1)
-    settled = settle_machine(machine, theta[0])
-    actuators = calibrated.measurable_actuators(machine, 4, rng)
-    expected = solve_forward_kinematics(machine, theta[:, None], actuators)
-    assert_same_poses(
-        solve_forward_kinematics(settled, express_parameters(machine, settled, theta)[:, None], actuators), expected
-    )
-    nominal = solve_forward_kinematics(settled, settled.layout.nominal, actuators)
+def test_settled_machine_has_the_same_poses(model, n_legs, deformation, has_gains, rng):
+    legs = Legs(build(model, n_legs, deformation), has_gains=has_gains)
+    theta = calibrated.draw_machines(legs, 3, rng, scale=0.1)
+    settled = settle_legs(legs, theta[0])
+    actuators = calibrated.measurable_actuators(legs.machine, 4, rng)
+    expected = legs.solve(theta[:, None], actuators)
+    assert_same_poses(settled.solve(express_parameters(legs, settled, theta)[:, None], actuators), expected)
+    nominal = settled.solve(settled.layout.nominal, actuators)
     np.testing.assert_allclose(nominal.position, expected.position[0], **SAME)
-    before = solve_forward_kinematics(machine, machine.layout.nominal, actuators)
+    before = legs.solve(legs.layout.nominal, actuators)
     assert np.abs(before.position - expected.position[0]).max() > 1e-2  # the calibration matters
+
+
+@pytest.mark.parametrize("model", machines.model_names())
+def test_gains_are_exported(model, rng, tmp_path):
+    """Exported and read again the machine predicts the same, with the same uncertainty, and answers commands."""
+    legs = Legs(machines.build_machine("matrix", model=model), has_gains=True)
+    made_up = calibrated.build_made_up(legs, rng, n_draws=50)
+    gains = made_up.model.machine.mechanism.actuator_gains
+    assert np.abs(gains - 1.0).max() > 1e-4
+    export_machine(made_up, tmp_path)
+    again = read_exported(tmp_path)
+    np.testing.assert_allclose(again.model.machine.mechanism.actuator_gains, gains, rtol=1e-15)
+    assert {f"gain[{leg}]" for leg in range(1, 7)} <= set(again.names)
+    actuators = calibrated.measurable_actuators(legs.machine, 5, rng)
+    one, other = (predict_poses(m, actuators) for m in (made_up, again))
+    np.testing.assert_allclose(other.tool, one.tool, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(other.covariance, one.covariance, rtol=1e-6, atol=1e-18)
+    np.testing.assert_allclose(command_poses(again, one.tool).commands, actuators, rtol=0, atol=1e-7)
+    bare = replace(made_up.model.machine.mechanism, actuator_gains=None)
+    off = Legs(replace(made_up.model.machine, mechanism=bare)).solve(made_up.theta[:-6], actuators)
+    assert np.abs(off.position - one.position).max() > 1e-4  # they count
+
+
+@pytest.mark.parametrize("model", machines.model_names())
+def test_errors_of_travel_show_in_what_is_read(model, rng):
+    """The covariance of the actuators' errors is that of a machine without gains, in units of what each reads."""
+    machine = machines.build_machine("matrix", model=model)
+    gains = 1.0 + 0.1 * rng.uniform(-1.0, 1.0, 6)
+    geared, own = Legs(machine, has_gains=True), machine.layout.nominal
+    rest = np.tile(np.diag(rng.uniform(0.5, 1.0, 6) * 1e-6), (6, 1, 1))
+    tau = np.full(6, 1e-6)
+    theta, start = np.append(own, gains), machine.mechanism.initial_actuator_positions
+    actuators = calibrated.measurable_actuators(machine, 5, rng)
+    pose, found = geared.locate(theta, actuators)
+    assert found.all()
+    here = LegErrors(1e-6 * np.eye(6), tau, geared, theta, rest).covariance(pose, actuators)
+    there = LegErrors(np.zeros((6, 6)), tau * gains**2, Legs(machine), own, rest)
+    travel = there.covariance(pose, start + gains * (actuators - start))
+    np.testing.assert_allclose(here, 1e-6 * np.eye(6) + travel / np.outer(gains, gains), rtol=1e-9, atol=1e-18)
 
 
 def test_measured_matrix_keeps_its_uncertainty(rng, tmp_path):
@@ -86,12 +124,14 @@ SHIPPED = [
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.parent.name + "/" + path.stem)
 def test_mechanism_is_written_to_the_last_digit(path, tmp_path):
     mechanism = load_mechanism(path)
+    mechanism = replace(mechanism, actuator_gains=np.linspace(0.99, 1.01, mechanism.n_legs))
     mechanism = replace(
         mechanism, load=ExternalLoad((1.0, 2.0, 3.0), (0.1, 0.0, 0.2), (0.0, 3.0, -40.0), (1.0, 2.0, 3.0))
     )
     (tmp_path / "m.toml").write_text(format_mechanism(mechanism, ["a comment"]))
     again = load_mechanism(tmp_path / "m.toml")
-    for name in ("base_points", "platform_points", "leg_lengths", "initial_actuator_positions"):
+    arrays = ("base_points", "platform_points", "leg_lengths", "initial_actuator_positions", "actuator_gains")
+    for name in arrays:
         np.testing.assert_array_equal(getattr(again, name), getattr(mechanism, name))
     np.testing.assert_allclose(again.directions, mechanism.directions, rtol=0, atol=1e-16)
     np.testing.assert_allclose(again.load.weight, mechanism.load.weight, rtol=1e-15, atol=1e-15)
