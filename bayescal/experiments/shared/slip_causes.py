@@ -19,6 +19,7 @@ from bayescal.data.instruments.read_poses import FIXED, ROLL_PITCH_YAW, name_ang
 from bayescal.experiments.shared.slip_rows import NARROWER, VAGUE, WIDER, Readings, Table
 from bayescal.experiments.shared.slips import CHANNEL, FRAME, LEGS, POSES, ROWS, UNIT
 from bayescal.machines.readings import Channel
+from bayescal.machines.readings.gains import find_gains
 from bayescal.machines.readings.placed import Placed
 from bayescal.numerics.geometry import (
     Array,
@@ -233,10 +234,10 @@ def _list_blind(readings: Readings) -> Iterator[Cause]:
             width = np.maximum(np.nanstd(values[:, alike], axis=0) / noise, 1.0)
             volume = float(np.sum(seen * (np.log(VAGUE / width) - 0.5)))
             table = Table(values, np.arange(len(values)), vague=alike, log_volume=volume)
-            yield Cause(CHANNEL, "", table, blind=k, say=partial(_say_blind, one, values[:, k], steady))
+            yield Cause(CHANNEL, "", table, blind=k, say=partial(_say_blind, readings, one, values[:, k], steady))
 
 
-def _say_blind(channel: Channel, measured: Array, steady: bool, expected: Array) -> str:
+def _say_blind(readings: Readings, channel: Channel, measured: Array, steady: bool, expected: Array) -> str:
     """Return what a channel reads that the others contradict: always the same, all shifted alike, or anything."""
     good = np.isfinite(measured) & np.isfinite(expected)
     said, unit = (
@@ -259,7 +260,7 @@ def _say_blind(channel: Channel, measured: Array, steady: bool, expected: Array)
     slope = float(moved @ apart) / max(float(moved @ moved), 1e-300)
     left = float(np.median(np.abs(apart - slope * moved)))
     if np.ptp(off) > SHIFTED * left and abs(slope) > 0.01:
-        return _say_scale(channel, np.array([1.0 - 1.0 / slope]))
+        return _say_scale(readings, channel, np.array([1.0 - 1.0 / slope]))
     return said
 
 
@@ -433,7 +434,7 @@ def _list_channels(readings: Readings) -> Iterator[Cause]:
             return columns
 
         mean, spread = np.mean(values[finite, k]), np.ptp(values[finite, k])
-        scaled = partial(_say_scale, one)
+        scaled = partial(_say_scale, readings, one)
         yield Cause(CHANNEL, "", columns=show(ones), say=partial(_say_zero, one))
         yield Cause(CHANNEL, "", columns=show(np.where(finite, values[:, k], 0.0)), say=scaled, scaled=k)
         if abs(mean) > 0.1 * spread:
@@ -449,9 +450,14 @@ def _say_zero(channel: Channel, size: Array) -> str:
     )
 
 
-def _say_scale(channel: Channel, size: Array) -> str:
+def _say_scale(readings: Readings, channel: Channel, size: Array) -> str:
     factor = 1.0 / (1.0 - size[0]) if size[0] != 1.0 else np.inf
-    return f"readings of {channel.name} seem to be {factor:.4g} times what the other channels say"
+    gain = find_gains(readings.model).get(channel.name)
+    free = readings.posterior.sampling.names
+    advice = (
+        "" if gain is None else f"; widen the prior of {gain}" if gain in free else f"; or free {gain} in [parameters]"
+    )
+    return f"readings of {channel.name} seem to be {factor:.4g} times what the other channels say{advice}"
 
 
 def _say_drift(channel: Channel, size: Array) -> str:

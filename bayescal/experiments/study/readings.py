@@ -72,6 +72,7 @@ from bayescal.inference.exploration import Exploration, explore
 from bayescal.inference.importance import resample
 from bayescal.inference.stages import stage
 from bayescal.inference.target import Fittable
+from bayescal.machines.readings.gains import find_gains
 from bayescal.numerics.geometry import Array
 
 if TYPE_CHECKING:
@@ -450,10 +451,12 @@ def describe_readings(
         if fit.poses is not None:
             known[variant.name] |= describe_errors(variant, fit.poses)[1]
         known[variant.name] |= describe_solutions(fit)
+    gains = attempt("gains of channels", lambda: find_gains(next(iter(inputs.variants.values())).whole), None)
     summary = {
         **describe_legs(inputs),
         "member": next(iter(inputs.variants.values())).model.member,
         "states_tool": all(one.model.states_tool for one in inputs.variants.values()),
+        "gains": gains,
         **({"column_units": dict(inputs.units)} if inputs.units else {}),
         **({"found": inputs.found} if inputs.found else {}),
         **({} if all(has_lengths(one.model) for one in inputs.variants.values()) else {"model_error_in": "noise"}),

@@ -309,6 +309,8 @@ class ReadingModel(ABC):
 
     actuated: ClassVar[Sequence[str]] = ()
     """Sensors, or kinds of them, that a controller can command; none for all that are the machine's own."""
+    offered: ClassVar[Sequence[str]] = ()
+    """Symbols of its optional parameters, which it has where they are named; see `with_optional`."""
     member: ClassVar[str] = "leg"
     """What one of many is called: that ``l[2]`` is of leg, line, joint or belt 2."""
 
@@ -414,7 +416,7 @@ class ReadingModel(ABC):
 
     @property
     def optional(self) -> Mapping[str, str]:
-        """Symbols of optional parameters that it has, each with the kind of the channels that they are of."""
+        """Which of the offered parameters it has, each with the kind of the channels that they are of."""
         return {}
 
     @property

@@ -86,6 +86,7 @@ class Legs(ReadingModel):
     known: Array | None = None  # (P, N): where encoders were read at poses asked of it; see `ReadingModel.near`
 
     actuated = ("rho",)  # the encoders
+    offered = (GAIN,)
     pose_channels = POSE_CHANNELS  # the rotation vector compared as a rotation
 
     def __post_init__(self) -> None:

@@ -68,7 +68,7 @@ KINDS: dict[str, Kind] = {
     "own": Kind(
         "linear in the own position",
         "a lead error, the scale of an encoder",
-        "Check lead and encoder scale of {member}, or free them as parameters",
+        "Check lead and encoder scale of {member}, or {gain}",
     ),
     "smooth": Kind(
         "a smooth function of the positions",
@@ -167,7 +167,7 @@ class _Found(NamedTuple):
 
     Rows of its table by term; rms of each member's mean; evidence of each cause alone less that of all, nat, and
     rows of the sizes of those without a term; the least size of each term that is stated; of how many τ its random
-    errors are; the unit of sizes.
+    errors are; the unit of sizes; the parameter that is the gain of each channel.
     """
 
     label: str
@@ -178,6 +178,7 @@ class _Found(NamedTuple):
     floors: dict[str, float]
     n_taus: int
     unit: str
+    gains: Mapping[str, str] | None  # of each channel; None of results that do not say
 
     @property
     def functions(self) -> dict[str, Row]:
@@ -251,7 +252,8 @@ def _find(study: StudyResults, name: str) -> _Found:
     odds = {term: float(row["log_odds"]) for term, row in alone.items()}
     rows = study.parameters
     n_taus = int(((rows["variant"] == name) & (rows["symbol"] == MODEL_ERROR)).sum())
-    return _Found(study.label(name), sizes, members, odds, directions, floors, n_taus, study.error_unit)
+    unit, gains = study.error_unit, study.summary.get("gains")
+    return _Found(study.label(name), sizes, members, odds, directions, floors, n_taus, unit, gains)
 
 
 def _list_floors(study: StudyResults, name: str) -> dict[str, float]:
@@ -281,7 +283,8 @@ def _advise(found: _Found) -> Statement:
         first = f"{KINDS[INDEPENDENT].advice}. " if scatters else ""
         return Statement(f"{first}{_describe_absent(found)}", "plain" if scatters else "good", LEAD)
     main, outstanding = KINDS[found.cause or seen[0]], _name_outstanding(found)
-    advice = UNDECIDED if found.rivals else main.advice.format(member=outstanding or "every channel")
+    named = main.advice.format(member=outstanding or "every channel", gain=_name_gain(found, outstanding))
+    advice = UNDECIDED if found.rivals else named
     members = "" if found.cause in found.directions else f", {_describe_members(found)}"
     text = (
         f"{advice}. {found.label} leaves out a "
@@ -333,6 +336,17 @@ def _name_outstanding(found: _Found) -> str:
     ranked = sorted(found.members, key=lambda name: -found.members[name])
     others = [found.members[name] for name in ranked[1:]]
     return ranked[0] if others and found.members[ranked[0]] > OUTSTANDING * float(np.median(others)) else ""
+
+
+def _name_gain(found: _Found, outstanding: str) -> str:
+    """Return how the gain of a channel, or those of all of them, are freed; the parameter has the name that it has."""
+    if found.gains is None:
+        return "free them as parameters"
+    names = [found.gains.get(one, "") for one in ([outstanding] if outstanding else found.members)]
+    if not all(names):
+        return "give the machine's class a factor on what it reads as a parameter, and free that"
+    symbols = list(dict.fromkeys(one if outstanding else one.partition("[")[0] for one in names))
+    return f"free {join_words(symbols)} in [parameters]"
 
 
 def _describe_members(found: _Found) -> str:
