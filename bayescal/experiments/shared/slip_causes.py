@@ -454,9 +454,9 @@ def _say_scale(readings: Readings, channel: Channel, size: Array) -> str:
     factor = 1.0 / (1.0 - size[0]) if size[0] != 1.0 else np.inf
     gain = find_gains(readings.model).get(channel.name)
     free = readings.posterior.sampling.names
-    advice = (
-        "" if gain is None else f"; widen the prior of {gain}" if gain in free else f"; or free {gain} in [parameters]"
-    )
+    advice = ""
+    if gain is not None:
+        advice = f": widen the prior of {gain}" if gain in free else f": correct them, or free {gain} in [parameters]"
     return f"readings of {channel.name} seem to be {factor:.4g} times what the other channels say{advice}"
 
 

@@ -47,6 +47,7 @@ SYMBOLS: tuple[Symbol, ...] = (
     MATRIX,
     ("tau", ERROR.format("leg")),
 )
+GAIN: Symbol = ("gain", "true travel of an actuator over what it reads, both from the initial position")
 STRUTS: tuple[Symbol, ...] = (
     ("a", "joint of a strut on the base, base frame"),
     ("b", "joint of a strut on the platform, platform frame"),
@@ -164,6 +165,8 @@ def show_notation(study: StudyResults) -> Section | None:
 def list_symbols(study: StudyResults) -> tuple[Symbol, ...]:
     """Return symbol and meaning of what a study's machine has; of struts only what is theirs."""
     frames = FRAMES if len(study.frames) else ()
+    if GAIN[0] in set(study.parameters["symbol"]):
+        frames = (GAIN, *frames)
     if not study.has_struts:
         return (*SYMBOLS, *frames)
     there = {*study.deformations, *(["matrix"] if study.has("ring") else [])}
