@@ -23,9 +23,9 @@ sys.path.insert(0, str(Path(__file__).parent / "slips"))
 from plants import clean
 
 from bayescal.experiments.check.inputs import Subject
+from bayescal.experiments.shared.misstated import find_misstated
 from bayescal.experiments.shared.readings.priors import widen
 from bayescal.experiments.shared.slip_rows import Readings
-from bayescal.experiments.shared.slip_search import find_misstated
 from machines import read_subject, write_project
 
 MACHINES = ("hexapod by poses", "linear delta", "serial arm", "cable robot")

@@ -84,6 +84,7 @@ def validate(experiment: Experiment, no_plugins: NoPlugins = False, trust: Trust
         echo(f"bayescal: {experiment}: the data seem to be wrong", err=True)
         raise typer.Exit(3)
     if found.doubts:
+        echo(f"or, where they are right: bayescal run {experiment}, which says the same")
         return
     command = "simulate" if config.kind == "simulation" else "run"
     echo(f"next: bayescal {command} {experiment}, into results/{config.name}")

@@ -14,22 +14,20 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations
 
 import numpy as np
 
-from bayescal.density.calibration.model_error import FunctionsOfPose, IndependentErrors
+from bayescal.density.calibration.model_error import FunctionsOfPose
 from bayescal.density.sorts import DRIFT
 from bayescal.errors import NumericalError
 from bayescal.experiments.shared.slip_causes import (
     FACTORS,
     MODEL,
     NOISE,
-    SCATTER,
-    TOLERANCE,
     WIDE,
     Cause,
     list_effects,
@@ -47,16 +45,24 @@ from bayescal.experiments.shared.slip_rows import (
     integrate_sizes,
     profile,
 )
-from bayescal.experiments.shared.slip_verdict import BEYOND, SLIPS, STATED, SURE, SURE_OF_SLIP, Named, Search, Weighed
+from bayescal.experiments.shared.slip_verdict import (
+    BEYOND,
+    SLIPS,
+    STATED,
+    SURE,
+    SURE_OF_SLIP,
+    Named,
+    Rival,
+    Search,
+    Weighed,
+)
 from bayescal.experiments.shared.slip_weigher import Weigher, splice
-from bayescal.experiments.shared.slips import CHANNEL, ROWS, FoundSlip, Misstated
+from bayescal.experiments.shared.slips import CHANNEL, ROWS, FoundSlip
 from bayescal.numerics.geometry import Array
 from bayescal.report.numbers import join_words
 
 SURE_OF_MODEL = 10.0
 """The same of errors of the machine, which a model error allows for."""
-SURE_OF_SCATTER = 5.0
-"""Nats by which rows have to be explained worse without errors drawn anew at each: one in a thousand by chance."""
 UNSEEN = 10.0
 """Nats by which a slip planted in data that fit lowers the log-density at most, where the data do not show it."""
 ALIKE = 3.0
@@ -69,8 +75,6 @@ USUAL_FACTOR = 1.5  # sd of the logarithm of a factor on the noise
 FINAL, EACH = 8, 3  # causes that are fitted: of all, and of each kind
 INTEGRATED = 6  # fitted causes, the best ones, whose errors' sizes are integrated
 QUIET = -2.0  # coordinate of a model error's size at which it explains next to nothing
-ABSENT = -6.0  # the same of a size that is not there
-LARGE = 1.5  # the same of a size that is far beyond its scale: half-Cauchy ten times, with a probability of 7 %
 FITS_WELL, HOPELESS = 1.2, 8.0  # rms of a cause that leaves little, and nats a row below it of what is not fitted then
 TURNS = 3  # of a noise's factor and of errors' sizes, each with the other held
 FITS, MOST_FITS = 3, 8  # steps of a fit, and at most where the log-density still rises
@@ -90,39 +94,10 @@ def search_cause(readings: Readings, denied: Collection[str] = ()) -> Search:
 
     What drifts in measuring order is none of the machine's errors here, but a cause among the others.
     """
-    return _Search(_leave_out_outliers(_without_drift(readings)), denied).run()
+    return SlipSearch(leave_out_outliers(leave_out_drift(readings)), denied).run()
 
 
-def find_misstated(variants: Iterable[Readings]) -> Misstated | None:
-    """Return what noise or tolerance is stated wrong by the readings that nothing else explains as well; None if none.
-
-    Of several variants the one that explains its readings best is asked. What a check names competes, but for tables
-    read otherwise, which `find_slip` looks for. Where readings scatter from row to row by more than their noise as
-    stated, and another noise explains that as well as a model error does, both are said: data cannot tell them apart.
-    That tolerances are too wide is said where nothing else is named, and no model error far beyond its scale makes up
-    for what they leave out.
-
-    Parameters
-    ----------
-    variants : iterable of Readings
-        The same measurements under several models.
-    """
-    searches = [_Search(_leave_out_outliers(_without_drift(one)), ()) for one in variants]
-    asked = max(searches, key=lambda one: -np.inf if one.base is None else one.base.value)
-    found = asked.run(with_tables=False)
-    if found.first is not None:
-        best = next(one for one in found.weighed if one.cause.fault == found.first.fault)
-        stated = found.first.fault in (NOISE, TOLERANCE)
-        return Misstated(found.first.fault, found.first.text, best.factor, best.gain) if stated else None
-    if (scatter := asked.find_scatter(found.weighed)) is not None:
-        return scatter
-    wide = [one for one in found.weighed if one.cause.fault == WIDE and one.gain > SURE]
-    if not wide or asked.needs_large_errors:
-        return None
-    return Misstated(WIDE, wide[0].text, wide[0].factor, wide[0].gain)
-
-
-def _without_drift(readings: Readings) -> Readings:
+def leave_out_drift(readings: Readings) -> Readings:
     """Return readings whose errors do not drift in measuring order."""
     errors = readings.posterior.errors
     steady = tuple(one for one in errors.terms if not (isinstance(one, FunctionsOfPose) and one.sort == DRIFT))
@@ -142,23 +117,32 @@ def find_slip(variants: Iterable[Readings], denied: Collection[str] = ()) -> Fou
     denied : collection of str, optional
         Faults that are none, as somebody says who looked.
     """
+    return find_suspects(variants, denied)[0]
+
+
+def find_suspects(variants: Iterable[Readings], denied: Collection[str] = ()) -> tuple[FoundSlip | None, list[Rival]]:
+    """Return the same, and causes that were weighed, sure or not, the most probable first; see `find_slip`."""
+    rivals = list[Rival]()
     groups: dict[tuple[tuple[str, ...], tuple[str, ...]], list[Readings]] = {}
     for one in variants:
         names = tuple(channel.name for channel in one.channels)
         groups.setdefault((names, one.posterior.likelihood.data.poses), []).append(one)
     for group in groups.values():
         nearest = _find_nearest(group, denied)
-        found = None if nearest is None else nearest.run(briefly=nearest.misfit <= STATED).slip
-        if found is not None:
-            return found
-    return None
+        if nearest is None:
+            continue
+        found = nearest.run(briefly=nearest.misfit <= STATED)
+        rivals += nearest.list_rivals(found.weighed)
+        if found.slip is not None:
+            return found.slip, rivals
+    return None, sorted(rivals, key=lambda one: -one.value)
 
 
-def _find_nearest(variants: Iterable[Readings], denied: Collection[str]) -> _Search | None:
+def _find_nearest(variants: Iterable[Readings], denied: Collection[str]) -> SlipSearch | None:
     """Return the search of the variant that comes nearest to its readings; the first one that fits."""
-    nearest: _Search | None = None
+    nearest: SlipSearch | None = None
     for one in variants:
-        search = _Search(_leave_out_outliers(one), denied)
+        search = SlipSearch(leave_out_outliers(one), denied)
         # to first order about the machine as expected is enough where that fits: steps from there make it no worse
         if search.readings.measure_misfit() <= STATED or search.misfit <= STATED:
             return search
@@ -167,7 +151,7 @@ def _find_nearest(variants: Iterable[Readings], denied: Collection[str]) -> _Sea
     return nearest
 
 
-def _leave_out_outliers(readings: Readings) -> Readings:
+def leave_out_outliers(readings: Readings) -> Readings:
     """Return readings whose variant expects outliers without the rows that are."""
     if not readings.posterior.errors.outliers.expected:
         return readings
@@ -177,7 +161,7 @@ def _leave_out_outliers(readings: Readings) -> Readings:
 
 
 @dataclass(frozen=True, eq=False)
-class _Fit:
+class CauseFit:
     """A cause about its own fit: log-density, rms in noise and errors as stated, words, errors' coordinates (n,).
 
     The log-density is the largest over the errors, or integrated over them, their prior included; ``beside`` is what it
@@ -193,13 +177,16 @@ class _Fit:
 
 
 @dataclass(eq=False)
-class _Search:
+class SlipSearch:
+    """A search of one variant's readings, without faults that are denied; what is asked again is kept."""
+
     readings: Readings
     denied: Collection[str]
     began: float = field(default_factory=time.process_time)
 
     def __post_init__(self) -> None:
         self.posterior = self.readings.posterior
+        self.as_is: CauseFit | None = None  # set by a run
         self.m, self.zeta = self.posterior.n_geometry, np.zeros(self.posterior.errors.n_parameters)
         n = len(self.readings.values)
         self.some = np.zeros(n, dtype=bool)
@@ -207,6 +194,7 @@ class _Search:
 
     @property
     def is_late(self) -> bool:
+        """Whether no more causes are tried."""
         return time.process_time() - self.began > PATIENCE
 
     @cached_property
@@ -217,7 +205,7 @@ class _Search:
         return self.readings.see(self.readings.table, self.readings.begin, None, STARTS)
 
     @cached_property
-    def base(self) -> _Fit | None:
+    def base(self) -> CauseFit | None:
         """The readings as they are, about their own fit."""
         return None if self.here is None else self.fit(Cause("", ""), self.here)
 
@@ -243,33 +231,6 @@ class _Search:
     def name_row(self, k: int) -> str:
         """Return what messages call a row."""
         return f"{k + 1} (pose {str(self.posterior.likelihood.data.poses[k])!r})"
-
-    @property
-    def needs_large_errors(self) -> bool:
-        """Whether the readings as they are need a model error far beyond its scale."""
-        return self.base is not None and bool(np.any(self.base.zeta > self._silence(self.base.zeta) + LARGE - QUIET))
-
-    def find_scatter(self, weighed: list[Weighed]) -> Misstated | None:
-        """Return the noises that explain a scatter of the rows as well as errors of the model; None if there is none.
-
-        There is one where rows are explained far worse without errors that are drawn anew at each.
-        """
-        noises = [one for one in weighed if one.cause.fault == NOISE and one.factor > 1.0]
-        noises = [one for one in noises if one.gain + one.cost > -ALIKE]
-        terms = self.posterior.errors.terms
-        drawn = np.array([isinstance(one, IndependentErrors) for one in terms for _ in one.names], dtype=bool)
-        if not noises or self.base is None or not drawn.any():
-            return None
-        weigh = self.base.weigher.weigh
-        steady, _ = integrate_sizes(
-            lambda zeta: weigh(np.where(drawn, ABSENT, zeta)), np.where(drawn, 0.0, self.base.zeta)
-        )
-        loss = self._integrate_base([]) - steady
-        if loss <= SURE_OF_SCATTER:
-            return None
-        said = " (or: ".join(one.text for one in noises[:2])
-        text = f"rows scatter by more than the stated noise, which tau of the model error takes up; as well, {said}"
-        return Misstated(SCATTER, f"{text}{')' * (len(noises) > 1)}", noises[0].factor, loss)
 
     def run(self, with_tables: bool = True, briefly: bool = False) -> Search:
         """Return what explains the readings best; without tables, by what leaves them as they are.
@@ -298,7 +259,7 @@ class _Search:
         def cost(cause: Cause) -> float:
             return float(np.log(ways[cause.fault] * counts[cause.fault, cause.scope] * cause.among))
 
-        bound, fitted = -np.inf, list[tuple[Cause, _Fit]]()
+        bound, fitted = -np.inf, list[tuple[Cause, CauseFit]]()
         for cause, promise in chosen:
             if self.is_late and len(fitted) >= FEWEST:
                 break
@@ -311,11 +272,12 @@ class _Search:
                 bound = max(bound, promise - HOPELESS * len(self.some)) if found.misfit < FITS_WELL else bound
         fitted.sort(key=lambda one: cost(one[0]) - one[1].value)
         best = [(cause, self.integrate(one)) for cause, one in fitted[:INTEGRATED]]
-        as_is = self._integrate_base([one.zeta for _, one in best])
+        self.as_is = self._integrate_base([one.zeta for _, one in best])
+        value = UNFIT if self.as_is is None else self.as_is.value
         weighed = [
             Weighed(
                 cause,
-                one.value - as_is - cost(cause),
+                one.value - value - cost(cause),
                 one.text,
                 one.misfit,
                 one.weigher.size,
@@ -327,6 +289,11 @@ class _Search:
         weighed.sort(key=lambda one: -one.gain)
         unnoticed = [cause.text for cause, value in tables if self.fits and value > -UNSEEN]
         return Search(self.misfit, self._name(weighed), weighed, len(effects) + len(tables), self.is_late, unnoticed)
+
+    def list_rivals(self, weighed: Iterable[Weighed]) -> list[Rival]:
+        """Return weighed causes with the log-densities of the readings by each; no tolerance that is too wide."""
+        as_is = UNFIT if self.as_is is None else self.as_is.value
+        return [Rival(one.text, as_is + one.gain) for one in weighed if one.cause.fault != WIDE]
 
     @cached_property
     def most(self) -> Array:
@@ -349,7 +316,7 @@ class _Search:
                 found[one.own.places] = one.scale / one.own.levers
         return np.asarray(np.hypot(noise, found)) if found.any() else np.full(len(channels), np.inf)
 
-    def measure(self, cause: Cause, fit: _Fit) -> float:
+    def measure(self, cause: Cause, fit: CauseFit) -> float:
         """Return the rms of what a cause does to readings: of rows in their noise, of others in what was allowed for.
 
         A channel's scale about its own zero moves its zero, too, which is none of it.
@@ -568,7 +535,7 @@ class _Search:
 
     # --- second round ------------------------------------------------------------------------------------------------
 
-    def fit(self, cause: Cause, here: Sight) -> _Fit | None:
+    def fit(self, cause: Cause, here: Sight) -> CauseFit | None:
         """Return a cause about its own fit."""
         table, columns = cause.table or self.readings.table, cause.columns
         y, zeta, start = self.readings.begin, self.zeta, here.pose
@@ -604,7 +571,7 @@ class _Search:
         beside = -(len(self.readings.values) - len(table.rows)) * self._row_cost(here)
         return self._describe(weigher, zeta, last - 0.5 * float(zeta @ zeta), beside)
 
-    def _describe(self, weigher: Weigher, zeta: Array, value: float, beside: float) -> _Fit:
+    def _describe(self, weigher: Weigher, zeta: Array, value: float, beside: float) -> CauseFit:
         """Return a cause's fit at the errors ζ for which it was weighed last, of that log-density of its rows."""
         cause, (y, unknown, misfit) = weigher.cause, weigher.solve(zeta)
         more = beside
@@ -617,9 +584,9 @@ class _Search:
             given = self.posterior.likelihood.data.given
             sizes = self.readings.model.read(theta, weigher.seen.pose, given)[:, cause.blind]
         text = cause.text if cause.say is None else cause.say(sizes)
-        return _Fit(value + more, misfit, text, zeta, weigher, beside)
+        return CauseFit(value + more, misfit, text, zeta, weigher, beside)
 
-    def integrate(self, found: _Fit) -> _Fit:
+    def integrate(self, found: CauseFit) -> CauseFit:
         """Return a fit with the errors' sizes integrated; as it was where no optimum of theirs is found."""
         weigher, zeta = found.weigher, found.zeta
         weigher.weigh(zeta)
@@ -635,10 +602,15 @@ class _Search:
                 break
         return self._describe(found.weigher, zeta, value, found.beside)
 
-    def _integrate_base(self, others: list[Array]) -> float:
-        """Return the log-density of the readings as they are, from the best of their own and other sizes (n,)."""
+    def _integrate_base(self, others: Sequence[Array]) -> CauseFit | None:
+        """Return the readings as they are with the errors' sizes integrated, from the best of their own and others."""
         if self.base is None:
-            return UNFIT
+            return None
         base, weigh = self.base, self.base.weigher.weigh
         first = max((base.zeta, *others), key=lambda zeta: weigh(zeta) - 0.5 * float(zeta @ zeta))
-        return self.integrate(replace(base, zeta=first)).value
+        return self.integrate(replace(base, zeta=first))
+
+    def fit_freely(self) -> CauseFit | None:
+        """Return the readings as they are with errors of any size, as large ones, too, as no machine should have."""
+        found = self.as_is or self.base
+        return None if found is None else self.integrate(replace(found, weigher=replace(found.weigher, limited=False)))

@@ -39,6 +39,14 @@ class Weighed:
 
 
 @dataclass(frozen=True)
+class Rival:
+    """A cause in words, and the log-density of the readings by it, all that were tried counted."""
+
+    text: str
+    value: float
+
+
+@dataclass(frozen=True)
 class Named:
     """What is named first: the best cause and those alike, the gain, and the nats between them and the next one.
 

@@ -45,6 +45,7 @@ class Weigher:
     cause: Cause
     seen: Sight
     size: float = 0.0
+    limited: bool = True  # whether errors as large as no machine has them are next to impossible
 
     def __post_init__(self) -> None:
         self.factors = FACTORS
@@ -65,6 +66,8 @@ class Weigher:
             value = self._weigh(zeta)
         except np.linalg.LinAlgError:
             return NO_FACTOR
+        if not self.limited:
+            return value
         return value - STEEP * float(np.sum(np.maximum(zeta - self.search.most, 0.0) ** 2))
 
     def _weigh(self, zeta: Array) -> float:
@@ -91,7 +94,11 @@ class Weigher:
         That in noise and errors as stated, but for a noise that is another one.
         """
         y, unknown, _ = self._solve(zeta)
-        return y, unknown, self._solve(np.zeros_like(zeta))[2]
+        return y, unknown, self.measure_misfit(np.zeros_like(zeta))
+
+    def measure_misfit(self, zeta: Array) -> float:
+        """Return the rms that is left in noise as stated and such errors, but for a noise that is another one."""
+        return self._solve(zeta)[2]
 
     def _solve(self, zeta: Array) -> tuple[Array, Array, float]:
         cause, m = self.cause, self.search.m

@@ -13,6 +13,7 @@ from bayescal.config.sections import check_once
 from bayescal.report.blocks import Statement
 from bayescal.report.numbers import format_significant
 
+LARGE = "large errors"
 UNIT, LEGS, ROWS, POSES, CHANNEL, FRAME = "unit", "legs", "rows", "poses", "channel", "frame"
 
 BETTER = 1.5
@@ -45,13 +46,13 @@ class FoundSlip:
 
 @dataclass(frozen=True)
 class Misstated:
-    """A noise or a tolerance that is stated wrong: the factor on it by which the data are explained best, and the gain.
+    """What is stated of noise, tolerances or errors that the data contradict: by which factor, and how surely.
 
     Attributes
     ----------
     fault : str
-        ``noise``, ``scatter`` (noise or errors of the model from row to row), ``tolerance`` (too tight) or ``wide
-        tolerance``.
+        ``noise``, ``scatter`` (noise or errors of the model from row to row), ``tolerance`` (too tight), ``wide
+        tolerance`` or ``large errors`` (none of these; a model error far beyond what was allowed for).
     text : str
         What to do.
     factor : float
@@ -67,6 +68,8 @@ class Misstated:
 
     def say(self) -> str:
         """Return it in words."""
+        if self.fault == LARGE:  # with all that is known of it
+            return self.text
         return f"{self.text} (the data are explained better by {format_significant(self.gain, 2)} nats)"
 
 

@@ -14,12 +14,15 @@ from bayescal.config.registry import find_class
 from bayescal.errors import name_faults
 from bayescal.experiments.shared.knowledge_page import NO_TOOL
 from bayescal.experiments.shared.measured import MeasuredReadings
+from bayescal.experiments.shared.misstated import find_misstated
 from bayescal.experiments.shared.origin import name_origin
 from bayescal.experiments.shared.outlook import join_outlooks
 from bayescal.experiments.shared.readings.errors import drop_model_error
 from bayescal.experiments.shared.readings.inputs import ReadingInputs, read_inputs
 from bayescal.experiments.shared.readings.priors import check_ranges
-from bayescal.experiments.shared.slip_search import find_misstated, find_slip
+from bayescal.experiments.shared.requirements import read_requirements
+from bayescal.experiments.shared.slip_search import find_suspects
+from bayescal.experiments.shared.slip_verdict import Rival
 from bayescal.experiments.shared.slips import FoundSlip, Misstated
 from bayescal.experiments.shared.study_schema import StudyConfig
 
@@ -89,18 +92,24 @@ class StudyInputs(ReadingInputs):
     @cached_property
     def slip(self) -> FoundSlip | None:
         """What may have happened to readings that no machine within its priors comes near, looked for once."""
-        return find_slip(one.list_readings() for one in self.variants.values())
+        return self._suspects[0]
+
+    @cached_property
+    def _suspects(self) -> tuple[FoundSlip | None, list[Rival]]:
+        return find_suspects(one.list_readings() for one in self.variants.values())
 
     @cached_property
     def misstated(self) -> Misstated | None:
-        """Which noise or tolerance is stated wrong, looked for once; none where the data themselves are suspected."""
+        """What is stated wrong or needs large errors, looked for once; None where the data themselves are suspected."""
         return self.find_misstated(list(self.variants))
 
     def find_misstated(self, names: Sequence[str]) -> Misstated | None:
         """Return the same by some variants."""
         if self.slip is not None:
             return None
-        return find_misstated(self.variants[name].list_readings() for name in names)
+        config, model = self.config, self.variants[names[0]].model
+        required = read_requirements(config.requirements, model, config.units)
+        return find_misstated([self.variants[name].list_readings() for name in names], required, self._suspects[1])
 
     def measure(self, names: Sequence[str], with_model_error: bool = True) -> dict[str, MeasuredReadings]:
         """Return the posteriors of variants' calibration poses, without terms of [model_error] where not wanted."""

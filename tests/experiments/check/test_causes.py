@@ -15,8 +15,9 @@ from shares import run_rest
 
 from bayescal.experiments.check.faults import state_cause
 from bayescal.experiments.shared import slip_search
+from bayescal.experiments.shared.misstated import find_misstated
 from bayescal.experiments.shared.readings.priors import widen
-from bayescal.experiments.shared.slip_search import find_misstated, search_cause
+from bayescal.experiments.shared.slip_search import search_cause
 
 BENCHMARK = Path(__file__).parents[3] / "benchmarks" / "slips"
 sys.path.insert(0, str(BENCHMARK))

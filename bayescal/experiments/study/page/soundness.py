@@ -11,7 +11,7 @@ from typing import Any
 
 from scipy import stats
 
-from bayescal.experiments.shared.slips import state_slip
+from bayescal.experiments.shared.slips import LARGE, state_slip
 from bayescal.experiments.shared.soundness import ChiSquare, format_chance
 from bayescal.experiments.study.page.results import NOISE, StudyResults, get_number
 from bayescal.experiments.study.page.solutions import state_solutions
@@ -29,6 +29,8 @@ RARE_BOUND = 0.01
 """A coarser test than those of χ²: with few poses none beyond a bound is rarely out of the question."""
 FAR = 2.5  # prior standard deviations of a single parameter that are named
 FEW = 3  # variants to name one by one
+SIZES = "Size of errors"
+CHECK_SIZES = "Find out what errs so much before relying on the parameters: machine, data, units, model."
 
 
 def has_warnings(study: StudyResults) -> bool:
@@ -102,11 +104,13 @@ def _state_misfit(study: StudyResults) -> list[Statement]:
 
 
 def _state_misstated(study: StudyResults) -> list[Statement]:
-    """Say which noise or tolerance the data explain better by another size, as a check finds it."""
+    """Say which noise or tolerance the data explain better by another size, or how large the errors are they need."""
     found = study.summary.get("misstated")
     if not isinstance(found, dict):
         return []
     text = f"{found['text'][0].upper()}{found['text'][1:]}"
+    if found["fault"] == LARGE:
+        return [Statement(f"{CHECK_SIZES} {text}.", "warning", SIZES)]
     if found["fault"] == "scatter":
         return [Statement(f"{text}. Make sure of the stated noise first.", "warning", "Noise")]
     gain = format_significant(found["gain"], 2)
@@ -115,6 +119,14 @@ def _state_misstated(study: StudyResults) -> list[Statement]:
         return [Statement(text, _rate(found["factor"]), "Noise")]
     wide = found["fault"] != "tolerance"  # costs accuracy, and is no fault
     return [Statement(f"{text}{'' if wide else _say_held(study)}", "plain" if wide else "bad", "Tolerances")]
+
+
+def say_large(study: StudyResults) -> str:
+    """Return for the headline that data need errors far beyond what was allowed for; empty where they do not."""
+    found = study.summary.get("misstated")
+    if not isinstance(found, dict) or found["fault"] != LARGE:
+        return ""
+    return str(found["text"]).partition(" (")[0]
 
 
 def _say_held(study: StudyResults) -> str:

@@ -9,9 +9,10 @@ from bayescal.experiments.shared.slips import state_slip
 from bayescal.experiments.study.page.errors import list_contradicting, state_outliers
 from bayescal.experiments.study.page.model_error import LEAD
 from bayescal.experiments.study.page.results import StudyResults
+from bayescal.experiments.study.page.soundness import SIZES
 from bayescal.report.blocks import Statement
 
-SILENT: Final = (LEAD, "Tolerances", "Noise", "Bounds", "Sensors' errors", "Next pose")
+SILENT: Final = (LEAD, SIZES, "Tolerances", "Noise", "Bounds", "Sensors' errors", "Next pose")
 """Leads of sentences that take what is wrong with data for a property of machine, noise or tolerances."""
 DROPPED: Final = (
     "What these figures say of model error, noise and tolerances is left out: wrong data look like any of these."

@@ -18,6 +18,8 @@ pytestmark = pytest.mark.runs
 BEST = "stiffness/matrix"
 MISFIT = set_fit(BEST, misfit_chi2=800.0, misfit_dof=200.0)
 MISSTATED = {"fault": "tolerance", "text": "all b_x: too tight", "factor": 10.0, "gain": 12.0}
+LARGE = {"fault": "large errors", "text": "readings need 0.2 mm (so limited less probable); odds of 31 to 1: a gear"}
+LARGE |= {"factor": 10.0, "gain": 300.0}
 SLIP = {"fault": "legs", "text": "legs 2 and 3 seem to be exchanged", "gain": 900.0, "factor": 41.3}
 
 
@@ -86,6 +88,7 @@ def hold(summary):
             "bad",
             "12 nats",
         ),
+        (lambda summary: summary.update(misstated=LARGE), {}, "Size of errors", "warning", "0.2 mm … odds of 31 to 1"),
         (
             None,
             err_by(1.1),

@@ -11,6 +11,7 @@ from bayescal.experiments.study.page.verdict import state_headline, state_verdic
 
 BEST = "pus/linear"
 SLIP = {"fault": "rows", "text": "rows 3 and 4 seem to have each other's x", "gain": 60.0, "factor": 2.0}
+LARGE = {"fault": "large errors", "text": "readings need 0.2 mm (less probable otherwise)", "factor": 9.0, "gain": 90.0}
 OFF = set_fit(BEST, misfit_chi2=900.0, misfit_dof=100.0, pulls_chi2=0.5, pulls_dof=60.0)
 
 
@@ -50,3 +51,13 @@ def test_a_variant_that_expects_outliers_has_dealt_with_them(make_results):
     study = read_study(make_results(change, edits=of_row(0.01)))
     assert not list_suspicions(study)
     assert np.any([one.lead in SILENT for one in state_verdict(study)])
+
+
+@pytest.mark.parametrize("suspected", [False, True])
+def test_errors_far_beyond_what_was_allowed_for_are_in_the_headline_unless_data_are_suspected(suspected, make_results):
+    def change(summary):
+        summary["misstated"] = LARGE
+
+    headline = state_headline(read_study(make_results(change, edits=of_row() if suspected else {})))
+    assert headline.startswith("Readings need 0.2 mm.") == (not suspected)
+    assert ("0.2 mm" in headline) == (not suspected)
