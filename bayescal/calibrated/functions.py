@@ -6,6 +6,9 @@ posterior, jointly with the parameters θ, is normal given the errors' sizes, to
 
     (Δθ, c) ~ N(μ, C),    C = mean of the covariances over draws of the sizes + covariance of the means.
 
+Sizes that the data hardly determine are cut off so that they count by their 90 % intervals (`Errors.limit`): their
+mean squares would be those of a few draws.
+
 Geometry imitates a part of the errors, so that both belong together: by itself neither is known as well. What drifts in
 measuring order is another error the next time, as large as it was.
 """
@@ -79,12 +82,13 @@ class KnownFunctions:
         thin, first, n_channels = _thin(posterior), terms[0].own, len(posterior.likelihood.model.channels)
         place = first.at(np.flatnonzero(first.used))
         assert place.time is not None
-        some = y[np.linspace(0, len(y) - 1, min(SIZES, len(y))).astype(int)]
-        pairs = thin.errors.of(thin.zeta(some))
+        chosen = np.linspace(0, len(y) - 1, min(SIZES, len(y))).astype(int)
+        zetas = thin.errors.limit(thin.zeta(y))[chosen]
+        pairs = thin.errors.of(zetas)
         functions = [(one, own) for one, own in pairs if isinstance(one, FunctionsOfPose)]
         random = [one.variance(own, thin.likelihood.data) for one, own in pairs if isinstance(one, IndependentErrors)]
         independent = np.sum([one.mean(axis=(0, 1)) for one in random], axis=0) if random else np.zeros(n_channels)
-        mean, covariance = _integrate(thin, y.mean(axis=0), some)
+        mean, covariance = _integrate(thin, y.mean(axis=0), zetas)
         sizes = {one.sort: one.amplitude(own) for one, own in functions}
         drifts = np.ones(N_DRIFTS)
         if DRIFT in sizes:
@@ -256,13 +260,13 @@ def _thin(posterior: CalibrationPosterior) -> CalibrationPosterior:
     return replace(posterior, errors=Errors(terms, posterior.errors.outliers))
 
 
-def _integrate(posterior: CalibrationPosterior, y: Array, some: Array) -> tuple[Array, Array]:
-    """Return the mean of coefficients but drifts and their covariance with the geometry, about y, by draws (T, n)."""
+def _integrate(posterior: CalibrationPosterior, y: Array, zetas: Array) -> tuple[Array, Array]:
+    """Return the mean of coefficients but drifts and their covariance with the geometry, about y, by sizes (T, k)."""
     m, (theta, change) = posterior.n_geometry, posterior.around(y)
     likelihood = posterior.likelihood
     split = likelihood.data.split()
     parts = [likelihood] if len(split) == 1 else [likelihood.pick(part) for part, _ in split]
-    zetas, sizes, grams = posterior.zeta(some), np.zeros((len(some), 0)), list[Array]()
+    sizes, grams = np.zeros((len(zetas), 0)), list[Array]()
     for part in parts:  # what all rows see of all columns would take gigabytes
         rows = ReadingRows(replace(posterior, likelihood=part))
         with np.errstate(all="ignore"):

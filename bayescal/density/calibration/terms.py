@@ -31,6 +31,7 @@ from bayescal.density.priors import HalfNormalPrior, LogNormalPrior, Prior
 from bayescal.errors import BayescalError, InputError
 from bayescal.machines.readings import ReadingModel
 from bayescal.numerics.geometry import Array
+from bayescal.numerics.heavy_tails import find_most
 
 STEP = 1e-5  # of a coordinate, for slopes of a term that states none
 
@@ -384,6 +385,22 @@ class Errors:
     def tails(self, zeta: Array) -> Outliers:
         """Return the density of white residuals at coordinates (B, k)."""
         return self.outliers.at(zeta[:, len(self.names) - len(self.outliers.names) :])
+
+    # --- sizes over draws --------------------------------------------------------------------------------------------
+
+    def limit(self, zeta: Array) -> Array:
+        """Return draws (T, k) for mean squares: sizes of errors that data hardly determine are cut off.
+
+        See `bayescal.numerics.heavy_tails`: their root mean square is then that of a normal error with their 90 %
+        interval, and no longer that of a few draws. Factors on the noise, and what may be negative, are no sizes.
+        """
+        found = zeta.copy()
+        adding = [type(term).factor is ErrorTerm.factor for term in self.terms for _ in term.names]
+        for k in np.flatnonzero(adding):
+            sizes = self.priors[k].value(zeta[:, k])
+            if (sizes >= 0.0).all() and np.isfinite(most := find_most(sizes)):
+                found[:, k] = np.minimum(zeta[:, k], self.priors[k].standardise(np.array(most)))
+        return found
 
     # --- what they do ------------------------------------------------------------------------------------------------
 

@@ -246,7 +246,7 @@ def describe_found(errors: Errors, zeta: Array) -> tuple[float, dict[str, float]
     The latter are standardised, by name.
     """
     square, sizes, floors, others = list[float](), dict[str, float](), dict[str, float](), dict[str, float]()
-    for term, own in errors.of(zeta):
+    for term, own in errors.of(errors.limit(zeta)):
         if isinstance(term, FunctionsOfPose):
             sizes[term.sort] = float(np.sqrt(np.mean(term.amplitude(own) ** 2)))
             floors |= {term.sort: term.floor} if term.floor > 0.0 else {}

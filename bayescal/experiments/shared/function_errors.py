@@ -24,6 +24,7 @@ from bayescal.experiments.shared.hidden import tabulate_hidden
 from bayescal.identifiability.hidden import choose_unseen, hide_in_posterior
 from bayescal.machines.readings import ReadingModel
 from bayescal.numerics.geometry import Array
+from bayescal.numerics.heavy_tails import measure_tail
 from bayescal.numerics.units import ARCSECOND, MICROMETRE
 
 if TYPE_CHECKING:
@@ -121,8 +122,9 @@ def tabulate_model_error(
     """Return what each term of a model error contributes, µm at the tool, as tables by name; none without terms.
 
     ``model_error`` has root mean squares over calibration rows and own channels, of each term and of all functions
-    together; ``model_error_members`` those of each channel, of the posterior mean of each term; ``model_error_poses``
-    all functions together at every row; ``model_error_hidden`` what errors that leave no trace hide of each parameter;
+    together, and by how much a function's standard deviation exceeds that of its interval (`measure_tail`);
+    ``model_error_members`` those of each channel, of the posterior mean of each term; ``model_error_poses`` all
+    functions together at every row; ``model_error_hidden`` what errors that leave no trace hide of each parameter;
     ``model_error_alone`` how far one sort of functions explains all.
 
     Parameters
@@ -155,8 +157,9 @@ def tabulate_model_error(
         square, n_numbers = sum(one.square[name] for one in found), len(names) * int((~held).sum())
         sizes[name] = np.sqrt(square / n_numbers)
     quantiles = {name: np.quantile(one, [0.5, *INTERVAL]) for name, one in sizes.items()}
-    rows = [(variant, name, *one) for name, one in quantiles.items()]
-    tables = {"model_error": pd.DataFrame(rows, columns=["variant", "term", "median_um", "q05_um", "q95_um"])}
+    tails = {one.sort: measure_tail(one.amplitude(zeta)) for one, zeta in terms if isinstance(one, FunctionsOfPose)}
+    rows = [(variant, name, *one, tails.get(name, float("nan"))) for name, one in quantiles.items()]
+    tables = {"model_error": pd.DataFrame(rows, columns=["variant", "term", "median_um", "q05_um", "q95_um", "tail"])}
     if functions:
         means = {name: np.concatenate([one.mean[name] for one in found]) for name in found[0].mean}
         mean, (low, high) = means[TOGETHER], np.concatenate([one.interval for one in found], axis=1)

@@ -90,7 +90,8 @@ def tabulate_errors(
 ) -> pd.DataFrame:
     """Return by what each commanded channel errs: noise and model error, root mean squares over draws of the posterior.
 
-    Errors that are functions count by their mean squares at the calibration poses, with the model error.
+    Errors that are functions count by their mean squares at the calibration poses, with the model error; sizes that the
+    data hardly determine by their 90 % intervals (`Errors.limit`).
 
     Parameters
     ----------
@@ -101,7 +102,7 @@ def tabulate_errors(
     draws : CommonDraws
         Of the errors common to all rows, one for each.
     """
-    whole, names, zeta = variant.whole, variant.model.names, posterior.zeta(y)
+    whole, names, zeta = variant.whole, variant.model.names, posterior.errors.limit(posterior.zeta(y))
     commanded = [names.index(whole.names[k]) for k in whole.select(whole.commanded) if whole.names[k] in names]
     parts = list[tuple[Array, Array]]()
     for some, data in posterior.likelihood.data.split():

@@ -24,6 +24,7 @@ from bayescal.experiments.study.page.parameters import draw_intervals, label_mem
 from bayescal.experiments.study.page.results import INDEPENDENT, TERMS, TOGETHER, VARIANT, StudyResults
 from bayescal.experiments.study.page.styles import Styles, add_legend, assign_styles
 from bayescal.limits import LASTING, UNSEEN_UM
+from bayescal.numerics.heavy_tails import HARDLY
 from bayescal.report.blocks import Block, Column, Figure, Fold, Section, Statement, Table, make_table
 from bayescal.report.numbers import (
     MICROMETRES,
@@ -269,7 +270,25 @@ def _list_floors(study: StudyResults, name: str) -> dict[str, float]:
 def state_terms(study: StudyResults) -> list[Statement]:
     """Return in a sentence what the model of the variant to use leaves out, and what to do about it."""
     described = _list_described(study)
-    return [_advise(_find(study, described[0]))] if described else []
+    if not described:
+        return []
+    found = _find(study, described[0])
+    return [_advise(found), *_state_open_sizes(found)]
+
+
+def _state_open_sizes(found: _Found) -> list[Statement]:
+    """Say of which systematic errors the size is hardly determined, so that a few draws make its mean square."""
+    tails = {name: float(row.get("tail", math.nan)) for name, row in found.functions.items()}
+    open_ones = {name: tail for name, tail in tails.items() if tail > HARDLY}
+    if not open_ones:
+        return []
+    what = join_words([KINDS[name].along for name in open_ones], "or")
+    text = (
+        f"These data hardly determine how large an error is that is {what}. Accuracies count the half-width of its "
+        "90 % interval over 1.645: the standard deviation, which a few draws make, would be "
+        f"{format_significant(max(open_ones.values()), 2)} times as large."
+    )
+    return [Statement(text, lead=LEAD)]
 
 
 def _advise(found: _Found) -> Statement:

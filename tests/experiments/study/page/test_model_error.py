@@ -147,6 +147,14 @@ def test_one_cause_is_named_where_it_is_better_than_any_other(make_results, alon
     assert ("a function of the pose, alike in all channels, by itself" in shown) == ("gravity" in alone)
 
 
+@pytest.mark.parametrize("tail", [1.2, 2.3])
+def test_a_size_that_data_hardly_determine_is_said_to_count_by_its_interval(make_results, tail):
+    tables = tabulate(all_unseen(own=SEEN))
+    tables["model_error"]["tail"] = np.where(tables["model_error"]["term"] == "own", tail, 1.0)
+    found = state_terms(read_study(make_results(more=tables, draws=False)))
+    assert any("2.3 times" in one.text for one in found) == (tail > 2.0)
+
+
 def test_a_cause_that_has_no_term_is_said_where_all_terms_together_are_not_seen(make_results):
     more = tabulate(all_unseen(), CHANNELS)
     more["model_error_alone"] = tabulate_alone({"none": 6.0, "linear": 4.0, "gravity": 19.0})
