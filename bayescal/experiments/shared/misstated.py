@@ -149,7 +149,7 @@ def _find_large(
         return None
     text = (
         f"what no machine within its tolerances explains is {format_significant(misfit.factor, 2)} times as large as "
-        "stated noise and model error, as large as that is"
+        f"the stated noise{' and the largest model error that helps' if search.posterior.errors.terms else ''}"
     )
     gain = 0.5 * misfit.dof * (misfit.factor**2 - 1.0 - 2.0 * float(np.log(misfit.factor)))
     return Misstated(LARGE, f"{text}{_say_rival(fit, rivals)}", misfit.factor, gain)

@@ -23,7 +23,7 @@ from bayescal.experiments.shared import estimate
 from bayescal.experiments.shared.estimate import Subject, time_fit
 from bayescal.experiments.shared.function_errors import tabulate_model_error
 from bayescal.experiments.shared.search_memory import KEPT_READINGS
-from bayescal.experiments.shared.slip_search import _Search
+from bayescal.experiments.shared.slip_search import SlipSearch
 from bayescal.experiments.shared.slip_verdict import STATED
 from bayescal.experiments.shared.trees import choose_draws
 from bayescal.experiments.study.calibrated import tabulate_errors
@@ -100,7 +100,7 @@ def test_known_functions_are_those_of_some_rows_at_a_time(drawn, monkeypatch):
 def test_a_first_look_says_as_the_search_what_data_that_fit_leave(study, monkeypatch):
     readings = study.variants["all"].list_readings()
     found = readings.measure_misfit()
-    assert found == pytest.approx(_Search(readings, ()).misfit, rel=0.02)
+    assert found == pytest.approx(SlipSearch(readings, ()).misfit, rel=0.02)
     assert found < STATED
     monkeypatch.setattr(measurements, "AT_ONCE", SOME)
     assert readings.measure_misfit() == pytest.approx(found, rel=1e-9)
