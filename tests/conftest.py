@@ -23,7 +23,8 @@ from bayescal.report.style import RC
 
 os.environ["BAYESCAL_TRUST"] = "1"  # the code of this repository and of its tests, in processes of theirs too
 losses.RAISE_OTHERS = True  # a programming error is no loss, in processes of this one at least
-os.environ["XDG_CONFIG_HOME"] = tempfile.mkdtemp(prefix="bayescal-tests-")  # what a user has trusted is left alone
+TRUSTED = tempfile.TemporaryDirectory(prefix="bayescal-tests-", ignore_cleanup_errors=True)
+os.environ["XDG_CONFIG_HOME"] = TRUSTED.name  # what a user has trusted is left alone
 
 
 @pytest.fixture(autouse=True)

@@ -87,8 +87,11 @@ def draw_predicted(known: pd.DataFrame) -> Drawing:
         rows = known[known["unit"] == unit]
         factor, name = shown_in(unit, None)
         place = np.arange(len(rows))
-        for column, colour, move in (("before", BEFORE, -0.18), ("after", AFTER, 0.18)):
-            axes.barh(place + move, factor * rows[column], 0.34, color=colour, label=column)
+        axes.hlines(place, factor * rows["before"], factor * rows["after"], color=GREY, linewidth=1.0)
+        for column, colour in (("before", BEFORE), ("after", AFTER)):
+            axes.plot(factor * rows[column], place, "o", color=colour, markersize=6, label=column)
+        axes.set_ylim(-0.6, len(rows) - 0.4)
+        axes.grid(visible=True, axis="x")
         axes.set_yticks(place, list(rows["coordinate"]))
         axes.invert_yaxis()
         if (rows[["before", "after"]] > 0.0).to_numpy().all():
