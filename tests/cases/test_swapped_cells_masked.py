@@ -14,6 +14,14 @@ def test_the_cells_are_named(case, call, study):
     assert ROWS in out
 
 
+def test_who_looked_may_deny_it(case, call):
+    study = case("swapped_cells_masked") / "study.toml"
+    study.write_text(f'denied_slips = ["rows"]\n{study.read_text()}')
+    code, out, _ = call("validate", study)
+    assert code == 0
+    assert ROWS in out
+
+
 @pytest.mark.parametrize("study", ["study", "study_none"])
 def test_mended_loads_are_not_suspected(case, call, study):
     folder = case("swapped_cells_masked")

@@ -117,7 +117,12 @@ def read_next(config: NextConfig, folder: Path) -> NextInputs:
     subjects = {name: Subject(one, requirements, workspace, candidates) for name, one in so_far.items()}
     origin = first.origin.partition(": study ")[0]
     return NextInputs(
-        config, origin, subjects, len(candidates.values), units, find_slip(one.readings for one in found.values())
+        config,
+        origin,
+        subjects,
+        len(candidates.values),
+        units,
+        find_slip((one.readings for one in found.values()), first.denied),
     )
 
 

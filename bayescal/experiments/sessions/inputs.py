@@ -95,13 +95,14 @@ def _judge_slip(session: SessionConfig, measured: MeasuredReadings) -> str | Non
 
     InputError where a slip explains a session many times better: joined to others it would pass for drift.
     """
-    slip = find_slip([measured.readings], session.denied_slips)
+    denied = {*session.denied_slips, *measured.denied}
+    slip = find_slip([measured.readings], denied)
     if slip is not None:
         raise InputError(
             f"session {session.label!r}: found data that no machine within the tolerances comes near, expected this "
             f"machine's; {slip.say()}{tell_denial('denied_slips of the session')}"
         )
-    slip = find_slip([measured.readings]) if session.denied_slips else None
+    slip = find_slip([measured.readings]) if denied else None
     return None if slip is None else f"Session {session.label!r}: {slip.say()}"
 
 

@@ -42,6 +42,7 @@ class MeasuredReadings:
     n_held_back: int = 0  # how many poses were measured besides, kept for verification
     described: Mapping[str, Any] = field(default_factory=dict)  # what was measured, in the study's own words
     aligned: bool = False  # whether its accuracy is what remains after base and tool are aligned
+    denied: tuple[str, ...] = ()  # kinds of slips that its data are not, as the study's config says
 
     @property
     def half(self) -> Array:

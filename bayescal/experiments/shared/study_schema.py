@@ -47,6 +47,7 @@ from bayescal.experiments.shared.schema import (
     RotationNoiseConfig,
     UnitsConfig,
 )
+from bayescal.experiments.shared.slips import DeniedSlips
 from bayescal.inference.schema import EvidenceConfig, SamplerConfig
 
 TABLES = ("targets", "poses", "points")
@@ -338,6 +339,9 @@ class StudyConfig(ExperimentConfig):
     """Whether accuracy is what remains after a best fit of the frames of base and tool (`aligned`), or is relative to
     marks on the `base`.
     """
+    denied_slips: DeniedSlips = Field(default=[], exclude_if=lambda value: not value)
+    """Kinds of slips that its data look like and are not, as somebody says who looked: `unit`, `legs`, `rows`, `poses`,
+    `channel`, `frame`."""
     variants: Annotated[list[VariantConfig], Field(min_length=1)]
     """Models to compare."""
     validation: ValidationConfig = ValidationConfig()

@@ -43,6 +43,7 @@ def compute_study(inputs: StudyInputs, run: Run) -> Results:
         "variants": variants,
         "rankings": rank_variants(variants),
         **({} if slip is None else {"slip": slip.record()}),
+        **({} if inputs.denied is None else {"denied_slips": [inputs.denied.say()]}),
         **({} if claims is None else {"publication": claims.describe()}),
     }
     if slip is None:

@@ -21,7 +21,7 @@ from bayescal.experiments.shared.readings.errors import drop_model_error
 from bayescal.experiments.shared.readings.inputs import ReadingInputs, read_inputs
 from bayescal.experiments.shared.readings.priors import check_ranges
 from bayescal.experiments.shared.requirements import read_requirements
-from bayescal.experiments.shared.slip_search import find_suspects
+from bayescal.experiments.shared.slip_search import find_slip, find_suspects
 from bayescal.experiments.shared.slip_verdict import Rival
 from bayescal.experiments.shared.slips import FoundSlip, Misstated
 from bayescal.experiments.shared.study_schema import StudyConfig
@@ -95,8 +95,15 @@ class StudyInputs(ReadingInputs):
         return self._suspects[0]
 
     @cached_property
+    def denied(self) -> FoundSlip | None:
+        """The slip that the data look like and the config denies; None where they look like none."""
+        denied = self.config.denied_slips
+        found = find_slip(one.list_readings() for one in self.variants.values()) if denied else None
+        return found if found is not None and found.fault in denied else None
+
+    @cached_property
     def _suspects(self) -> tuple[FoundSlip | None, list[Rival]]:
-        return find_suspects(one.list_readings() for one in self.variants.values())
+        return find_suspects((one.list_readings() for one in self.variants.values()), self.config.denied_slips)
 
     @cached_property
     def misstated(self) -> Misstated | None:
@@ -125,6 +132,7 @@ class StudyInputs(ReadingInputs):
                 int(one.verification.sum()),
                 {} if self.seen is None else self.seen.measured.described,
                 one.aligned,
+                tuple(self.config.denied_slips),
             )
             for name, one in chosen.items()
         }

@@ -22,6 +22,7 @@ from bayescal.experiments.shared.readings.machine_kind import MachineExperiment
 from bayescal.experiments.shared.readings.measurement import list_file_faults
 from bayescal.experiments.shared.search_memory import estimate_calibration
 from bayescal.experiments.shared.slip_causes import WIDE
+from bayescal.experiments.shared.slips import tell_denial
 from bayescal.experiments.shared.study_schema import StudyConfig
 from bayescal.experiments.study.doubts import doubt_zero
 from bayescal.experiments.study.inputs import StudyInputs
@@ -72,11 +73,12 @@ class Study(MachineExperiment[StudyConfig, StudyInputs], Measuring, Calibrating)
         if inputs.slip is not None:
             return []
         found = None if before_run else inputs.misstated
-        return [*doubt_zero(inputs), *([] if found is None or found.fault == WIDE else [found.say()])]
+        denied = [] if inputs.denied is None else [f"{inputs.denied.say()}, which the config denies"]
+        return [*denied, *doubt_zero(inputs), *([] if found is None or found.fault == WIDE else [found.say()])]
 
     def suspect(self, inputs: StudyInputs) -> list[str]:
         """Return what seems to have happened to data that one slip explains far better than errors of the machine."""
-        return [] if inputs.slip is None else [inputs.slip.say()]
+        return [] if inputs.slip is None else [f"{inputs.slip.say()}{tell_denial('denied_slips')}"]
 
     def compute(self, inputs: StudyInputs, run: Run) -> Results:
         """Return posteriors, evidence and predictions of all variants."""

@@ -52,7 +52,7 @@ class TableInputs:
     @cached_property
     def slip(self) -> FoundSlip | None:
         """What may have happened to readings that no machine within its priors comes near, looked for once."""
-        return find_slip([self.variant.list_readings()])
+        return find_slip([self.variant.list_readings()], self.study.config.denied_slips)
 
     @cached_property
     def actuators(self) -> ReadingModel:

@@ -11,7 +11,7 @@ from typing import Any
 
 from scipy import stats
 
-from bayescal.experiments.shared.slips import LARGE, state_slip
+from bayescal.experiments.shared.slips import LARGE, state_denied, state_slip
 from bayescal.experiments.shared.soundness import ChiSquare, format_chance
 from bayescal.experiments.study.page.results import NOISE, StudyResults, get_number
 from bayescal.experiments.study.page.solutions import state_solutions
@@ -42,6 +42,7 @@ def state_soundness(study: StudyResults) -> list[Statement]:
     """Return what contradicts the stated noise and tolerances; nothing where nothing does."""
     return [
         *state_slip(study.summary),
+        *state_denied(study.summary),
         *state_solutions(study),
         *_state_targets(study),
         *_state_misstated(study),
