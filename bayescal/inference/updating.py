@@ -19,6 +19,7 @@ from bayescal.inference.importance import Resampled, resample
 from bayescal.inference.mode import DECREMENT_TOLERANCE, Mode, find_mode
 from bayescal.inference.peaks import Peak, bend_at, proposal_from_peaks
 from bayescal.inference.sampling import sample_posterior
+from bayescal.inference.solutions import find_solutions
 from bayescal.inference.straightening import straighten
 from bayescal.inference.target import Target
 from bayescal.limits import PARETO_K_LIMIT
@@ -109,17 +110,24 @@ def climb(posterior: Target, start: Array) -> Mode:
 
 
 def _begin_anew(posterior: Target, n_draws: int, seed: int) -> Belief:
-    """Return what is known by exploring the posterior, and by ensembles where importance resampling will not do."""
+    """Return what is known by exploring the posterior, and by ensembles where importance resampling will not do.
+
+    Of several solutions the most probable one is kept: a mean over several is no machine.
+    """
     explore_seed, draw_seed, ensemble_seed = np.random.SeedSequence([seed, 1]).spawn(3)
-    found = explore(posterior, explore_seed)
+    found = explore(posterior, explore_seed, anew=True)
     straight, rng = found.straight, np.random.default_rng(draw_seed)
     made = resample(straight.log_density, found.proposal, rng, PER_KEPT * n_draws, n_draws)
-    if made.pareto_k <= PARETO_K_LIMIT:
-        return _collect(posterior, found.modes[0], straight.y_from_x(made.draws), made, "explored")
-    sample = sample_posterior(found, ensemble_seed, ENSEMBLES, WALKERS, BURN_IN, LENGTH)
-    draws = sample.y.reshape(-1, posterior.n_parameters)
-    chosen = rng.choice(len(draws), n_draws, replace=len(draws) < n_draws)
-    return _collect(posterior, found.modes[0], draws[chosen], made, "sampled")
+    way: Way = "explored" if made.pareto_k <= PARETO_K_LIMIT else "sampled"
+    if way == "explored":
+        draws = straight.y_from_x(made.draws)[None, None]
+    else:
+        draws = sample_posterior(found, ensemble_seed, ENSEMBLES, WALKERS, BURN_IN, LENGTH).y
+    solutions = find_solutions(draws, found.modes, posterior.n_geometry)
+    mode = found.modes[int(np.argmax(solutions.of_modes == 0))]
+    mine = draws[solutions.label == 0]
+    chosen = mine if len(mine) == n_draws else mine[rng.choice(len(mine), n_draws, replace=len(mine) < n_draws)]
+    return _collect(posterior, mode, chosen, made, way)
 
 
 def _collect(posterior: Target, mode: Mode, draws: Array, made: Resampled, way: Way) -> Belief:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+
 import numpy as np
 import pytest
 import studies
@@ -59,3 +61,15 @@ def test_the_same_seed_gives_the_same_draws(posteriors):
     _, whole = posteriors
     start = climb(whole, whole.approach()).y
     assert np.array_equal(update(whole, start, 200, 5).draws, update(whole, start, 200, 5).draws)
+
+
+def test_of_two_solutions_one_machine_is_kept(pytestconfig, tmp_path):
+    folder = shutil.copytree(pytestconfig.rootpath / "tests/cases/two_modes", tmp_path / "two_modes")
+    (variant,) = studies.load_study(folder / "study.toml").variants.values()
+    found = updating._begin_anew(variant.posterior().anchored(), 400, 1)
+    assert found.draws.shape[0] == 400
+    posterior = variant.posterior().anchored()
+    place = posterior.names.index("b")
+    side = np.sign(posterior.natural(found.draws)[:, place])
+    assert abs(side.sum()) == 400
+    assert np.sign(posterior.natural(found.y[None])[0, place]) == side[0]
