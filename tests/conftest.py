@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import atexit
 import os
 import re
+import shutil
 import sys
 import tempfile
 from pathlib import Path
@@ -23,8 +25,8 @@ from bayescal.report.style import RC
 
 os.environ["BAYESCAL_TRUST"] = "1"  # the code of this repository and of its tests, in processes of theirs too
 losses.RAISE_OTHERS = True  # a programming error is no loss, in processes of this one at least
-TRUSTED = tempfile.TemporaryDirectory(prefix="bayescal-tests-", ignore_cleanup_errors=True)
-os.environ["XDG_CONFIG_HOME"] = TRUSTED.name  # what a user has trusted is left alone
+os.environ["XDG_CONFIG_HOME"] = tempfile.mkdtemp(prefix="bayescal-tests-")  # what a user has trusted is left alone
+atexit.register(shutil.rmtree, os.environ["XDG_CONFIG_HOME"], ignore_errors=True)
 
 
 @pytest.fixture(autouse=True)

@@ -358,6 +358,11 @@ class Posterior[L: Elimination[Any, Any], S: Sampling, E: Errors]:
         """Coordinates from which searches begin, shape (n,): the machine as expected, or nearer to the data."""
         return np.append(self.likelihood.begin_at(self.sampling), np.zeros(self.errors.n_parameters))
 
+    @cached_property
+    def first_machine(self) -> Array:
+        """The machine from which searches begin, (D,)."""
+        return np.asarray(self.theta(self.begin[None])[0])
+
     def around(self, y: Array) -> tuple[Array, Array]:
         """Return θ (D,) and dθ/dy (D, m) at y, shape (n,)."""
         theta = self.theta(y[None])[0]

@@ -84,7 +84,7 @@ class MeasuredMachine:
         if section.count is None:
             raise InputError("poses: found a file beside [data], expected a count")
         posterior, seed = self.found.posterior, self.config.seed
-        given, theta = typical_given(posterior.likelihood.data.given, section.count), posterior.sampling.start
+        given, theta = typical_given(posterior.likelihood.data.given, section.count), posterior.first_machine
         workspace, rng = self.workspace.widen(factor), np.random.default_rng([seed, 8])
         return plan_random(self.model, theta, section, given, workspace, rng, seed)
 
@@ -119,7 +119,7 @@ class MeasuredMachine:
             self.workspace,
             is_aligned(self.config.accuracy_frame, model, priors),
         )
-        values = model.read(variant.plain().sampling.start, planned.pose, planned.given)
+        values = model.read(posterior.first_machine, planned.pose, planned.given)
         if not np.isfinite(values).all():
             raise InputError("poses: found one that the machine cannot take, expected none")
         if planned.rows is not None:  # what was not read, is not

@@ -262,7 +262,7 @@ def _draw_poses(measured: MeasuredReadings, n: int, rng: np.random.Generator) ->
     model, found = posterior.likelihood.model, np.empty((0, len(measured.low)))
     for _ in range(TRIES):
         pose = rng.uniform(measured.low, measured.high, (n, len(measured.low)))
-        read = model.read(posterior.sampling.start, pose, typical_given(posterior.likelihood.data.given, n))
+        read = model.read(posterior.first_machine, pose, typical_given(posterior.likelihood.data.given, n))
         found = np.concatenate([found, pose[np.isfinite(read).all(axis=-1)]])
         if len(found) >= n:
             return found[:n]

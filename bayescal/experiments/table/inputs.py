@@ -148,14 +148,14 @@ def _check_places(found: TableInputs) -> None:
         given = found.given_at(rows)
         with name_faults(field):
             found.variant.whole.check_given(labels, given, ())
-        read = found.variant.model.read(found.variant.posterior().sampling.start, found.pose, given)
+        read = found.variant.model.read(found.variant.posterior().first_machine, found.pose, given)
         for k in np.flatnonzero(~np.isfinite(read).all(axis=-1))[:1]:
             raise InputError(f"{field}: found {labels[k]}, where the machine cannot be, expected where it can")
 
 
 def _check_told(found: TableInputs) -> None:
     """Raise InputError where the actuators alone do not hold the platform."""
-    at = found.actuators.linearise(found.variant.posterior().sampling.start, found.pose, False, found.zero)
+    at = found.actuators.linearise(found.variant.posterior().first_machine, found.pose, False, found.zero)
     slope = at.by_pose * found.variant.workspace.half
     values = np.linalg.svd(slope, compute_uv=False) if len(slope) else np.zeros(1)
     if len(slope) < len(found.pose) or values[-1] <= RANK * values[0]:
@@ -306,7 +306,7 @@ def plan_measurements(inputs: TableInputs, posterior: CalibrationPosterior, y: A
     start = covariance if asked.beside_data else np.eye(len(covariance))
     cell = np.repeat(inputs.cells, asked.poses, axis=0)
     pose = inputs.variant.workspace.draw(len(cell), rng)
-    read = model.read(inputs.variant.posterior().sampling.start, pose, inputs.given_at(cell))
+    read = model.read(inputs.variant.posterior().first_machine, pose, inputs.given_at(cell))
     stands = np.isfinite(read).all(axis=-1)
     pose, cell = pose[stands], cell[stands]
     every = np.ones(len(model.channels), dtype=bool)

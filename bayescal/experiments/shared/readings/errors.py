@@ -171,7 +171,7 @@ def find_own_channels(
     """
     model = posterior.likelihood.model
     own = OwnChannels.find(model, data, pose, used, positions, reach)
-    start, many = posterior.sampling.start, workspace.draw(N_COVERED, np.random.default_rng(0))
+    start, many = posterior.first_machine, workspace.draw(N_COVERED, np.random.default_rng(0))
     given = {name: np.full(len(many), np.median(value)) for name, value in data.given.items()}
     with np.errstate(all="ignore"):
         return own.cover(model, posterior.sampling.jacobian(start), start, many, given)

@@ -280,7 +280,7 @@ def _expect_readings(variant: Variant) -> Array:
         try:
             y = posterior.approach()[None]
         except NumericalError:  # no start: the machine as expected
-            return variant.model.read(posterior.sampling.start, variant.start, given)
+            return variant.model.read(posterior.first_machine, variant.start, given)
         theta, errors, zeta = posterior.at(y)
         pose = variant.likelihood(np.ones(variant.data.n_poses, dtype=bool)).explain(theta, errors, zeta)[1].pose[0]
         return variant.model.read(theta[0], pose, given)
