@@ -69,12 +69,14 @@ def write(path: Path, line: tuple[str, str, float], seed: int, prefix: str, foun
     """Write one line into a table, beside what stands there."""
     table = pd.read_csv(path).set_index(KEYS) if path.exists() else pd.DataFrame(columns=KEYS).set_index(KEYS)
     table.index = pd.MultiIndex.from_tuples(table.index.to_list(), names=KEYS)
-    table = table.sort_index()
     values = {f"{prefix}_{key}": value for key, value in {"seed": seed, **found}.items()}
     for key, value in values.items():
         if key not in table:
             table[key] = np.nan
-        table.loc[line, key] = value
+    if line not in table.index:
+        table.loc[line] = np.nan
+    table = table.sort_index()
+    table.loc[line, list(values)] = list(values.values())
     order = {name: k for k, name in enumerate((*MACHINES, *ROWS))}
     table = table.reset_index().sort_values(KEYS, key=lambda one: one if one.name == "size" else one.map(order))
     table.to_csv(path, index=False)

@@ -237,7 +237,7 @@ class _Search:
             deviations[rows][:, :n][:, stated],
             {name: readings.given[name][rows] for name in own.given},
         )
-        located = _locate(config, own, priors, fixed, data, symbols)
+        located = _locate(config, own, priors, fixed, data)
         there = np.isfinite(located.pose).all(axis=1)
         if there.sum() < 3:
             return None
@@ -289,10 +289,8 @@ def _locate(
     priors: Mapping[str, Prior],
     fixed: Mapping[str, float],
     data: Measurements,
-    symbols: Collection[str],
 ) -> _Located:
     """Return where the machine as expected stands by its own channels."""
-    del symbols
     names, workspace = set(own.layout.names), build_workspace(own, config.workspace, config.units)
     likelihood = CalibrationLikelihood(
         own, data, workspace.volume, np.zeros((data.n_poses, len(own.coordinates))), straight=False
