@@ -70,9 +70,7 @@ def write(path: Path, line: tuple[str, str, float], seed: int, prefix: str, foun
     table = pd.read_csv(path).set_index(KEYS) if path.exists() else pd.DataFrame(columns=KEYS).set_index(KEYS)
     table.index = pd.MultiIndex.from_tuples(table.index.to_list(), names=KEYS)
     values = {f"{prefix}_{key}": value for key, value in {"seed": seed, **found}.items()}
-    for key, value in values.items():
-        if key not in table:
-            table[key] = np.nan
+    table = table.reindex(columns=[*table.columns, *(key for key in values if key not in table)])
     if line not in table.index:
         table.loc[line] = np.nan
     table = table.sort_index()
