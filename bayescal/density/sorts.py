@@ -36,7 +36,6 @@ OF_SORT: Final = "sigma_"
 DRIFT: Final = "drift"
 START: Final = 0.02  # of a drift, that is there at the first pose
 MOST_SMOOTH, MOST_DRIFT = 30, 12  # columns
-MOST_FITTED = 400  # poses over which functions are fitted by those that parameters are
 MOST_CHOSEN = 200  # poses whose values tell of smooth functions everywhere
 LEFT = 1e-12  # of a variance, which is taken for zero
 AT_ONCE = 2048  # poses at which smooth functions are evaluated together
@@ -69,39 +68,63 @@ class Sort(ABC):
     def truncate(self, place: Place) -> Callable[[Place], Array]:
         """Return φ as a function of P poses, (N or 1, P, A), that suits some poses."""
 
+    def without(self, covered: np.ndarray) -> Sort:
+        """Return the same without the functions z_j of leg i that parameters are, (N, N), where it is made of such."""
+        del covered
+        return self
 
+
+@dataclass(frozen=True, eq=False)
 class Linear(Sort):
-    """z_p · z_q."""
+    """z_p · z_q, of each leg over the channels that ``free`` (N, N) leaves it; over all where nothing is said."""
+
+    free: Array | None = None
 
     def between(self, first: Place, second: Place) -> Array:
         """Return k."""
-        return np.asarray(first.travel @ second.travel.T)[None]
+        mine = first.travel[None] if self.free is None else first.travel * self.free[:, None]
+        return np.asarray(mine @ second.travel.T)
 
     def variance(self, place: Place) -> Array:
         """Return |z|²."""
-        return np.asarray((place.travel**2).sum(axis=1))[None]
+        square = place.travel**2
+        return np.asarray(square.sum(axis=1)[None] if self.free is None else self.free @ square.T)
 
     def truncate(self, place: Place) -> Callable[[Place], Array]:
         """Return z."""
         del place
-        return lambda other: other.travel[None]
+        return lambda other: other.travel[None] if self.free is None else other.travel * self.free[:, None]
+
+    def without(self, covered: np.ndarray) -> Sort:
+        """Return the same without z_j of leg i where that is covered."""
+        return Linear(1.0 - covered)
 
 
+@dataclass(frozen=True, eq=False)
 class Own(Sort):
-    """z_ip z_iq."""
+    """z_ip z_iq, of the legs that ``free`` (N,) leaves it; of all where nothing is said."""
+
+    free: Array | None = None
 
     def between(self, first: Place, second: Place) -> Array:
         """Return k."""
-        return np.asarray(first.travel.T[:, :, None] * second.travel.T[:, None, :])
+        mine = first.travel.T if self.free is None else first.travel.T * self.free[:, None]
+        return np.asarray(mine[:, :, None] * second.travel.T[:, None, :])
 
     def variance(self, place: Place) -> Array:
         """Return z_i²."""
-        return np.asarray(place.travel.T**2)
+        square = place.travel.T**2
+        return np.asarray(square if self.free is None else square * self.free[:, None])
 
     def truncate(self, place: Place) -> Callable[[Place], Array]:
         """Return z_i."""
         del place
-        return lambda other: other.travel.T[:, :, None]
+        free = 1.0 if self.free is None else self.free[:, None, None]
+        return lambda other: other.travel.T[:, :, None] * free
+
+    def without(self, covered: np.ndarray) -> Sort:
+        """Return the same without the legs whose own z_i is covered."""
+        return Own(1.0 - covered.diagonal())
 
 
 class Smooth(Sort):
@@ -182,14 +205,19 @@ class PoseFunctions:
     place: Place  # of the calibration poses
     # poses whose functions are made of few columns, and so are those at all others; by default nothing is left out
     of_few: Place | None = None
-    # (N, N): whether the function z_j of leg i is known elsewhere, as a parameter: sorts but drifts are then what their
-    # functions have beside their best fit by such functions over the calibration poses
+    # (N, N): whether the function z_j of leg i is a parameter, and no second unknown
     covered: np.ndarray | None = None
+
+    @cached_property
+    def _own(self) -> list[Sort]:
+        """What is unknown of each sort."""
+        covered, found = self.covered, [SORTS[name] for name in self.sorts]
+        return found if covered is None or not covered.any() else [one.without(covered) for one in found]
 
     @cached_property
     def norms(self) -> Array:
         """c_t of each sort, shape (C,)."""
-        found = np.array([one.mean() for one in self._list_variances(self.place)])
+        found = np.array([one.variance(self.place).mean() for one in self._own])
         if not (found > 0.0).all():
             raise InputError("model_error: found all calibration poses at home, expected actuators that move")
         return found
@@ -197,76 +225,25 @@ class PoseFunctions:
     @cached_property
     def _truncated(self) -> list[Callable[[Place], Array]]:
         assert self.of_few is not None
-        return [SORTS[name].truncate(self.of_few) for name in self.sorts]
+        return [one.truncate(self.of_few) for one in self._own]
 
     def list_bases(self, place: Place) -> list[Array]:
         """Return the columns φ of each sort, where there are few, (N or 1, P, A_t) each."""
-        found = []
-        for name, basis, norm in zip(self.sorts, self._truncated, self.norms, strict=True):
-            columns = basis(place)
-            if self._is_partly_covered(name):
-                columns = columns - self._follow(place) @ basis(self._rows)
-            found.append(columns / np.sqrt(norm))
-        return found
+        pairs = zip(self._truncated, self.norms, strict=True)
+        return [basis(place) / np.sqrt(norm) for basis, norm in pairs]
 
     def between(self, first: Place, second: Place) -> list[Array]:
         """Return k_t / c_t of each sort between poses, (N or 1, P, Q) each."""
         if self.of_few is None:
-            pairs = zip(self._list_kernels(first, second), self.norms, strict=True)
-            return [kernel / norm for kernel, norm in pairs]
+            return [one.between(first, second) / norm for one, norm in zip(self._own, self.norms, strict=True)]
         pairs = zip(self.list_bases(first), self.list_bases(second), strict=True)
         return [one @ np.swapaxes(other, -1, -2) for one, other in pairs]
 
     def variances(self, place: Place) -> list[Array]:
         """Return the same of poses with themselves, (N or 1, P) each."""
         if self.of_few is None:
-            return [one / norm for one, norm in zip(self._list_variances(place), self.norms, strict=True)]
+            return [one.variance(place) / norm for one, norm in zip(self._own, self.norms, strict=True)]
         return [(one**2).sum(axis=-1) for one in self.list_bases(place)]
-
-    # --- functions that parameters are ---------------------------------------------------------------------------
-
-    def _is_partly_covered(self, name: str) -> bool:
-        return name != DRIFT and self.covered is not None and bool(self.covered.any())
-
-    @cached_property
-    def _rows(self) -> Place:
-        """M poses over which functions are fitted by covered ones: those for calibration, or some of many."""
-        n = len(self.place.travel)
-        some = np.unique(np.linspace(0, n - 1, min(n, MOST_FITTED)).astype(int))
-        return Place(self.place.travel[some], None if self.place.time is None else self.place.time[some])
-
-    def _follow(self, place: Place) -> Array:
-        """Return the fit at P poses, by covered functions, of what is at M poses, (N, P, M)."""
-        assert self.covered is not None
-        rows = self._rows.travel
-        return np.stack([place.travel[:, mine] @ np.linalg.pinv(rows[:, mine]) for mine in self.covered])
-
-    def _list_kernels(self, first: Place, second: Place) -> list[Array]:
-        """Return k_t between poses, before they are normalised."""
-        found = []
-        for name in self.sorts:
-            sort = SORTS[name]
-            kernel = sort.between(first, second)
-            if self._is_partly_covered(name):
-                one, other = self._follow(first), np.swapaxes(self._follow(second), -1, -2)
-                rows = sort.between(self._rows, self._rows)
-                across = one @ sort.between(self._rows, second) + sort.between(first, self._rows) @ other
-                kernel = kernel - across + one @ rows @ other
-            found.append(kernel)
-        return found
-
-    def _list_variances(self, place: Place) -> list[Array]:
-        """Return the same of poses with themselves."""
-        found = []
-        for name in self.sorts:
-            sort = SORTS[name]
-            variance = sort.variance(place)
-            if self._is_partly_covered(name):
-                follow = self._follow(place)
-                rows, across = sort.between(self._rows, self._rows), sort.between(place, self._rows)
-                variance = variance + ((follow @ rows - 2.0 * across) * follow).sum(axis=-1)
-            found.append(variance)
-        return found
 
     @cached_property
     def left(self) -> Array:

@@ -9,9 +9,9 @@ with the sorts of functions k of `bayescal.density.functions`, of which c_t is t
 calibration rows. Travel z is where a channel stands beyond the middle of the workspace, in units of the whole range
 over which it moves there: its command, or the reading that is expected at the row's pose (`RowPositions`). τ and s are
 lengths at the tool: root mean squares in mm. A channel in another unit has a lever λ, by how many millimetres one unit
-of it moves the tool; one that reads lengths has λ = 1. Functions that free parameters are, such as a lead error of
-channels whose gains are free, are no second unknown: other functions are what they have beside these
-(`OwnChannels.cover`).
+of it moves the tool; one that reads lengths has λ = 1. Linear functions that free parameters are, such as a lead error
+of channels whose gains are free, are no second unknown (`OwnChannels.cover`). Smooth ones keep the linear part that
+their kernel has: how large it is follows from how far they bend.
 
 Functions are columns that all rows share, Φ = s / λ · R with R Rᵀ = k / c over all rows, those that are held back too;
 at other rows they are what their values at these rows say of them, k(·, rows) (Rᵀ)⁺. Of many rows they are made of few
