@@ -15,17 +15,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import norm, qmc
 
+from bayescal.calibrated.drawn_machines import Aligned, draw_machines, place_drawn
 from bayescal.calibrated.machine import NOISE, CalibratedMachine
 from bayescal.calibrated.predict import (
-    Aligned,
     bound_workspace,
     check_determined,
     command_poses,
-    draw_machines,
     find_curved,
     find_errors,
     is_pose,
-    place_drawn,
     place_machine,
     predict_poses,
     split,

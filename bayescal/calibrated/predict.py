@@ -23,7 +23,6 @@ import numpy as np
 from bayescal.calibrated.machine import MODEL, CalibratedMachine
 from bayescal.density.calibration.measurements import Comparison, Measurements
 from bayescal.errors import InputError
-from bayescal.identifiability.alignment import Alignment, find_alignment
 from bayescal.identifiability.information import root_of
 from bayescal.machines.readings import Channel
 from bayescal.machines.readings.base import NOTHING, Given, solve
@@ -254,7 +253,7 @@ def predict_poses(calibrated: CalibratedMachine, commands: Array, given: Given =
     """
     check_determined(calibrated)
     check_shape(commands, [one.name for one in calibrated.command_channels], "commands")
-    _check_given(calibrated, given, len(commands))
+    check_given(calibrated, given, len(commands))
     curved = find_curved(calibrated)
     parts = [_predict_some(calibrated, commands[part], _pick(given, part), curved) for part in split(len(commands))]
     channels, m = calibrated.model.tool_channels, len(calibrated.model.tool_channels)
@@ -294,13 +293,13 @@ def spread_outputs(
     """
 
     def respond(part: slice, theta: Array) -> Array:
-        return _respond(calibrated, at, part, theta)
+        return respond_at(calibrated, at, part, theta)
 
     columns = None if errors.columns is None else at.gain @ errors.columns
     return _spread(calibrated, at.by_geometry, respond, curved, columns)
 
 
-def _respond(calibrated: CalibratedMachine, at: Place, part: slice, theta: Array) -> Array:
+def respond_at(calibrated: CalibratedMachine, at: Place, part: slice, theta: Array) -> Array:
     """Return how machines θ, shape (S, D), as they are, move the outputs of some poses, shape (P, M, S)."""
     model, given = calibrated.model, _pick(at.given, part)
     read = model.respond(theta, calibrated.theta, at.pose[part], at.commands[part], given)
@@ -345,7 +344,7 @@ def command_poses(
     coordinates = coordinates or is_pose(calibrated)
     wanted = model.pose_channels if coordinates else model.tool_channels
     check_shape(poses, [one.name for one in wanted], "poses")
-    _check_given(calibrated, given, len(poses))
+    check_given(calibrated, given, len(poses))
     if not coordinates and len(wanted) < len(model.coordinates):
         raise InputError(
             f"machine {calibrated.name!r}: not meaningful: the tool's {len(wanted)} numbers do not determine its "
@@ -419,126 +418,6 @@ def place_tool(calibrated: CalibratedMachine, wanted: Array) -> tuple[Array, np.
 
 MET = 1e-7  # of a tool's number, or of its unit, within which it is as wanted
 
-# --- draws ---------------------------------------------------------------------------------------------------------
-
-
-def draw_poses(
-    calibrated: CalibratedMachine, commands: Array, n_draws: int, rng: np.random.Generator, given: Given = NOTHING
-) -> Array:
-    """Return where draws of the posterior have their tools, each with errors of its own.
-
-    InputError where there are no draws.
-
-    Parameters
-    ----------
-    calibrated : CalibratedMachine
-        With draws.
-    commands : ndarray, shape (P, C)
-    n_draws : int
-        At most so many S.
-    rng : Generator
-        For the errors of the commands.
-    given : mapping of str to ndarray, shape (P,)
-
-    Returns
-    -------
-    ndarray, shape (S, P, m)
-        NaN where a draw's machine has no pose.
-    """
-    return place_drawn(calibrated, draw_machines(calibrated, n_draws, rng), commands, rng, given)
-
-
-class DrawnMachines(NamedTuple):
-    """Machines of a posterior: parameters (S, D), and what coefficients of systematic errors differ by, (S, A)."""
-
-    theta: Array
-    coefficients: Array | None
-
-
-def draw_machines(calibrated: CalibratedMachine, n_draws: int, rng: np.random.Generator) -> DrawnMachines:
-    """Return at most so many machines of the posterior; InputError where there are no draws."""
-    if calibrated.draws is None:
-        raise InputError(f"experiment {calibrated.source.experiment}: found no draws of its posterior, expected some")
-    theta, known = calibrated.thin(n_draws), calibrated.functions
-    if known is None:
-        return DrawnMachines(theta, None)
-    along, left = known.given_geometry
-    apart = (theta - calibrated.theta)[:, calibrated.free] @ along.T
-    return DrawnMachines(theta, apart + rng.standard_normal((len(theta), left.shape[1])) @ left.T)
-
-
-def place_drawn(
-    calibrated: CalibratedMachine,
-    drawn: DrawnMachines,
-    commands: Array,
-    rng: np.random.Generator,
-    given: Given = NOTHING,
-) -> Array:
-    """Return where drawn machines have their tools at commands (P, C), each with other noise, (S, P, m)."""
-    model, m, theta = calibrated.model, len(calibrated.model.tool_channels), drawn.theta
-    check_determined(calibrated)
-    _check_given(calibrated, given, len(commands))
-    at = place_machine(calibrated, commands, given)
-    errors = _draw_errors(calibrated, at, drawn, rng)[..., :m]
-    tools = []
-    for part in split(len(theta), max(1, CHUNK // len(commands))):
-        rows = {name: value[None] for name, value in given.items()}
-        pose, _ = model.locate(theta[part, None], commands, rows, np.where(at.found[:, None], at.pose, 0.0)[None])
-        with np.errstate(all="ignore"):
-            tools.append(calibrated.comparison.add(model.tool_values(theta[part, None], pose), errors[part]))
-    return np.concatenate(tools)
-
-
-def _draw_errors(calibrated: CalibratedMachine, at: Place, drawn: DrawnMachines, rng: np.random.Generator) -> Array:
-    """Return what errors of the commands move the outputs by, shape (S, P, M)."""
-    errors, n = find_errors(calibrated, at), len(drawn.theta)
-    values, vectors = np.linalg.eigh(np.nan_to_num(errors.independent))
-    root = at.gain @ vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
-    shift = np.einsum("pij,pj->pi", at.gain, errors.mean)
-    moved = shift + np.einsum("pij,spj->spi", root, rng.standard_normal((n, *at.commands.shape)))
-    if errors.columns is None or drawn.coefficients is None:
-        return np.asarray(moved)
-    return np.asarray(moved + np.einsum("pij,sj->spi", at.gain @ errors.columns, drawn.coefficients))
-
-
-# --- base and tool aligned -----------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, eq=False)
-class Aligned:
-    """The mean machine at the P poses over which base and tool are aligned, all of them found."""
-
-    calibrated: CalibratedMachine
-    at: Place
-    alignment: Alignment
-
-    def fit(self, drawn: DrawnMachines) -> Array:
-        """Return how much of each motion drawn machines have over the poses, (F, S)."""
-        calibrated, m = self.calibrated, len(self.calibrated.model.tool_channels)
-        columns = find_errors(calibrated, self.at).columns
-        found = np.zeros((len(self.alignment.fits), len(drawn.theta)))
-        for part in split(len(self.at.pose), SPREAD_POSES):
-            moved = _respond(calibrated, self.at, part, drawn.theta)[:, :m]
-            if columns is not None and drawn.coefficients is not None:
-                moved = moved + self.at.gain[part, :m] @ columns[part] @ drawn.coefficients.T
-            rows = slice(part.start * m, part.stop * m)
-            found += self.alignment.fits[:, rows] @ moved.reshape(-1, moved.shape[-1])
-        return found
-
-    def move(self, tool: Array, pose: Array, fitted: Array) -> Array:
-        """Return what motions (F, S) do to tools (P, m) at poses (P, q), (S, P, m)."""
-        return np.asarray(np.moveaxis(self.alignment.at(tool, pose) @ fitted, -1, 0))
-
-
-def align_over(calibrated: CalibratedMachine, commands: Array, given: Given = NOTHING) -> Aligned | None:
-    """Return base and tool aligned over the poses of commands (P, C); None of a machine that places no tool."""
-    if not calibrated.model.places_tool:
-        return None
-    at = place_machine(calibrated, commands, given)
-    tool = at.outputs[:, : len(calibrated.model.tool_channels)]
-    return Aligned(calibrated, at, find_alignment(calibrated.model, tool, at.pose))
-
-
 # --- how the posterior spreads -------------------------------------------------------------------------------------
 
 
@@ -556,7 +435,7 @@ def find_curved(calibrated: CalibratedMachine) -> Array | None:
     at = place_machine(calibrated, commands, given)
     rows = np.flatnonzero(at.found)
     at = linearise_place(calibrated, at.pose[rows], at.found[rows], commands[rows], _pick(given, rows))
-    moved = _respond(calibrated, at, slice(None), theta)
+    moved = respond_at(calibrated, at, slice(None), theta)
     tangent = at.by_geometry @ (theta - calibrated.theta).T
     off = np.sqrt(np.mean((moved - tangent) ** 2, axis=-1))
     with np.errstate(invalid="ignore"):
@@ -647,7 +526,8 @@ def check_shape(values: Array, names: list[str], what: str) -> None:
         raise InputError(f"{what}: found none, expected at least one")
 
 
-def _check_given(calibrated: CalibratedMachine, given: Given, n: int) -> None:
+def check_given(calibrated: CalibratedMachine, given: Given, n: int) -> None:
+    """Raise InputError where what the machine has to know is not given at each of n poses."""
     for name in calibrated.model.given:
         if name not in given or np.shape(given[name]) != (n,):
             raise InputError(f"machine {calibrated.name!r}: found no {name} of each of {n} poses, expected it in given")

@@ -119,7 +119,8 @@ def predict(
     seed: Annotated[int, typer.Option(min=0, max=LARGEST_SEED, help="Of the draws' errors.")] = 0,
 ) -> None:
     """Predict where the machine and its tool are at commands (actuator positions), with their covariance."""
-    from bayescal.calibrated.predict import draw_poses, predict_poses
+    from bayescal.calibrated.drawn_machines import draw_poses
+    from bayescal.calibrated.predict import predict_poses
     from bayescal.calibrated.tables import check_found, format_draws, format_prediction, read_commands
 
     calibrated = options.load(results)

@@ -23,6 +23,7 @@ from bayescal.calibrated.accuracy import (
     sample_range,
     sample_region,
 )
+from bayescal.calibrated.drawn_machines import draw_poses
 from bayescal.calibrated.exported import keep_machines, read_exported
 from bayescal.calibrated.formats import export_machine
 from bayescal.calibrated.machine import (
@@ -30,7 +31,7 @@ from bayescal.calibrated.machine import (
     Errors,
     build_calibrated,
 )
-from bayescal.calibrated.predict import bound_workspace, command_poses, draw_poses, is_pose, predict_poses
+from bayescal.calibrated.predict import bound_workspace, command_poses, is_pose, predict_poses
 from bayescal.calibrated.tables import format_command, format_prediction, read_commanded, read_commands
 from bayescal.errors import InputError
 from bayescal.experiments.shared.certificate import Wishes, build_certificate, certify, state_headline

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 from bayescal.calibrated.accuracy import compute_budget
+from bayescal.calibrated.drawn_machines import draw_poses
 from bayescal.calibrated.exported import FUNCTIONS, _read_functions, list_posterior_files
 from bayescal.calibrated.functions import KnownFunctions
 from bayescal.calibrated.in_use import MachineInUse
 from bayescal.calibrated.machine import CalibratedMachine, Errors, build_calibrated
-from bayescal.calibrated.predict import command_poses, draw_poses, predict_poses
+from bayescal.calibrated.predict import command_poses, predict_poses
 from bayescal.calibrated.recheck.statistics import choose_suspects, compute_knowledge, judge_recheck, weigh_left_over
 from bayescal.density.calibration import terms
 from bayescal.density.calibration.likelihood import CalibrationLikelihood

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 import telescope_machines as machines
 
+from bayescal.calibrated.drawn_machines import draw_poses
 from bayescal.calibrated.machine import build_calibrated
-from bayescal.calibrated.predict import command_poses, draw_poses, predict_poses
+from bayescal.calibrated.predict import command_poses, predict_poses
 from bayescal.errors import InputError
 from bayescal.machines.kinematics import solve_forward_kinematics
 from bayescal.machines.readings import Legs

@@ -37,8 +37,9 @@ from bayescal.calibrated.accuracy import (
     sample_range,
     sample_region,
 )
+from bayescal.calibrated.drawn_machines import Aligned, align_over
 from bayescal.calibrated.machine import MATRIX, MODEL, NOISE, CalibratedMachine
-from bayescal.calibrated.predict import Aligned, align_over, check_determined
+from bayescal.calibrated.predict import check_determined
 from bayescal.errors import InputError
 from bayescal.experiments.frame.results import PROVENANCE_FILE, SUMMARY_FILE
 from bayescal.experiments.shared.headline import say_accuracy, write_headline
