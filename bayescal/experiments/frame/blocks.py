@@ -43,8 +43,14 @@ def find_blocks(names: Iterable[str], where: Path, folder: Path | None) -> list[
 
 def show_sections[S](blocks: Iterable[Callable[[S], Section | None]], subject: S) -> tuple[Section, ...]:
     """Return what blocks of a page show of something; one that fails costs its section, in which the reason stands."""
-    shown = (_show(block.__name__.removeprefix("show_").replace("_", " "), partial(block, subject)) for block in blocks)
+    shown = (_show(_name(block), partial(block, subject)) for block in blocks)
     return tuple(one for one in shown if one is not None)
+
+
+def _name(block: Callable[..., Section | None]) -> str:
+    """Return what a block shows, by the name of its function."""
+    function = block.func if isinstance(block, partial) else block
+    return str(getattr(function, "__name__", type(function).__name__)).removeprefix("show_").replace("_", " ")
 
 
 def add_blocks(page: Page, results: Results, blocks: Iterable[PageBlock]) -> Page:

@@ -75,7 +75,7 @@ def straight(tmp_path_factory):
 @pytest.fixture(scope="module")
 def bent():
     """Return audit and posterior level of the telescope with everything free."""
-    return _level(*_plan(MEASURED, 4000))
+    return _level(*_plan(MEASURED, 4000, accuracy_frame="base"))
 
 
 def test_contractions_are_those_of_the_information(straight):

@@ -44,14 +44,15 @@ def test_proposed_poses_are_better_where_nothing_errs_but_by_noise(name):
 
 
 def test_any_machine_has_proposed_poses():
-    plan = read_plans(load_audit(DELTA), DELTA.parent)["both"]
+    config = load_audit(DELTA).model_copy(update={"accuracy_frame": "base"})
+    plan = read_plans(config, DELTA.parent)["both"]
     _, proposed = propose(plan)
     assert judge(proposed) < 0.9 * judge(plan)
 
 
 def test_proposed_poses_tell_of_systematic_errors():
     """Those that noise alone asks for make the tool worse, when legs err by functions of the pose."""
-    plan = problems.read_shipped("m2_hexapod")
+    plan = problems.read_shipped("m2_hexapod", accuracy_frame="base")
     assert plan.sizes
     (_, better), (_, blind) = propose(plan), propose(plan.bare())
     chosen = problems.take_poses(blind)
