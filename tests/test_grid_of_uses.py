@@ -201,7 +201,14 @@ def check(use: Use) -> None:
     """Look for the usual faults, and simulate from prior and posterior."""
     variant = use.place.written.variant
     options = ("--variant", variant, "--data-sets", 4, "--seed", 2, "--workers", 1)
-    use.run("check", use.folder / "study.toml", *options, "--out", use.out)
+    study = use.folder / "study.toml"
+    if 'status = "measured"' in study.read_text():  # a real machine has errors that its model has not
+        code, _, complaint = use.call("check", study, *options, "--out", use.out)
+        assert code in (0, 3), complaint
+        found = read(use.out / "tables" / "findings.csv")
+        assert set(found.loc[found["level"] != "good", "fault"]) <= {"model error"}
+        return
+    use.run("check", study, *options, "--out", use.out)
     assert set(read(use.out / "tables" / "findings.csv")["level"]) == {"good"}
     assert len(read(use.out / "tables" / "ranks.csv")) == 8
 
