@@ -122,6 +122,8 @@ class LinearRows(NamedTuple):
     pull: Array  # (m,): their gradient
     # from ζ (k,) of the errors to XᵀS⁻¹X, (m + 1, m + 1), of slopes and residuals side by side, and ½ log |S|
     square: Callable[[Array], tuple[Array, float]]
+    # the same of several ζ (B, k), (B, m + 1, m + 1) and (B,), where that costs less than one by one
+    squares: Callable[[Array], tuple[Array, Array]] | None = None
 
 
 class GeometryGiven(NamedTuple):
@@ -162,3 +164,12 @@ class LinearGeometry:
         step = np.asarray(dtrtrs(factor, self.pull - both[:m, m], lower=1)[0])
         log_mass = 0.5 * (step @ step - both[m, m]) - half_log_det - np.log(np.diag(factor)).sum()
         return factor, step, float(log_mass) + self.log_prior(zeta)
+
+    def solve_each(self, zeta: Array) -> tuple[Array, Array]:
+        """Return H's lower factors L (B, m, m) and L⁻¹ (p - Jᵀ e), (B, m), of several ζ (B, k)."""
+        if self.rows.squares is None:
+            found = [self.solve(one) for one in zeta]
+            return np.tril(np.stack([one[0] for one in found])), np.stack([one[1] for one in found])
+        (both, _), m = self.rows.squares(zeta), len(self.pull)
+        factor = np.linalg.cholesky(self.precision + both[:, :m, :m])
+        return factor, np.linalg.solve(factor, (self.pull - both[:, :m, m])[..., None])[..., 0]

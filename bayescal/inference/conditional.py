@@ -96,14 +96,9 @@ class ExactConditional:
 
     def open(self, zeta: Array) -> tuple[Array, Array, Array]:
         """Return L⁻ᵀ (B, m, m), s (B, m) and log |L⁻ᵀ| (B,) at ζ (B, k)."""
-        found = [self.geometry.solve(one) for one in zeta]
-        factor = np.tril(np.stack([one[0] for one in found]))
+        factor, step = self.geometry.solve_each(zeta)
         diagonal = np.diagonal(factor, axis1=1, axis2=2)
-        return (
-            np.swapaxes(np.linalg.inv(factor), 1, 2),
-            np.stack([one[1] for one in found]),
-            -np.log(diagonal).sum(axis=1),
-        )
+        return np.swapaxes(np.linalg.inv(factor), 1, 2), step, -np.log(diagonal).sum(axis=1)
 
     def forward(self, x: Array, factor: Array, shift: Array) -> Array:
         """Return geometry (B, m) of x (B, m)."""

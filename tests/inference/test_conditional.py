@@ -1,9 +1,13 @@
 """Geometry that is normal given the errors, functions of the pose among them: how good its proposal is."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+import studies
 import telescope_machines as machines
 
+from bayescal.density.calibration.model_error import FunctionsOfPose
 from bayescal.density.calibration.terms import Errors
 from bayescal.density.components import LinearGeometry, LinearRows
 from bayescal.density.priors import NormalPrior
@@ -36,6 +40,22 @@ def test_proposal_needs_no_sharpening(posterior):
     found = explore(posterior, np.random.SeedSequence(4))
     assert found.straight.conditional is not None
     assert found.efficiency > 0.2  # 0.4; with fixed axes 0.08
+
+
+def test_errors_at_once_give_what_each_gives_by_itself(pytestconfig):
+    """Of rows without functions, whose errors are weighed together."""
+    path = pytestconfig.rootpath / "examples/own_machine/study.toml"
+    posterior = studies.load_study(path).variants["all"].posterior()
+    scatter = tuple(one for one in posterior.errors.terms if not isinstance(one, FunctionsOfPose))
+    steady = replace(posterior, errors=replace(posterior.errors, terms=scatter)).anchored()
+    linear = steady.linear_geometry(steady.approach())
+    assert linear.rows.squares is not None
+    zeta = np.random.default_rng(5).standard_normal((7, steady.n_parameters - steady.n_geometry))
+    factors, steps = linear.solve_each(zeta)
+    for factor, step, one in zip(factors, steps, zeta, strict=True):
+        expected, pulled, _ = linear.solve(one)
+        np.testing.assert_allclose(factor, np.tril(expected), rtol=1e-9, atol=1e-9 * np.abs(factor).max())
+        np.testing.assert_allclose(step, pulled, rtol=1e-9, atol=1e-9 * np.abs(step).max())
 
 
 def test_exact_conditional_is_the_normal_given_the_errors():

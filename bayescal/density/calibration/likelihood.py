@@ -483,13 +483,22 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
         error, slope, by_parameters = self.linearise_raw(theta, at.pose, with_parameters=True)
         both = np.concatenate([-by_parameters @ change, error[..., None]], axis=-1)
 
-        def square(zeta: Array) -> tuple[Array, float]:
-            white = self.whiten(*self.noise(errors, zeta[None]))
-            by_pose = white.rows(slope)
-            rows = (project_out(by_pose[0]) @ white.rows(both)[0]).reshape(-1, both.shape[-1])
-            return rows.T @ rows, float((half_log_volume(by_pose) - white.log_det).sum())
+        def look(zeta: Array) -> tuple[Array, Array]:
+            white = self.whiten(*self.noise(errors, zeta))
+            by_pose, own = (white.rows(one) for one in (slope, both))
+            rows = project_out(by_pose.reshape(-1, *by_pose.shape[2:])) @ own.reshape(-1, *own.shape[2:])
+            rows = rows.reshape(len(zeta), -1, both.shape[-1])
+            return np.swapaxes(rows, 1, 2) @ rows, (half_log_volume(by_pose) - white.log_det).sum(axis=-1)
 
-        return LinearRows(np.zeros((sampling.size,) * 2), np.zeros(sampling.size), square)
+        def square(zeta: Array) -> tuple[Array, float]:
+            every, half_log_det = look(zeta[None])
+            return every[0], float(half_log_det[0])
+
+        def squares(zeta: Array) -> tuple[Array, Array]:
+            parts = [look(zeta[part]) for part in self.batches(len(zeta))]
+            return np.concatenate([one for one, _ in parts]), np.concatenate([one for _, one in parts])
+
+        return LinearRows(np.zeros((sampling.size,) * 2), np.zeros(sampling.size), square, squares)
 
     def funnel(self, sampling: Sampling, errors: Errors, y: Array) -> Funnel | None:
         """Return how the geometry depends on the noise at y, shape (n,); None where that is known."""
