@@ -105,7 +105,7 @@ def count_kept_of(name, n, shares):
 @pytest.mark.runs
 def test_requirements_are_kept_as_often_as_claimed():
     claimed, found = count_kept_of("m2_hexapod", 120, (1.9,))
-    assert all(0.6 < p < 0.9 for p in claimed)
+    assert all(0.4 < p < 0.9 for p in claimed)  # where a difference would show
     assert all(one.agrees for one in found)
     halved = [compare_kept(one.kept, one.n, p / 2.0, DRAWS) for one, p in zip(found, claimed, strict=True)]
     assert not any(one.agrees for one in halved)
