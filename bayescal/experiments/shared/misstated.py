@@ -28,7 +28,7 @@ from bayescal.report.numbers import format_odds, format_significant
 from bayescal.report.symbols import format_amount
 
 SURE_OF_SCATTER = 5.0
-"""Nats by which rows have to be explained worse without errors drawn anew at each: one in a thousand by chance."""
+"""Nats by which rows have to be explained worse without independent errors of each: one in a thousand by chance."""
 ABSENT = -6.0  # coordinate of a size that is not there
 FAR = 5.0
 """Size of a model error in the median of its prior from which on it is far beyond what was allowed for."""
@@ -79,7 +79,7 @@ def find_misstated(
 def _find_scatter(search: SlipSearch, weighed: list[Weighed]) -> Misstated | None:
     """Return the noises that explain a scatter of the rows as well as errors of the model; None if there is none.
 
-    There is one where rows are explained far worse without errors that are drawn anew at each.
+    There is one where rows are explained far worse without errors that are drawn independently at each.
     """
     noises = [one for one in weighed if one.cause.fault == NOISE and one.factor > 1.0]
     noises = [one for one in noises if one.gain + one.cost > -ALIKE]
