@@ -525,7 +525,7 @@ def next_pose(
 
     Examples
     --------
-    >>> print(bc.next_pose(study, {"x": 0.1, "z": 0.1}, candidates=20, quiet=True).summary["headline"])
+    >>> print(bc.next_pose(study, {"x": 0.04, "z": 0.04}, candidates=20, quiet=True).summary["headline"])
     Measure one more pose, candidate ...: after 12 poses the requirements hold...
     """
     if not isinstance(study.project, _Project):

@@ -55,7 +55,7 @@ class MeasuredMachine:
     config: AuditConfig
     found: MeasuredReadings  # a variant of the study
     workspace: Workspace
-    # where free parameters are expected: their posterior means, or the mode; the priors' means before it is drawn
+    # where free parameters are expected: their posterior means, or the mode; before these, where searches begin
     centre: Mapping[str, float]
 
     @property
@@ -119,7 +119,7 @@ class MeasuredMachine:
             self.workspace,
             is_aligned(self.config.accuracy_frame, model, priors),
         )
-        values = model.read(posterior.first_machine, planned.pose, planned.given)
+        values = model.read(variant.plain().sampling.start, planned.pose, planned.given)
         if not np.isfinite(values).all():
             raise InputError("poses: found one that the machine cannot take, expected none")
         if planned.rows is not None:  # what was not read, is not
@@ -177,7 +177,7 @@ def read_measured(config: AuditConfig, folder: Path) -> MeasuredMachine:
         if config.workspace
         else Workspace(found.low, found.high, scale)
     )
-    return MeasuredMachine(config, found, workspace, {name: one.mean for name, one in posterior.priors.items()})
+    return MeasuredMachine(config, found, workspace, _name(found, found.anchored.begin))
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,6 +223,12 @@ def _take(found: MeasuredReadings, y: Array) -> tuple[Array, Array]:
     return target.natural(y)[:, places], found.posterior.zeta(y)
 
 
+def _name(found: MeasuredReadings, y: Array) -> dict[str, float]:
+    """Return the free parameters at coordinates (n,), by name."""
+    values, _ = _take(found, y[None])
+    return dict(zip(found.posterior.sampling.names, values[0].tolist(), strict=True))
+
+
 def centre(measured: MeasuredMachine, run: Run) -> tuple[MeasuredMachine, Draws | None, Array]:
     """Return a measured machine about its posterior, the draws of this, and coordinates of its errors (S, k).
 
@@ -232,12 +238,10 @@ def centre(measured: MeasuredMachine, run: Run) -> tuple[MeasuredMachine, Draws 
     wanted = DRAWS_WITH_DATA if config.posterior.draws is None else config.posterior.draws
     if wanted:
         draws = run.once("posterior", draw, (found, config.posterior, wanted, config.seed), (Draws,))
-        values, zeta = draws.mean, draws.zeta
-    else:
-        draws, (values, zeta) = None, _take(found, find_modes(found.anchored)[0].y[None])
-        values = values[0]
-    where = dict(zip(found.posterior.sampling.names, values.tolist(), strict=True))
-    return replace(measured, centre=where), draws, zeta
+        where = dict(zip(found.posterior.sampling.names, draws.mean.tolist(), strict=True))
+        return replace(measured, centre=where), draws, draws.zeta
+    mode = find_modes(found.anchored)[0].y
+    return replace(measured, centre=_name(found, mode)), None, found.posterior.zeta(mode[None])
 
 
 def describe_found(errors: Errors, zeta: Array) -> tuple[float, dict[str, float], dict[str, float], dict[str, float]]:

@@ -84,7 +84,7 @@ def test_a_run_that_would_find_no_machine_is_refused_with_the_likely_cause(tmp_p
 def test_page_summary_and_terminal_begin_with_it(tmp_path, call, no_pictures, monkeypatch):
     said = FoundSlip("rows", "rows of s seem to be shifted", 100.0, 41.0)
     path = calibrations.write_delta(tmp_path)
-    monkeypatch.setattr("bayescal.experiments.study.inputs.find_slip", lambda variants: said)
+    monkeypatch.setattr("bayescal.experiments.study.inputs.find_suspects", lambda variants, denied: (said, []))
     calibrations.change(path, '[[variants]]\nname = "one_rod"\ntitle = "Rods of one length"\ncommon = ["l"]\n', "")
     code, out, _ = call("run", path, "--out", tmp_path / "out", "--workers", 1)
     assert code == 3
