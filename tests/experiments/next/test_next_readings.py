@@ -26,12 +26,12 @@ SEED = 3
 REQUIRED = [Requirement("x", 0.1, ("x", "y")), Requirement("position", 0.2, ("x", "y"))]
 
 
-def build_state(**settings) -> State:
+def build_state(aligned=False, **settings) -> State:
     """Return what is known of a point on four lines after six poses, with 25 candidates."""
     rng = np.random.default_rng(1)
     posterior, _, _ = problems.lines_posterior(rng, n_poses=6, **settings)
     half = np.full(2, 150.0)
-    measured = MeasuredReadings("lines", "Simulated", posterior, -half, half, np.ones(4, dtype=bool))
+    measured = MeasuredReadings("lines", "Simulated", posterior, -half, half, np.ones(4, dtype=bool), aligned=aligned)
     poses = rng.uniform(-150.0, 150.0, (65, 2))
     subject = Subject(measured, REQUIRED, Poses(poses[:40], {}), Poses(poses[40:], {}))
     return find_state(subject, None, 400, SEED)
@@ -93,6 +93,17 @@ def test_errors_over_the_workspace_are_those_of_solved_poses(state):
             found = least_squares(lambda v, r=read: model.read(state.calibrated, v[None])[0] - r, pose, xtol=1e-14)
             np.testing.assert_allclose(followed[k, :, s], found.x - pose, atol=2e-3)
     assert np.abs(followed).max() > 0.05
+
+
+def test_aligned_errors_are_the_residuals_of_a_fitted_frame(state):
+    """Against least squares of two translations and a rotation about the origin over the workspace's poses."""
+    aligned = build_state(aligned=True)
+    x, y = aligned._workspace.T
+    motion = np.stack([np.stack([x**0, 0 * x, -y], axis=-1), np.stack([0 * x, x**0, x], axis=-1)], axis=1)
+    motion, slope = motion.reshape(-1, 3), state.slope.reshape(-1, state.slope.shape[-1])
+    expected = slope - motion @ np.linalg.lstsq(motion, slope)[0]
+    np.testing.assert_allclose(aligned.slope.reshape(slope.shape), expected, atol=1e-6 * np.abs(slope).max())
+    assert (aligned.standing.bound(0.9) < 0.8 * state.standing.bound(0.9)).all()
 
 
 def test_requirements_hold_as_often_as_draws_keep_them(state):
