@@ -41,3 +41,18 @@ def test_the_bend_is_found_and_allowed_for(case, call):
     found = results.table("parameters").set_index("parameter")
     for name, true in TRUTH.items():
         assert found.loc[name, "q05"] < true < found.loc[name, "q95"]
+
+
+@pytest.mark.runs
+@pytest.mark.usefixtures("no_pictures")
+def test_uses_take_a_machine_of_instruments_alone(case, call):
+    folder = case("given_moves_channels")
+    _, _, out = run_little(call, folder / "study.toml")
+    assert call("export", out, "--out", folder / "exported", "--force")[0] == 0
+    assert "pulse_us" in (folder / "exported" / "measured.csv").read_text()
+    plan = folder / "plan.csv"
+    assert call("recheck", out, "--out", plan, "--force")[0] == 0
+    assert call("recheck", out, "--measured", folder / "readings.csv", "--force")[0] == 0
+    code, _, complaint = call("command", out, plan, "--force")
+    assert code == 2
+    assert "all its channels are external" in complaint
