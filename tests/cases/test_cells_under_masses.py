@@ -41,3 +41,13 @@ def test_uses_take_the_rows_that_calibrated_it(case, call):
     code, _, complaint = call("predict", exported, folder / "loads.csv", "--force")
     assert code == 2
     assert "no coordinates, and so no pose; bayescal command says what its channels read" in complaint
+
+
+def test_a_constructor_without_options_is_named_with_what_it_takes(case, call):
+    folder = case("cells_under_masses")
+    text = (folder / "cells.py").read_text()
+    (folder / "cells.py").write_text(f"{text}\n    def __init__(self):\n        pass\n")
+    code, _, complaint = call("validate", folder / "study.toml")
+    assert code == 2
+    assert "takes 1 positional argument" in complaint
+    assert "__init__(self, config) takes the options of its file" in complaint

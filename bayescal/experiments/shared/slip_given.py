@@ -32,7 +32,8 @@ def list_rescaled(readings: Readings) -> Iterator[tuple[str, Table]]:
     """Yield words and tables in which a column that is given has another unit or sign."""
     for name in _find_moving(readings):
         value = readings.posterior.likelihood.data.given[name]
-        for words, (factor, zero) in (ANY | BY_UNIT.get(name.rpartition("_")[2].lower(), {})).items():
+        own = BY_UNIT.get(name.rpartition("_")[2].lower(), {})
+        for words, (factor, zero) in {**ANY, **own}.items():
             yield f"what is given as {name} seems to be {words}", _take(readings, {name: factor * (value - zero)})
 
 
