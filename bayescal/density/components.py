@@ -120,18 +120,15 @@ class LinearRows(NamedTuple):
 
     information: Array  # (m, m): of rows that do not depend on the errors
     pull: Array  # (m,): their gradient
-    # from ζ (k,) of the errors to XᵀS⁻¹X, (m + 1, m + 1), of slopes and residuals side by side, and ½ log |S|
-    square: Callable[[Array], tuple[Array, float]]
-    # the same of several ζ (B, k), (B, m + 1, m + 1) and (B,), where that costs less than one by one
-    squares: Callable[[Array], tuple[Array, Array]] | None = None
+    # from ζ (B, k) of the errors to XᵀS⁻¹X, (B, m + 1, m + 1), of slopes and residuals side by side, and ½ log |S|, (B,)
+    square: Callable[[Array], tuple[Array, Array]]
 
 
 class GeometryGiven(NamedTuple):
     """Geometry given what is unknown of the errors, to first order about a machine: normal."""
 
-    mean: Array  # (m,)
-    covariance: Array  # (m, m)
-    log_mass: float  # density of the errors' unknowns alone, their prior included, but for a constant
+    mean: Array  # (B, m)
+    covariance: Array  # (B, m, m)
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,36 +137,30 @@ class LinearGeometry:
 
     centre: Array  # (m,): the machine's coordinates
     rows: LinearRows
-    # (m, m) and (m,): minus the Hessian and the gradient there of the prior and of all rows that do not depend on the
-    # errors
+    # (m, m) or (B, m, m), and (m,): minus the Hessian and the gradient there of the prior and of all rows that do not
+    # depend on the errors
     precision: Array
     pull: Array
-    log_prior: Callable[[Array], float]  # the log-prior of coordinates ζ (k,) of the errors
+    log_prior: Callable[[Array], Array]  # the log-prior (B,) of coordinates ζ (B, k) of the errors
     sizes: Callable[[Array], Array]  # from ζ (B, k) to the errors in their own units
 
     def given(self, zeta: Array) -> GeometryGiven:
-        """Return the geometry given ζ (k,): with J of the white rows e, H = P + JᵀJ and mean H⁻¹ (p - Jᵀ e)."""
-        factor, step, log_mass = self.solve(zeta)
-        inverse = np.asarray(dtrtrs(factor, np.eye(len(step)), lower=1)[0])
-        return GeometryGiven(self.centre + inverse.T @ step, inverse.T @ inverse, log_mass)
+        """Return the geometry given ζ (B, k): with J of the white rows e, H = P + JᵀJ and mean H⁻¹ (p - Jᵀ e)."""
+        factor, step, _ = self.solve(zeta)
+        inverse = np.linalg.inv(factor)
+        mean = self.centre + (step[:, None] @ inverse)[:, 0]
+        return GeometryGiven(mean, np.swapaxes(inverse, 1, 2) @ inverse)
 
-    def log_mass(self, zeta: Array) -> float:
-        """Return the density of the errors' unknowns alone at ζ (k,), but for a constant."""
-        return self.solve(zeta)[2]
+    def log_mass(self, zeta: Array) -> Array:
+        """Return the density (B,) of the errors' unknowns alone at ζ (B, k), but for a constant."""
+        parts = [self.solve(zeta[part])[2] for part in batches(len(zeta), len(self.centre))]
+        return np.concatenate(parts)
 
-    def solve(self, zeta: Array) -> tuple[Array, Array, float]:
-        """Return H's lower factor L, L⁻¹ (p - Jᵀ e), and the density of ζ (k,) alone."""
+    def solve(self, zeta: Array) -> tuple[Array, Array, Array]:
+        """Return H's lower factors L (B, m, m), L⁻¹ (p - Jᵀ e), (B, m), and the density (B,) of ζ (B, k) alone."""
         (both, half_log_det), m = self.rows.square(zeta), len(self.pull)
-        factor = factorise(self.precision + both[:m, :m])
-        step = np.asarray(dtrtrs(factor, self.pull - both[:m, m], lower=1)[0])
-        log_mass = 0.5 * (step @ step - both[m, m]) - half_log_det - np.log(np.diag(factor)).sum()
-        return factor, step, float(log_mass) + self.log_prior(zeta)
-
-    def solve_each(self, zeta: Array) -> tuple[Array, Array]:
-        """Return H's lower factors L (B, m, m) and L⁻¹ (p - Jᵀ e), (B, m), of several ζ (B, k)."""
-        if self.rows.squares is None:
-            found = [self.solve(one) for one in zeta]
-            return np.tril(np.stack([one[0] for one in found])), np.stack([one[1] for one in found])
-        (both, _), m = self.rows.squares(zeta), len(self.pull)
         factor = np.linalg.cholesky(self.precision + both[:, :m, :m])
-        return factor, np.linalg.solve(factor, (self.pull - both[:, :m, m])[..., None])[..., 0]
+        step = np.linalg.solve(factor, (self.pull - both[:, :m, m])[..., None])[..., 0]
+        log_mass = 0.5 * (np.einsum("bi,bi->b", step, step) - both[:, m, m]) - half_log_det
+        log_mass -= np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
+        return factor, step, log_mass + self.log_prior(zeta)

@@ -435,8 +435,7 @@ class Posterior[L: Elimination[Any, Any], S: Sampling, E: Errors]:
         pull[:m] += self.sampling.log_volume_slope(y[:m], theta, change)
         centre[:m] = y[:m]
 
-        def log_prior(zeta: Array) -> float:
-            deviations = self.errors.deviations(zeta)
-            return float(-0.5 * deviations @ deviations)
+        def log_prior(zeta: Array) -> Array:
+            return np.asarray(-0.5 * np.sum(self.errors.deviations(zeta) ** 2, axis=-1))
 
         return LinearGeometry(centre, rows, precision, pull, log_prior, self.errors.natural)

@@ -53,13 +53,16 @@ def expect_sizes(
     def find_squares(zeta: Array) -> Array:
         return np.asarray(prior.value(zeta) ** 2 + least**2)
 
-    def log_density(zeta: Array) -> float:
+    def weigh(zeta: Array) -> float:
         size = np.sqrt(find_squares(zeta))[sorts]
         factor, _ = dpotrf(np.eye(len(size)) + size[:, None] * gram * size, lower=1)
         inverse, _ = dpotri(factor, lower=1)
         both = np.tril(inverse) * (size[:, None] * square * size)  # tr (1 + R M R)⁻¹ ..., from one half
         explained = 2.0 * both.sum() - np.trace(both)
         return float(-np.log(np.diag(factor)).sum() + 0.5 * explained - 0.5 * zeta @ zeta)
+
+    def log_density(zeta: Array) -> Array:
+        return np.array([weigh(one) for one in zeta])
 
     start = np.maximum(prior.standardise(np.maximum(list(true.values()), 0.1 * scale)), -3.0)
     mode = find_scales_mode(log_density, start)

@@ -10,7 +10,6 @@ others would have had.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
@@ -21,7 +20,7 @@ from bayescal.density.directions import CAUSES
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import FUNCTIONS
 from bayescal.density.sorts import OF_SORT
-from bayescal.inference.scales import find_scales_mode, sample_scales
+from bayescal.inference.scales import LogDensity, find_scales_mode, sample_scales
 from bayescal.numerics.geometry import Array
 
 ABSENT: Final = -8.0  # coordinate of a size of practically zero: what lies below has a prior probability of 1e-15
@@ -62,7 +61,7 @@ def weigh_causes(posterior: Posterior[Any, Any, Any], y: Array, rng: np.random.G
     if linear is None:
         return {}
 
-    def weigh(kept: list[int], log_mass: Callable[[Array], float] = linear.log_mass) -> tuple[float, Array]:
+    def weigh(kept: list[int], log_mass: LogDensity = linear.log_mass) -> tuple[float, Array]:
         absent = [k for k in functions if k not in kept]
         free = [k for k in range(len(names)) if k not in absent]
         known = 0.5 * ABSENT**2 * len(absent) - 0.5 * np.log(2.0 * np.pi) * len(free)
@@ -90,18 +89,18 @@ def weigh_causes(posterior: Posterior[Any, Any, Any], y: Array, rng: np.random.G
     return {name: Alone(value - together, *size.tolist()) for name, (value, size) in weighed.items()}
 
 
-def _tell(linear: LinearGeometry | None, m: int, place: int) -> Callable[[Array], float] | None:
+def _tell(linear: LinearGeometry | None, m: int, place: int) -> LogDensity | None:
     """Return the density of ζ alone where a coordinate is the size s of a cause's coefficients, N(0, s²)."""
     if linear is None:
         return None
     n = len(linear.pull) - m
 
-    def log_mass(zeta: Array) -> float:
-        size, without = float(linear.sizes(zeta[None])[0, place]), zeta.copy()
-        without[place] = ABSENT
-        precision = linear.precision.copy()
-        precision[m:, m:] += np.eye(n) / size**2
-        there = replace(linear, precision=precision).log_mass(without) - n * np.log(size)
-        return there + 0.5 * (ABSENT**2 - zeta[place] ** 2)
+    def log_mass(zeta: Array) -> Array:
+        size, without = linear.sizes(zeta)[:, place], zeta.copy()
+        without[:, place] = ABSENT
+        precision = np.tile(linear.precision, (len(zeta), 1, 1))
+        precision[:, m:, m:] += np.eye(n) / size[:, None, None] ** 2
+        there = replace(linear, precision=precision).solve(without)[2] - n * np.log(size)
+        return np.asarray(there + 0.5 * (ABSENT**2 - zeta[:, place] ** 2))
 
     return log_mass

@@ -96,7 +96,7 @@ class ExactConditional:
 
     def open(self, zeta: Array) -> tuple[Array, Array, Array]:
         """Return L⁻ᵀ (B, m, m), s (B, m) and log |L⁻ᵀ| (B,) at ζ (B, k)."""
-        factor, step = self.geometry.solve_each(zeta)
+        factor, step, _ = self.geometry.solve(zeta)
         diagonal = np.diagonal(factor, axis1=1, axis2=2)
         return np.swapaxes(np.linalg.inv(factor), 1, 2), step, -np.log(diagonal).sum(axis=1)
 
@@ -182,8 +182,7 @@ def _fit(linear: LinearGeometry, draws: Array, rng: np.random.Generator) -> Cond
     spread = np.linalg.cholesky(np.atleast_2d(np.cov(draws.T)) + 1e-9 * np.eye(k))
     wide = draws.mean(axis=0) + WIDER * rng.standard_normal((half, k)) @ spread.T
     nodes = np.concatenate([wide, draws[rng.choice(len(draws), half)]])
-    given = [linear.given(zeta) for zeta in nodes]
-    mean, covariance = np.stack([one.mean for one in given]), np.stack([one.covariance for one in given])
+    mean, covariance = linear.given(nodes)
     centre, root = mean.mean(axis=0), np.linalg.cholesky(covariance.mean(axis=0))
     inverse = np.linalg.inv(root)
     change = inverse @ covariance @ inverse.T - np.eye(len(root))

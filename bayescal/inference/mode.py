@@ -252,8 +252,8 @@ def _climb_given_errors(posterior: Target, start: Array) -> Climb:
         linear = posterior.linear_geometry(y)
         assert linear is not None
         y[m:] = find_scales_mode(linear.log_mass, y[m:])
-        given = linear.given(y[m:])
-        step, here = given.mean - y[:m], float(posterior.log_density(y[None])[0])
+        (mean,), (covariance,) = linear.given(y[None, m:])
+        step, here = mean - y[:m], float(posterior.log_density(y[None])[0])
         for share in 0.5 ** np.arange(HALVINGS):
             there = np.append(y[:m] + share * step, y[m:])
             found = float(posterior.log_density(there[None])[0])
@@ -262,7 +262,7 @@ def _climb_given_errors(posterior: Target, start: Array) -> Climb:
         else:
             break
         y = there
-        if step @ np.linalg.solve(given.covariance, step) < DECREMENT_TOLERANCE:
+        if step @ np.linalg.solve(covariance, step) < DECREMENT_TOLERANCE:
             break
     return y, float(posterior.log_density(y[None])[0])
 
@@ -301,9 +301,9 @@ def _characterise(posterior: Target, y: Array, log_density: float) -> Mode:
     linear = posterior.linear_geometry(y)
     if linear is not None:
         m, covariance = posterior.n_geometry, np.eye(len(y))  # of errors their prior's: draws tell it better
-        given = linear.given(y[m:])
-        covariance[:m, :m], step = given.covariance, given.mean - y[:m]
-        return Mode(y, log_density, covariance, bool(step @ np.linalg.solve(given.covariance, step) < SETTLED))
+        (mean,), (own,) = linear.given(y[None, m:])
+        covariance[:m, :m], step = own, mean - y[:m]
+        return Mode(y, log_density, covariance, bool(step @ np.linalg.solve(own, step) < SETTLED))
     gradient, curvature = posterior.gradient(y)
     factor, white = _factor_negative(posterior, y, curvature)
     converged = bool(np.sum((factor.T @ gradient) ** 2) < DECREMENT_TOLERANCE)

@@ -19,13 +19,15 @@ from bayescal.numerics.geometry import Array
 
 DOF = 8.0
 LIMITS = (-6.0, 8.0)  # of the search: beyond them the prior alone speaks
-STEP = 0.05  # of differences, prior standard deviations
+SMALL_STEP = 1e-8  # of first differences, prior standard deviations
+STEP = 0.05  # of second ones
 LEAST_CURVATURE = 0.3  # of the density; that of the prior is 1
 PRIOR_SHARE = 0.1  # of the proposal's draws that are the prior's
 ROUNDS = 2  # of mending the proposal by weighted draws
 FEW = 3.0  # effective draws for each coordinate, as many as Laplace's covariance counts beside theirs
 
-type LogDensity = Callable[[Array], float]
+type LogDensity = Callable[[Array], Array]
+"""From coordinates (B, n) to log-densities (B,), the standard normal prior included."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,15 +52,21 @@ class Scales:
 
 
 def find_scales_mode(log_density: LogDensity, start: Array) -> Array:
-    """Return where a log-density of n coordinates, the standard normal prior included, is largest."""
+    """Return where a log-density of n coordinates is largest, from a start (n,)."""
     from scipy.optimize import minimize  # a tenth of a second to import, for those who search
 
     if not len(start):
         return start
-    if not np.isfinite(log_density(start)):
+    if not np.isfinite(log_density(start[None])[0]):
         raise NumericalError("scales: found no density where their search begins")
+    steps = np.concatenate([np.zeros((1, len(start))), SMALL_STEP * np.eye(len(start))])
+
+    def evaluate(zeta: Array) -> tuple[float, Array]:
+        value, *ahead = -log_density(zeta + steps)
+        return value, (np.array(ahead) - value) / SMALL_STEP
+
     with np.errstate(invalid="ignore"):  # differences of what is nowhere
-        found = minimize(lambda zeta: -log_density(zeta), start, method="L-BFGS-B", bounds=[LIMITS] * len(start))
+        found = minimize(evaluate, start, jac=True, method="L-BFGS-B", bounds=[LIMITS] * len(start))
     if not np.isfinite(found.fun):
         raise NumericalError("scales: found no mode of their density")
     return np.asarray(found.x)
@@ -75,14 +83,14 @@ def sample_scales(log_density: LogDensity, mode: Array, n_draws: int, n_kept: in
     Parameters
     ----------
     log_density : callable
-        Of one vector (n,), the standard normal prior included.
+        See `LogDensity`.
     mode : ndarray, shape (n,)
     n_draws, n_kept : int
         Draws of the proposal, and how many of them are kept by their weights.
     rng : Generator
     """
     if not len(mode):
-        value = log_density(mode)
+        value = float(log_density(mode[None])[0])
         return Scales(mode, np.empty((n_kept, 0)), value, 0.0, 1.0, 0.0)
     laplace = _find_covariance(log_density, mode)
     proposal = _propose(mode, laplace)
@@ -123,21 +131,17 @@ def keep_by_weight(draws: Array, log_weights: Array, n_kept: int, rng: np.random
 
 
 def _evaluate(log_density: LogDensity, draws: Array) -> Array:
-    values = np.array([log_density(one) for one in draws])
-    values[~np.isfinite(values)] = -np.inf
-    return values
+    values = log_density(draws)
+    return np.where(np.isfinite(values), values, -np.inf)
 
 
 def _find_covariance(log_density: LogDensity, mode: Array) -> Array:
     """Return minus the inverse Hessian at the mode by differences, kept no wider than tails need."""
-    n, centre = len(mode), log_density(mode)
-    steps = STEP * np.eye(n)
-    ahead = np.array([log_density(mode + step) for step in steps])
-    behind = np.array([log_density(mode - step) for step in steps])
+    n = len(mode)
+    steps, (i, j) = STEP * np.eye(n), np.tril_indices(n, -1)
+    points = np.concatenate([np.zeros((1, n)), steps, -steps, steps[i] + steps[j]])
+    centre, ahead, behind, both = np.split(log_density(mode + points), [1, 1 + n, 1 + 2 * n])
     hessian = np.diag((ahead - 2.0 * centre + behind) / STEP**2)
-    for i in range(n):
-        for j in range(i):
-            both = log_density(mode + steps[i] + steps[j])
-            hessian[i, j] = hessian[j, i] = (both - ahead[i] - ahead[j] + centre) / STEP**2
-    values, vectors = np.linalg.eigh(-0.5 * (hessian + hessian.T))
+    hessian[i, j] = hessian[j, i] = (both - ahead[i] - ahead[j] + centre) / STEP**2
+    values, vectors = np.linalg.eigh(-hessian)
     return np.asarray(vectors / np.maximum(values, LEAST_CURVATURE) @ vectors.T)

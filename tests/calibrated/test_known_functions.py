@@ -79,9 +79,9 @@ class Erring:
     def calibrate(self) -> CalibratedMachine:
         """Return the calibrated machine and what is known of its errors, given their most probable sizes."""
         mode, m = find_mode(self.posterior, self.posterior.approach()), self.posterior.n_geometry
-        given = self.posterior.linear_geometry(mode.y).given(mode.y[m:])
+        (mean,), (covariance,) = self.posterior.linear_geometry(mode.y).given(mode.y[None, m:])
         y = np.tile(mode.y, (N_DRAWS, 1))
-        y[:, :m] = self.rng.multivariate_normal(given.mean, given.covariance, N_DRAWS)
+        y[:, :m] = self.rng.multivariate_normal(mean, covariance, N_DRAWS)
         self.draws = y
         return replace(self.build(y, 0.0), functions=KnownFunctions.find(self.posterior, y))
 

@@ -89,19 +89,23 @@ def test_geometry_given_the_errors_is_that_of_the_joint_normal(few):
     rng = np.random.default_rng(5)
     residual, slope, centre = rng.standard_normal(P * N), rng.standard_normal((P * N, 4)), np.arange(4.0)
     square = few.square(np.column_stack([slope, residual]))
-    rows = LinearRows(np.zeros((4, 4)), np.zeros(4), lambda zeta: square(np.exp(zeta) * UNEQUAL))
+
+    def square_each(zeta):
+        found = [square(np.exp(one) * UNEQUAL) for one in zeta]
+        return np.stack([one for one, _ in found]), np.array([half for _, half in found])
+
+    rows = LinearRows(np.zeros((4, 4)), np.zeros(4), square_each)
     # a standard normal prior about zero
-    linear = LinearGeometry(centre, rows, np.eye(4), -centre, lambda zeta: float(-0.5 * zeta @ zeta), np.exp)
-    masses, expected = [], []
-    for zeta in (np.zeros(4), np.array([0.5, -1.0, 0.2, 0.3])):
-        given, noise = linear.given(zeta), plain(few, np.exp(zeta) * UNEQUAL)
+    linear = LinearGeometry(centre, rows, np.eye(4), -centre, lambda zeta: -0.5 * np.sum(zeta**2, axis=1), np.exp)
+    several, expected = np.array([np.zeros(4), [0.5, -1.0, 0.2, 0.3]]), []
+    for zeta, mean, covariance in zip(several, *linear.given(several), strict=True):
+        noise = plain(few, np.exp(zeta) * UNEQUAL)
         measured = slope @ centre - residual  # rows e = J (y - centre) + residual vanish where J y reads this
         gain = slope.T @ np.linalg.inv(slope @ slope.T + noise)
-        assert given.mean == pytest.approx(gain @ measured, rel=1e-8, abs=1e-10)
-        assert given.covariance == pytest.approx(np.eye(4) - gain @ slope, rel=1e-8, abs=1e-10)
-        masses.append(given.log_mass)
+        assert mean == pytest.approx(gain @ measured, rel=1e-8, abs=1e-10)
+        assert covariance == pytest.approx(np.eye(4) - gain @ slope, rel=1e-8, abs=1e-10)
         expected.append(multivariate_normal.logpdf(measured, cov=noise + slope @ slope.T) - 0.5 * zeta @ zeta)
-    assert np.diff(masses) == pytest.approx(np.diff(expected), rel=1e-9)
+    assert np.diff(linear.log_mass(several)) == pytest.approx(np.diff(expected), rel=1e-9)
 
 
 # --- few columns -----------------------------------------------------------------------------------------------------

@@ -49,13 +49,10 @@ def test_errors_at_once_give_what_each_gives_by_itself(pytestconfig):
     scatter = tuple(one for one in posterior.errors.terms if not isinstance(one, FunctionsOfPose))
     steady = replace(posterior, errors=replace(posterior.errors, terms=scatter)).anchored()
     linear = steady.linear_geometry(steady.approach())
-    assert linear.rows.squares is not None
     zeta = np.random.default_rng(5).standard_normal((7, steady.n_parameters - steady.n_geometry))
-    factors, steps = linear.solve_each(zeta)
-    for factor, step, one in zip(factors, steps, zeta, strict=True):
-        expected, pulled, _ = linear.solve(one)
-        np.testing.assert_allclose(factor, np.tril(expected), rtol=1e-9, atol=1e-9 * np.abs(factor).max())
-        np.testing.assert_allclose(step, pulled, rtol=1e-9, atol=1e-9 * np.abs(step).max())
+    for k, every in enumerate(zip(*linear.solve(zeta), strict=True)):
+        for found, alone in zip(every, linear.solve(zeta[k : k + 1]), strict=True):
+            np.testing.assert_allclose(found, alone[0], rtol=1e-9, atol=1e-9 * np.abs(found).max())
 
 
 def test_exact_conditional_is_the_normal_given_the_errors():
@@ -64,18 +61,17 @@ def test_exact_conditional_is_the_normal_given_the_errors():
     slope, residual, centre = rng.standard_normal((8, 3)), rng.standard_normal(8), rng.standard_normal(3)
 
     def square(zeta):
-        white = np.column_stack([slope, residual]) / np.sqrt(1.0 + np.exp(zeta[0]) * np.arange(8))[:, None]
-        return white.T @ white, 0.0
+        white = np.column_stack([slope, residual]) / np.sqrt(1.0 + np.exp(zeta[..., None]) * np.arange(8)[:, None])
+        return np.swapaxes(white, 1, 2) @ white, np.zeros(len(zeta))
 
     nothing = np.zeros((3, 3)), np.zeros(3)
-    linear = LinearGeometry(centre, LinearRows(*nothing, square), np.eye(3), np.ones(3), lambda zeta: 0.0, np.exp)
+    linear = LinearGeometry(centre, LinearRows(*nothing, square), np.eye(3), np.ones(3), lambda zeta: np.zeros(len(zeta)), np.exp)
     zeta = np.array([[-30.0], [0.5], [4.0]])
     found = ExactConditional(linear, zeta)
     factor, shift, volume = found.open(zeta)
-    for k, one in enumerate(zeta):
-        given = linear.given(one)
-        np.testing.assert_allclose(factor[k] @ factor[k].T, given.covariance, atol=1e-12)
-        assert volume[k] == pytest.approx(0.5 * np.linalg.slogdet(given.covariance)[1])
-    np.testing.assert_allclose(found.forward(np.zeros((3, 3)), factor, shift), [linear.given(one).mean for one in zeta])
+    mean, covariance = linear.given(zeta)
+    np.testing.assert_allclose(factor @ np.swapaxes(factor, 1, 2), covariance, atol=1e-12)
+    assert volume == pytest.approx(0.5 * np.linalg.slogdet(covariance)[1])
+    np.testing.assert_allclose(found.forward(np.zeros((3, 3)), factor, shift), mean)
     x = rng.standard_normal((3, 3))
     np.testing.assert_allclose(found.backward(found.forward(x, factor, shift), factor, shift), x, atol=1e-10)

@@ -82,8 +82,8 @@ def test_a_direction_weighs_what_its_columns_in_the_rows_do(tmp_path):
     n = len(extended.pull) - m
     precision = extended.precision.copy()
     precision[m:, m:] += np.eye(n) / size**2
-    told = replace(extended, precision=precision).log_mass(zeta) - n * np.log(size)
-    both, _ = extended.rows.square(zeta)
+    told = replace(extended, precision=precision).log_mass(zeta[None])[0] - n * np.log(size)
+    both = extended.rows.square(zeta[None])[0][0]
     j, u, e = np.split(np.linalg.cholesky(both + 1e-9 * np.eye(len(both))).T, [m, m + n], axis=1)
 
     def weigh_rows(covariance):
@@ -92,7 +92,7 @@ def test_a_direction_weighs_what_its_columns_in_the_rows_do(tmp_path):
         return -0.5 * (np.linalg.slogdet(wide)[1] + deviation @ np.linalg.solve(wide, deviation))
 
     without, within = (weigh_rows(np.eye(len(u)) + one * u @ u.T) for one in (0.0, size**2))
-    assert told - linear.log_mass(zeta) == pytest.approx(within - without, abs=1e-4)
+    assert told - linear.log_mass(zeta[None])[0] == pytest.approx(within - without, abs=1e-4)
 
 
 def test_without_errors_none_is_best(tmp_path):

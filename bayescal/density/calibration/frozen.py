@@ -304,17 +304,20 @@ class FrozenRows:
 
         both, none = np.column_stack([slope, residual]), (np.zeros((m, m)), np.zeros(m))
         few = self.few
-        if few is not None and _list_alone(errors) is not None:
-            whole = few.square(both)
-            return LinearRows(*none, lambda one: whole(_list_variances(errors, one[None])[0]))
+        whole = few.square(both) if few is not None and _list_alone(errors) is not None else None
 
-        def square(one: Array) -> tuple[Array, float]:
-            if few is not None:
-                thin = self._factorise(few, likelihood, errors, one)
-                return thin.square(both), thin.half_log_det
-            own = self._blocks(likelihood, errors, one[None])
-            total = self._assemble(own, errors.weights(one[None]))[0]
-            return square_whole(total, both)
+        def square(zeta: Array) -> tuple[Array, Array]:
+            if whole is not None:
+                found = [whole(one) for one in _list_variances(errors, zeta)]
+            elif few is not None:
+                thin = [self._factorise(few, likelihood, errors, one) for one in zeta]
+                found = [(one.square(both), one.half_log_det) for one in thin]
+            else:
+                found = list[tuple[Array, float]]()
+                for part in batches(len(zeta), len(both)):
+                    own, weights = self._blocks(likelihood, errors, zeta[part]), errors.weights(zeta[part])
+                    found += [square_whole(one, both) for one in self._assemble(own, weights)]
+            return np.stack([one for one, _ in found]), np.array([half_log_det for _, half_log_det in found])
 
         return LinearRows(*none, square)
 

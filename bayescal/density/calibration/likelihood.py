@@ -490,15 +490,11 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
             rows = rows.reshape(len(zeta), -1, both.shape[-1])
             return np.swapaxes(rows, 1, 2) @ rows, (half_log_volume(by_pose) - white.log_det).sum(axis=-1)
 
-        def square(zeta: Array) -> tuple[Array, float]:
-            every, half_log_det = look(zeta[None])
-            return every[0], float(half_log_det[0])
-
-        def squares(zeta: Array) -> tuple[Array, Array]:
+        def square(zeta: Array) -> tuple[Array, Array]:
             parts = [look(zeta[part]) for part in self.batches(len(zeta))]
             return np.concatenate([one for one, _ in parts]), np.concatenate([one for _, one in parts])
 
-        return LinearRows(np.zeros((sampling.size,) * 2), np.zeros(sampling.size), square, squares)
+        return LinearRows(np.zeros((sampling.size,) * 2), np.zeros(sampling.size), square)
 
     def funnel(self, sampling: Sampling, errors: Errors, y: Array) -> Funnel | None:
         """Return how the geometry depends on the noise at y, shape (n,); None where that is known."""

@@ -194,7 +194,7 @@ class LoneRows:
     ) -> Array:
         """Return what these rows tell of the geometry's coordinates, (m, m), at θ (D,) with dθ/dy (D, m), ζ (k,)."""
         rows = self._differentiate_rows(theta, change)
-        weighed = np.linalg.solve(self._cover(likelihood, errors, zeta), rows)
+        weighed = np.linalg.solve(self._cover(likelihood, errors, zeta[None])[0], rows)
         return np.asarray(np.einsum("pki,pkj->ij", rows, weighed, optimize=True))
 
     def differentiate(
@@ -205,7 +205,7 @@ class LoneRows:
         gradient, hessian = np.zeros(n), np.zeros((n, n))
         with np.errstate(all="ignore"):
             rows, slope = self._find_rows(theta[None])[..., 0].T, self._differentiate_rows(theta, change)
-            inverse = np.linalg.inv(self._cover(likelihood, errors, zeta))
+            inverse = np.linalg.inv(self._cover(likelihood, errors, zeta[None])[0])
             weighed, tails = (inverse @ rows[..., None])[..., 0], errors.tails(zeta[None])
             square = np.einsum("pk,pk->p", rows, weighed)[None]
             trust = tails.trust(square, likelihood.n_spare)[0]
@@ -231,20 +231,29 @@ class LoneRows:
         slope, here = self._differentiate_rows(theta, change), self._find_rows(theta[None])[..., 0].T
         both = np.concatenate([slope, here[..., None]], axis=-1)
 
-        def square(zeta: Array) -> tuple[Array, float]:
-            factor = np.linalg.cholesky(self._cover(likelihood, errors, zeta))
-            rows = np.linalg.solve(factor, both).reshape(-1, both.shape[-1])
-            return rows.T @ rows, float(np.log(np.diagonal(factor, axis1=1, axis2=2)).sum())
-
         m = change.shape[1]
+
+        def look(zeta: Array) -> tuple[Array, Array]:
+            factor = np.linalg.cholesky(self._cover(likelihood, errors, zeta))
+            rows = np.linalg.solve(factor, np.broadcast_to(both, (len(factor), *both.shape)))
+            rows = rows.reshape(len(factor), -1, m + 1)
+            half_log_det = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(axis=(1, 2))
+            covers = len(zeta) // len(factor)  # a covariance that depends on no error is one for all
+            square = np.swapaxes(rows, 1, 2) @ rows
+            return np.repeat(square, covers, axis=0), np.repeat(half_log_det, covers)
+
+        def square(zeta: Array) -> tuple[Array, Array]:
+            parts = [look(zeta[part]) for part in likelihood.batches(len(zeta))]
+            return np.concatenate([one for one, _ in parts]), np.concatenate([one for _, one in parts])
+
         return LinearRows(np.zeros((m, m)), self.drift.sum(axis=1) @ change, square)
 
     def _cover(self, likelihood: CalibrationLikelihood, errors: Errors, zeta: Array) -> Array:
-        """Return the rows' covariance at ζ (k,), (P, m, m)."""
+        """Return the rows' covariance at ζ (B, k), (B, P, m, m); one for all where no error enters."""
         if not len(self.channels):
-            return self.known
-        beside = errors.noise(zeta[None], likelihood.data, likelihood.sd)[1][0]
-        return self.known + np.eye(len(self.channels)) * beside[:, self.channels, None] ** 2
+            return self.known[None]
+        beside = errors.noise(zeta, likelihood.data, likelihood.sd)[1]
+        return self.known + np.eye(len(self.channels)) * beside[:, :, self.channels, None] ** 2
 
     def _differentiate_rows(self, theta: Array, change: Array) -> Array:
         """Return derivatives of the rows by the geometry's coordinates at θ (D,), (P, m, m')."""

@@ -274,10 +274,10 @@ def count_kept(n_draws: int) -> int:
     return max(n_draws // 3, 100)
 
 
-def compute_log_density(linear: LinearSessions, zeta: Array) -> float:
-    """Return the log-density of scales ζ (n,), prior included, the states integrated."""
-    marginal = linear.condition(*linear.model.read_scales(zeta)).log_marginal
-    return marginal - 0.5 * float(zeta @ zeta) - len(zeta) * HALF_LOG_TWO_PI
+def compute_log_density(linear: LinearSessions, zeta: Array) -> Array:
+    """Return the log-densities (B,) of scales ζ (B, n), prior included, the states integrated."""
+    marginal = [linear.condition(*linear.model.read_scales(one)).log_marginal for one in zeta]
+    return np.array(marginal) - 0.5 * np.sum(zeta**2, axis=1) - zeta.shape[1] * HALF_LOG_TWO_PI
 
 
 def _draw_states(linear: LinearSessions, scales: Scales, rng: np.random.Generator) -> tuple[Array, Array]:

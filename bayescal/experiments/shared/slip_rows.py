@@ -492,8 +492,8 @@ def integrate_sizes(weigh: Weigh, start: Array) -> tuple[float, Array]:
     By Laplace's approximation about the optimum that a search from a start leads to.
     """
 
-    def log_density(zeta: Array) -> float:
-        return weigh(zeta) - 0.5 * float(zeta @ zeta)
+    def log_density(zeta: Array) -> Array:
+        return np.array([weigh(one) for one in zeta]) - 0.5 * np.sum(zeta**2, axis=1)
 
     mode = find_scales_mode(log_density, start)
-    return log_density(mode) + measure_volume(log_density, mode), mode
+    return float(log_density(mode[None])[0]) + measure_volume(log_density, mode), mode

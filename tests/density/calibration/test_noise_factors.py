@@ -56,7 +56,7 @@ def test_the_posterior_of_factors_is_that_of_all_readings_at_once(rng):
             gradient, hessian = posterior.gradient(y)
             y[:3] -= np.linalg.solve(hessian[:3, :3], gradient[:3])
         found.append(posterior.log_density(y[None])[0] - 0.5 * np.linalg.slogdet(-hessian[:3, :3])[1])
-        alone.append(posterior.linear_geometry(np.zeros(5)).log_mass(zeta))
+        alone.append(posterior.linear_geometry(np.zeros(5)).log_mass(zeta[None])[0])
         sd = np.where(FIRST, *np.exp(SCALE * zeta)) * SD
         own = np.diag(sd**2) + WIDE**2 * model.by_pose @ model.by_pose.T
         every = np.tile(model.by_parameters, (n_poses, 1))

@@ -448,7 +448,7 @@ def test_rows_of_few_columns_have_the_density_of_whole_matrices(thin):
     assert few.density(*at) == pytest.approx(whole.density(*at), rel=1e-9)
     assert few.density_by_row(*at) == pytest.approx(whole.density_by_row(*at), rel=1e-7)
     made = [one.linear_rows(likelihood, theta[0], np.eye(theta.shape[1]), errors) for one in (few, whole)]
-    (square, half), (expected, other) = (one.square(zeta[0]) for one in made)
+    (square, half), (expected, other) = (one.square(zeta) for one in made)
     assert square == pytest.approx(expected, rel=1e-8, abs=1e-8 * np.abs(expected).max())
     assert half == pytest.approx(other, rel=1e-9)
 
