@@ -295,9 +295,10 @@ class VariantResult:
 
         Columns of the table are those of commanded channels, ``s_1_mm``, and of what is given of each row.
         """
-        from bayescal.calibrated.predict import predict_poses
+        from bayescal.calibrated.predict import check_determined, predict_poses
         from bayescal.calibrated.tables import check_found, format_prediction, read_commands
 
+        check_determined(self.machine)
         with _written(commands) as path:
             names, positions, given = read_commands(path, self.machine)
             found = predict_poses(self.machine, positions, given)

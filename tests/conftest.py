@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import telescope_machines as machines
+from efforts import searching_little
 from matplotlib import rc_context, rcdefaults, rcParams
 from studies import snapshot
 
@@ -147,8 +148,7 @@ def no_pictures(monkeypatch):
 
 
 @pytest.fixture
-def search_little(monkeypatch):
+def search_little():
     """Let runs in this process sample from Laplace's approximation as it is: for tests of what a run writes."""
-    monkeypatch.setattr("bayescal.inference.exploration.MAX_PILOTS", 0)
-    monkeypatch.setattr("bayescal.inference.exploration.MAX_ROUNDS", 0)
-    monkeypatch.setattr("bayescal.inference.exploration.TRIAL_DRAWS", 100)
+    with searching_little():
+        yield

@@ -77,6 +77,9 @@ steps = {steps}
 [evidence]
 draws = 1000
 max_draws = 1000
+
+[validation]
+draws = 100
 """
 TOGETHER = """
 [[variants]]
@@ -162,13 +165,17 @@ def _halve(path: Path, half: int) -> str:
 
 @dataclass(frozen=True)
 class Readings:
-    """A machine whose readings are simulated: sections of its files, and what the whole variant leaves free."""
+    """A machine whose readings are simulated: sections of its files, and what the whole variant leaves free.
+
+    ``errors`` is what its study says of the model error, nothing for the default one.
+    """
 
     machine: str
     sensors: str
     parameters: str
     own: str
     few: str
+    errors: str = ""
     required: str = "x"
     drift: str = ""
     more: str = ""
@@ -204,7 +211,7 @@ class Readings:
         _write(
             folder / "study.toml",
             "study",
-            STUDY + known + VARIANTS.format(few=self.few) + SAMPLER.format(steps=40),
+            STUDY + known + self.errors + VARIANTS.format(few=self.few) + SAMPLER.format(steps=40),
         )
         keys = {"scale": 1e-4, "function": "scale_arcsec = 5.0"} if self.turns else {}
         together = TOGETHER.format(
@@ -266,6 +273,7 @@ def _noise(um: Mapping[str, float] | None = None, arcsec: Mapping[str, float] | 
     return "\n".join([*lines, *(f"{name} = {{ noise_arcsec = {value} }}" for name, value in (arcsec or {}).items())])
 
 
+INDEPENDENT = '\n[model_error]\nterms = ["independent"]\n'  # functions of the pose take most of the time
 SEEN = {"x": 5.0, "y": 5.0, "z": 5.0}
 TURNED = {"rx": 2.0, "ry": 2.0, "rz": 2.0}
 READINGS = {
@@ -275,6 +283,7 @@ READINGS = {
         _normal(l=0.3, y_P=0.005),
         own="s",
         few='["l"]',
+        errors=INDEPENDENT,
         required="x_V",
         drift='symbols = ["l"]\nper_leg = false',
         more="\n[workspace]\nx = [-50.0, 250.0]\ny = [-150.0, 150.0]\nphi = [120.0, 150.0]\n",
@@ -295,6 +304,7 @@ READINGS = {
         _normal(h=0.005, o=0.1),
         own="encoder",
         few='["o"]',
+        errors=INDEPENDENT,
         drift='symbols = ["o"]\nper_leg = false',
         beside=lambda folder: shutil.copy(own_arm.__file__, folder),
         coordinates=("q1_rad", "q2_rad", "q3_rad"),
@@ -306,6 +316,7 @@ READINGS = {
         _normal(l=0.3, o=0.1, e=0.5),
         own="motor",
         few='["l", "o"]',
+        errors=INDEPENDENT,
         drift='symbols = ["o"]\nper_leg = false',
         given="\n[given]\ntemperature_c = [10.0, 30.0]\n",
         beside=lambda folder: (folder / "five_bar.py").write_text(FIVE_BAR),

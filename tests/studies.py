@@ -125,6 +125,9 @@ steps = 10
 draws = 1000
 max_draws = 1000
 
+[validation]
+draws = 100
+
 [sensitivity]
 factor = [1.0]
 """

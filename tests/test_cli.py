@@ -15,6 +15,7 @@ import hexapod_settings
 import numpy as np
 import pytest
 import studies
+from efforts import searching_little
 
 from bayescal.cli import app
 from bayescal.errors import NumericalError
@@ -64,7 +65,7 @@ def finished(tmp_path_factory) -> Path:
     """Return the results of a tiny study, without a page, of which tests take copies."""
     folder = tmp_path_factory.mktemp("finished")
     path = studies.write_tiny_study(folder)
-    with pytest.MonkeyPatch.context() as patched:
+    with pytest.MonkeyPatch.context() as patched, searching_little():
         patched.setattr(frame, "write_page", lambda page, folder, *more: folder)
         frame.run_experiment(load_experiment(path), folder, folder / "out")
     return folder / "out"
@@ -221,7 +222,7 @@ def test_converged_is_0_without_errors(call, study, quick):
 
 
 @pytest.mark.runs
-def test_a_narrow_uniform_prior_is_no_failure(call, study, quick):
+def test_a_narrow_uniform_prior_is_no_failure(call, study, quick, search_little):
     """Bounds that the measurements contradict squeeze the posterior against them; that is a result."""
     keep_first_variant(Path(study))
     studies.edit(Path(study), 'prior = "normal", sd = 2.0', 'prior = "uniform", half_width = 0.001')
@@ -333,7 +334,7 @@ def test_report_of_results_that_no_experiment_wrote(refuse, tmp_path, provenance
 
 
 @pytest.mark.runs
-def test_compare_ranks_studies_of_the_same_data(call, refuse, study, finished, quick):
+def test_compare_ranks_studies_of_the_same_data(call, refuse, study, finished, quick, search_little):
     shutil.copytree(finished, "first")
     call("run", study, "--out", "second", "--workers", 1, "--seed", 12)
     code, out, err = call("compare", "first", "second")

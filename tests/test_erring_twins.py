@@ -228,10 +228,12 @@ def test_shares_are_of_what_lies_within_the_intervals(truth, rng):
 
 
 @pytest.mark.runs
-@pytest.mark.parametrize("name", ["telescope", "delta"])
-def test_a_table_is_written_line_by_line(truth, tmp_path, monkeypatch, name):
+@pytest.mark.usefixtures("search_little")
+@pytest.mark.parametrize(("name", "defaults"), [("telescope", ["both"]), ("delta", ["tau", "both"])])
+def test_a_table_is_written_line_by_line(truth, tmp_path, monkeypatch, name, defaults):
+    """Lines are replaced by those of another run."""
     path = tmp_path / "table.csv"
-    for default in ("tau", "both"):
+    for default in defaults:
         words = ["truth", "lead", "--machine", name, "--twins", "1", "--default", default, "--out", str(path)]
         monkeypatch.setattr("sys.argv", words)
         truth.command.main()

@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 import planar_rrr
 import pytest
+from efforts import searching_little
 
 import bayescal as bc
 from bayescal.projects.start import start_project
@@ -36,6 +37,7 @@ CASES = {
         planar_rrr.PlanarRRR(None),
         {"theta": 1e-4, "cam_x": 0.02, "cam_y": 0.02, "cam_phi": 2e-4},
         {"x": 0.5, "y": 0.5, "l": [0.3, 0.3, 0.2], "theta0": {"prior": "uniform", "half_width": 0.5}},
+        {"model_error": {"terms": ["independent"]}},  # the others have the default one
     ),
     "sliding platform": (
         str(ROOT / "experiments" / "sliding_star" / "machine.toml"),
@@ -52,16 +54,19 @@ def calibrate(case, **options):
     found = bc.load_machine(machine)
     symbols = set(found.model.layout.symbols)
     tolerances = {name: width for name, width in tolerances.items() if name in symbols}
-    data = bc.simulate(machine, noise, tolerances, 8, seed=2, **sections)
+    workspace = {key: one for key, one in sections.items() if key == "workspace"}
+    data = bc.simulate(machine, noise, tolerances, 8, seed=2, **workspace)
     return bc.calibrate(machine, data, tolerances, quiet=True, **TINY, **sections, **options)
 
 
 @pytest.fixture(scope="module")
 def delta(tmp_path_factory):
-    return calibrate("own file", out=tmp_path_factory.mktemp("front") / "results")
+    with searching_little():
+        return calibrate("own file", out=tmp_path_factory.mktemp("front") / "results")
 
 
 @pytest.mark.runs
+@pytest.mark.usefixtures("search_little", "no_pictures")
 @pytest.mark.parametrize("case", CASES)
 def test_the_shell_gives_the_same_numbers(case, tmp_path):
     study = calibrate(case)
@@ -89,11 +94,13 @@ def calibrate_hexapod(folder, as_table):
     return bc.calibrate(
         *(folder / content["machine"], data, content["parameters"]),
         **{"variants": {"rigid": rigid}, "origin": content["origin"]},
-        **{"quiet": True, "sampler": TINY["sampler"], "evidence": TINY["evidence"]},
+        **{"quiet": True, "model_error": {"terms": ["independent"]}},
+        **{key: TINY[key] for key in ("sampler", "evidence", "validation")},
     )
 
 
 @pytest.mark.runs
+@pytest.mark.usefixtures("search_little", "no_pictures")
 def test_a_mechanism_measured_by_an_instrument_from_python_as_from_the_shell(hexapod, tmp_path):
     study = calibrate_hexapod(hexapod, lambda path: pd.read_csv(path, comment="#"))
     study.to_toml(tmp_path / "project")
@@ -106,6 +113,7 @@ def test_a_mechanism_measured_by_an_instrument_from_python_as_from_the_shell(hex
 
 
 @pytest.mark.runs
+@pytest.mark.usefixtures("search_little", "no_pictures")
 def test_a_mechanism_is_simulated_audited_and_calibrated_by_its_channels():
     """Noise without units is in the channels' own, as of any machine; the requirement is one the plan may miss."""
     noise = {"rho": 0.001, "x": 0.005, "y": 0.005, "z": 0.005, "rx": 1e-5, "ry": 1e-5, "rz": 1e-5}
@@ -116,7 +124,8 @@ def test_a_mechanism_is_simulated_audited_and_calibrated_by_its_channels():
     assert (audit.tables["parameters"]["variant"] == "rigid").all()
     data = bc.simulate(machine, noise, tolerances, n_poses=12, model="six_ups")
     assert data.table.filter(regex="^rho_").shape == (12, 6)
-    study = bc.calibrate(machine, data, tolerances, variants=rigid, quiet=True, **TINY)
+    plain = {"model_error": {"terms": ["independent"]}}
+    study = bc.calibrate(machine, data, tolerances, variants=rigid, quiet=True, **TINY, **plain)
     found = study.best.parameters.set_index("parameter")["mean"]
     true = data.truth.set_index("parameter")["true"]
     assert (found[true.index] - true).abs().max() < 0.2  # mm, of tolerances of 0.05
@@ -172,6 +181,7 @@ def test_a_page_goes_into_a_folder_that_is_there(delta, tmp_path):
 
 
 @pytest.mark.runs
+@pytest.mark.usefixtures("search_little", "no_pictures")
 def test_the_next_pose_is_asked_of_what_was_calibrated():
     study = calibrate("own file")
     found = bc.next_pose(study, {"x": 0.05, "z": 0.05}, 20, quiet=True)

@@ -97,7 +97,7 @@ def measure_beyond(calibrated: CalibratedMachine, commands: Array, known: Region
     if known is None:
         return 0.0
     model = calibrated.model
-    lengths = np.array([one.unit == "mm" for one in model.coordinates])
+    lengths = np.array([one.unit == "mm" for one in model.coordinates], dtype=bool)
     chosen = lengths if lengths.any() else np.ones_like(lengths)
     given = calibrated.typical(len(commands))
     pose, found = model.locate(calibrated.theta, commands, given, weights=calibrated.weights)

@@ -129,6 +129,9 @@ def _format_calibrated(calibrated: CalibratedMachine, machine: Mapping[str, Any]
     """Return the file that names all others, and the table of the poses that calibrated a machine."""
     source, errors = calibrated.source, calibrated.errors
     beside = {"covariance": COVARIANCE, "draws": DRAWS, "functions": FUNCTIONS, "measured": MEASURED}
+    there = {key for key in beside if getattr(calibrated, key) is not None} | (
+        {"measured"} if calibrated.given else set()
+    )
     sd = np.sqrt(np.diagonal(errors.noise))
     scale = np.where(sd > 0.0, sd, 1.0)
     correlated = np.any(errors.noise != np.diag(np.diagonal(errors.noise)))
@@ -136,7 +139,7 @@ def _format_calibrated(calibrated: CalibratedMachine, machine: Mapping[str, Any]
         "kind": "calibrated_machine",
         **machine,
         **({"units": dict(calibrated.units)} if calibrated.units else {}),
-        **{key: name for key, name in beside.items() if getattr(calibrated, key) is not None},
+        **{key: name for key, name in beside.items() if key in there},
         "accuracy_frame": "aligned" if calibrated.aligned else "base",
         "source": {key: value for key, value in vars(source).items() if value != ""},
         "errors": {
@@ -147,26 +150,30 @@ def _format_calibrated(calibrated: CalibratedMachine, machine: Mapping[str, Any]
         },
     }
     texts = {CALIBRATED: format_toml(source.describe(), content)}
-    if calibrated.measured is not None:
+    if "measured" in there:
         texts[MEASURED] = format_measured(calibrated.model, calibrated.measured, calibrated.given)
     return texts
 
 
-def format_measured(model: ReadingModel, commands: Array, given: Mapping[str, Array]) -> str:
-    """Return the commands (P, C) of the poses that calibrated a machine, and what was known of these besides."""
+def format_measured(model: ReadingModel, commands: Array | None, given: Mapping[str, Array]) -> str:
+    """Return the commands (P, C) of the poses that calibrated a machine, and what was known of these besides.
+
+    Commands are None where they are not known of any pose, or there are none.
+    """
     comments = ["Commands of the poses that calibrated the machine: where it is known, not extrapolated"]
-    channels = [model.channels[k] for k in model.select(model.commanded)]
-    values = np.column_stack([commands, *given.values()])
+    channels = [] if commands is None else [model.channels[k] for k in model.select(model.commanded)]
+    values = np.column_stack([*([] if commands is None else [commands]), *given.values()])
     digits = [6 if one.unit == "mm" else 9 for one in channels] + [9] * len(given)
     rows = [[f"{x:.{n}f}" for x, n in zip(row, digits, strict=True)] for row in values]
     return format_table(comments, [*(f"{one.stem}_{one.unit}" for one in channels), *given], rows)
 
 
-def read_measured(path: Path, model: ReadingModel) -> tuple[Array, dict[str, Array]]:
+def read_measured(path: Path, model: ReadingModel) -> tuple[Array | None, dict[str, Array]]:
     """Return what `format_measured` wrote."""
     channels = [model.channels[k] for k in model.select(model.commanded)]
-    table = read_table(path, (*(f"{one.stem}_{one.unit}" for one in channels), *model.given))
-    return read_quantities(table, channels), read_given(table, model.given)
+    table = read_table(path, model.given, [f"{one.stem}_{one.unit}" for one in channels])
+    commands = read_quantities(table, channels) if set(table.columns) - set(model.given) else None
+    return commands, read_given(table, model.given)
 
 
 def format_matrix(matrix: Array) -> str:

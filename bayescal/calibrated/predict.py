@@ -151,7 +151,8 @@ def check_determined(calibrated: CalibratedMachine) -> None:
     model, n = calibrated.model, len(calibrated.commanded)
     q = len(model.coordinates)
     if not q:
-        raise InputError(f"machine {calibrated.name!r}: not meaningful: it has no coordinates, and so no pose")
+        uses = "; bayescal command says what its channels read" if n else ""
+        raise InputError(f"machine {calibrated.name!r}: not meaningful: it has no coordinates, and so no pose{uses}")
     if n < q:
         stated = ", ".join(model.commanded) or "none"
         raise InputError(
@@ -341,6 +342,11 @@ def command_poses(
     array([[250., 250., 250.]])
     """
     model = calibrated.model
+    if not len(calibrated.commanded):
+        raise InputError(
+            f"machine {calibrated.name!r}: not meaningful: all its channels are external, expected some that a "
+            "controller commands"
+        )
     coordinates = coordinates or is_pose(calibrated)
     wanted = model.pose_channels if coordinates else model.tool_channels
     check_shape(poses, [one.name for one in wanted], "poses")

@@ -120,12 +120,13 @@ def predict(
 ) -> None:
     """Predict where the machine and its tool are at commands (actuator positions), with their covariance."""
     from bayescal.calibrated.drawn_machines import draw_poses
-    from bayescal.calibrated.predict import predict_poses
+    from bayescal.calibrated.predict import check_determined, predict_poses
     from bayescal.calibrated.tables import check_found, format_draws, format_prediction, read_commands
 
     calibrated = options.load(results)
     check_out(out)
     check_out(draws)
+    check_determined(calibrated)
     names, positions, given = read_commands(commands, calibrated)
     _check_many(len(names), 1 if draws is None else n_draws, calibrated)
     found = predict_poses(calibrated, positions, given)

@@ -187,9 +187,10 @@ def name_failures(found: type, field: str, where: Path) -> Iterator[None]:
         if not is_own(found):
             raise
         text = " ".join(str(error).split())
+        hint = ": __init__(self, config) takes the options of its file" if "positional argument" in text else ""
         raise InputError(
             f"{where}: {field}: found class {found.__name__} that fails with {type(error).__name__}: {text}, "
-            "expected one that can be made"
+            f"expected one that can be made{hint}"
         ) from error
 
 

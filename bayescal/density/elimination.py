@@ -67,6 +67,8 @@ def solve_step(slope: Array, factor: list[list[Array]], error: Array) -> tuple[A
     """Return the same step from H and the factor of HᵀH, and by how much white readings move with it, |H v| (...)."""
     q = slope.shape[-1]
     solved: list[Array] = []
+    if not q:  # nothing moves
+        return np.zeros((*error.shape[:-1], 0)), np.zeros(error.shape[:-1])
     with np.errstate(all="ignore"):
         for i in range(q):
             side = np.einsum("...k,...k->...", slope[..., i], error) - sum(factor[i][k] * solved[k] for k in range(i))

@@ -64,6 +64,15 @@ def learn(covariance: Array, rows: Array) -> Array:
     return np.asarray(0.5 * (result + result.T))
 
 
+def learn_all(covariance: Array, rows: Array, times: float) -> Array:
+    """Return what remains unknown (m, m) after every pose was measured so many times, R (c, k, m)."""
+    values, vectors = np.linalg.eigh(covariance)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    seen = (rows @ root).reshape(-1, root.shape[1])
+    result = root @ np.linalg.solve(np.eye(len(root)) + times * seen.T @ seen, root.T)
+    return np.asarray(0.5 * (result + result.T))
+
+
 def add_poses(
     rows: Array, weight: Array, count: int, places: np.ndarray, covariance: Array | None = None
 ) -> tuple[list[int], list[Array]]:

@@ -19,7 +19,7 @@ pytestmark = pytest.mark.usefixtures("no_pictures", "wary")
 
 STEP = 25
 FIRST = {"inputs": 25, "tables": 25}
-RUNS = {"inputs": 300, "tables": 50}
+RUNS = {"inputs": 150, "tables": 50}
 """How many cases of a sort are quick, and how many with the runs; all others are slow."""
 CASES = [(sort, first) for sort, one in SORTS.items() if sort != "disturbed" for first in range(0, one.n, STEP)]
 DRAWN = (39, 52)

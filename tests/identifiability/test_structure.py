@@ -65,7 +65,7 @@ def _find(knowledge, plan, rng, frames=()):
     return find_structural_rank(problems.read_plan(knowledge, plan, frames), rng)
 
 
-@pytest.mark.parametrize("seed", run_rest(range(N_MACHINES), 24))
+@pytest.mark.parametrize("seed", run_rest(range(N_MACHINES), 12, 30))
 def test_planted_gauges_are_found_and_nothing_else(seed):
     rng = np.random.default_rng(seed)
     model, symbols = (("six_pus", JOINTS), ("six_ups", STRUTS))[seed % 2]

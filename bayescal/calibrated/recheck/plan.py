@@ -87,7 +87,8 @@ def list_candidates(calibrated: CalibratedMachine, share: float) -> tuple[Array,
     """Return commands (C, n) over a share of the range, and what is given: corners, middles of edges and faces, home.
 
     Of a machine on six legs those of its actuators. Redundant legs cannot be combined at will: theirs hold random poses
-    about home. Any other machine's hold such poses of its workspace, and random ones where these are few.
+    about home. Any other machine's hold such poses of its workspace, and random ones where these are few; one without
+    coordinates has the rows that calibrated it.
     """
     legs = legs_of(calibrated.model)
     if legs is None:
@@ -108,6 +109,9 @@ def _cover_workspace(calibrated: CalibratedMachine, share: float) -> tuple[Array
     moves = np.array(list(product(LEVELS, repeat=q))).reshape(n, q) if n <= RANDOM else np.zeros((1, q))
     moves = np.concatenate([moves, rng.uniform(-1.0, 1.0, (RANDOM - len(moves), q))])
     given = calibrated.typical(len(moves))
+    if given and not q:  # nothing moves but by what is given: that of the rows that calibrated it
+        given = {name: calibrated.given[name] for name in given}
+        moves = np.zeros((len(next(iter(given.values()))), 0))
     commands = model.read(calibrated.theta, middle + half * moves, given)[:, calibrated.commanded]
     with np.errstate(invalid="ignore"):
         within = ((commands >= model.command_range[:, 0]) & (commands <= model.command_range[:, 1])).all(axis=1)
@@ -308,7 +312,7 @@ def add_commands(path: Path, plan: Path | None, readings: Measurements, calibrat
     there = np.isfinite(values[:, own]).any()
     if plan is None:
         missing = [one.name for one in calibrated.command_channels]
-        if not there:
+        if missing and not there:
             raise InputError(
                 f"{path}: found no reading of {', '.join(missing)}, expected it there, or --actuators PLAN.csv"
             )

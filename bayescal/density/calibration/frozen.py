@@ -329,7 +329,7 @@ class FrozenRows:
         own = next((one.own for one in errors.terms if isinstance(one, FunctionsOfPose)), None)
         if own is None:
             return None
-        angles = np.array([one.unit == "rad" for one in model.coordinates])
+        angles = np.array([one.unit == "rad" for one in model.coordinates], dtype=bool)
         columns = list_directions(cause, pose - model.home_pose, angles, len(own.places))
         if columns is None:
             return None

@@ -48,7 +48,11 @@ OF_NOISE = 10.0 * MICROMETRE
 
 @dataclass(frozen=True, eq=False)
 class OwnChannels:
-    """N channels of the machine's own that move over the workspace, at the M rows of a study."""
+    """N channels of the machine's own that move, at the M rows of a study.
+
+    They move over the workspace, or by what is given of the rows. Of a machine without coordinates whose channels all
+    stand beside it, as the angle that a servo takes at a given pulse, it is these.
+    """
 
     places: np.ndarray  # (N,): where they stand among all K channels
     range: Array  # (N,): how far readings go from end to end of the workspace
@@ -86,6 +90,8 @@ class OwnChannels:
             How far readings of the nominal machine go from those in the middle of the workspace.
         """
         own = np.array([not one.external for one in model.channels])
+        if not len(model.coordinates) and not own.any():  # no pose comes between: what is read is what the model says
+            own[:] = True
         noise = np.array([_find_noise(data, k) for k in range(len(own))])
         places = np.flatnonzero(own & (reach > 0.0) & (noise > 0.0))  # what has no noise is a constraint
         return cls(
@@ -164,7 +170,8 @@ class OwnChannels:
         basis, sizes, _ = np.linalg.svd(span, full_matrices=False)
         basis = basis[:, sizes > SMALLEST * sizes[0]]
         rest = np.linalg.norm(columns - basis @ (basis.T @ columns), axis=0)
-        return replace(self, covered=(rest <= COVERED * np.linalg.norm(columns, axis=0)).reshape(n, n))
+        size = np.linalg.norm(columns, axis=0)
+        return replace(self, covered=((rest <= COVERED * size) & (size > 0.0)).reshape(n, n))
 
     def find_noise(self, data: Measurements) -> float:
         """Return the noise of a typical own channel at rows as stated, mm at the tool; zero where there is none."""

@@ -217,7 +217,7 @@ class Planned:
         )
         forecast, lengths, found = (
             self.forecast(),
-            np.array([one.unit == "mm" for one in self.variant.model.tool_channels]),
+            np.array([one.unit == "mm" for one in self.variant.model.tool_channels], dtype=bool),
             [],
         )
         for direction, move, sentence in described:

@@ -30,7 +30,7 @@ from bayescal.inference.updating import Belief, update
 from bayescal.limits import PARETO_K_LIMIT
 from bayescal.machines.readings import Given
 from bayescal.numerics.geometry import Array
-from bayescal.pose_selection.next_pose import Step, compare_variants, look_ahead
+from bayescal.pose_selection.next_pose import Step, compare_variants, learn_all, look_ahead
 from bayescal.report.numbers import format_fixed
 
 MOST_ERRORS = 2_000_000  # draws times poses of the workspace: their errors are kept
@@ -38,6 +38,8 @@ FEWEST_DRAWS = 200
 COURSE, COURSE_DRAWS = 8, 500
 SHOWN = 10  # poses of the list to come
 SEED, COURSE_SEED, FUNCTIONS_SEED = 11, 12, 13
+OFTEN = 1000.0
+"""How many times each candidate is measured after which noise no longer matters: what remains, no such pose tells."""
 
 
 def compute_next(inputs: NextInputs) -> Results:
@@ -194,11 +196,14 @@ def _summarise(
             "standard_error": state.standing.standard_error,
             "after_next": standings[1].probability,
             "at_best": state.at_best.probability,
+            "at_length": state.at_length.probability,
             "goal": goal,
             "poses_needed": min(enough, default=None),
         }
     reached = of_best if config.aim == "variants" else state.standing.probability
-    hopeless = config.aim == "requirements" and state.at_best.probability <= 1.0 - wanted  # even with geometry known
+    hopeless = config.aim == "requirements" and min(state.at_best.probability, state.at_length.probability) <= (
+        1.0 - wanted  # even with the geometry known, or with all that such poses tell of it
+    )
     return {**summary, "decision": "stop" if reached >= wanted else "hopeless" if hopeless else "measure"}
 
 
@@ -322,6 +327,11 @@ class State:
     def at_best(self) -> Standing:
         """How they would stand were the geometry known exactly."""
         return self._judge(np.broadcast_to(self.calibrated, self.theta.shape), np.zeros_like(self._drawn))
+
+    @cached_property
+    def at_length(self) -> Standing:
+        """How they are expected to stand were all candidates measured over and over."""
+        return self.after(learn_all(self.covariance, self.rows, OFTEN))
 
     def after(self, covariance: Array) -> Standing:
         """Return how they are expected to stand with another covariance of what is unknown, (m + A, m + A)."""

@@ -246,7 +246,7 @@ def _read_bounds(config: NextConfig, measured: MeasuredReadings) -> tuple[Array,
         )
     for name, bounds in (section or {}).items():
         if name not in names:
-            raise InputError(f"workspace: found {name!r}, expected some of {', '.join(names)}")
+            raise InputError(f"workspace: found {name!r}, expected some of {', '.join(names) or 'none'}")
         k = names.index(name)
         if not bounds[0] < bounds[1]:
             raise InputError(

@@ -87,10 +87,18 @@ def state_headline(summary: dict[str, Any]) -> str:
         return write_headline([f"{order}: after {_count(n)} {sure}, {wanted} wanted"])
     standing = summary["requirements"]
     if summary["decision"] == "hopeless":
-        best = f"with the geometry known exactly they hold with {say_probability(standing['at_best'], 1)}"
+        at_best, at_length = standing["at_best"], _find_at_length(summary)
+        best = f"with the geometry known exactly they hold with {say_probability(at_best, 1)}"
+        if at_length < at_best:
+            best = f"with all candidates measured over and over they hold with {say_probability(at_length, 1)}"
         return write_headline([f"Stop: the requirements will not be met by measuring; {best}"])
     held = say_probability(standing["probability"], 1)
     return write_headline([f"{order}: after {_count(n)} the requirements hold with {held}, {wanted} wanted"])
+
+
+def _find_at_length(summary: dict[str, Any]) -> float:
+    """Return with what probability requirements hold after endless measuring; one in results of earlier versions."""
+    return float(summary["requirements"].get("at_length", 1.0))
 
 
 def _count(n: int) -> str:
@@ -149,6 +157,14 @@ def _state_needed(summary: dict[str, Any]) -> Statement:
 def _state_best(summary: dict[str, Any]) -> Statement:
     best, wanted = summary["requirements"]["at_best"], summary["stated_probability"]
     text = f"With the geometry known exactly the requirements would hold with {say_probability(best, 1)}"
+    at_length = _find_at_length(summary)
+    if at_length < min(best, wanted):
+        text = (
+            f"{text}, but the candidates do not tell it: with all of them measured over and over they would hold with "
+            f"{say_probability(at_length, 1)}. What helps is another channel or instrument, other candidates, or a "
+            "closer tolerance of the parameters that the study's page calls poorly determined."
+        )
+        return Statement(text, "bad" if summary["decision"] == "hopeless" else "warning", "What can be reached")
     if best >= wanted:
         return Statement(f"{text}: measuring is what helps.", "good", "What can be reached")
     level: Level = "bad" if summary["decision"] == "hopeless" else "warning"

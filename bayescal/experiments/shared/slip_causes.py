@@ -16,6 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from bayescal.data.instruments.read_poses import FIXED, ROLL_PITCH_YAW, name_angles
+from bayescal.experiments.shared.slip_given import list_exchanged, list_rescaled
 from bayescal.experiments.shared.slip_rows import NARROWER, VAGUE, WIDER, Readings, Table
 from bayescal.experiments.shared.slips import CHANNEL, FRAME, LEGS, POSES, ROWS, UNIT
 from bayescal.machines.readings import Channel
@@ -110,6 +111,8 @@ class Cause:
 def list_tables(readings: Readings) -> Iterator[Cause]:
     """Yield what may have happened to columns of numbers."""
     yield from _list_columns(readings)
+    yield from (Cause(UNIT, text, table) for text, table in list_rescaled(readings))
+    yield from (Cause(LEGS, text, table) for text, table in list_exchanged(readings))
     yield from _list_blind(readings)
     yield from _list_displacements(readings)
     yield from _list_rereads(readings)

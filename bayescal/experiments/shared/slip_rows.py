@@ -15,7 +15,7 @@ give way to it, and a cause that leaves their sizes open gains the room that dat
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from itertools import product
@@ -54,6 +54,7 @@ class Table:
     """Readings (Q, K) of some of the rows, NaN where nothing was read, and channels that are taken otherwise.
 
     ``circular`` ones are compared on a circle; ``vague`` ones may read anything: their noise is `VAGUE` times as large.
+    ``given`` has what is given of the rows, (Q,) each, where that is taken otherwise.
     """
 
     values: Array
@@ -61,12 +62,15 @@ class Table:
     circular: tuple[int, ...] = ()
     vague: tuple[int, ...] = ()
     log_volume: float = 0.0  # of the change, for densities of changed readings to be compared
+    given: Mapping[str, Array] = field(default_factory=dict)
 
     def pick(self, some: np.ndarray) -> Table:
         """Return some of its rows, by a mask over the study's rows."""
         here = some[self.rows]
         share = float(here.mean()) if len(here) else 0.0
-        return replace(self, values=self.values[here], rows=self.rows[here], log_volume=share * self.log_volume)
+        given = {name: value[here] for name, value in self.given.items()}
+        volume = share * self.log_volume
+        return replace(self, values=self.values[here], rows=self.rows[here], log_volume=volume, given=given)
 
 
 @dataclass(frozen=True, eq=False)
@@ -398,6 +402,7 @@ class Readings:
             known = tuple(replace(one, period=TURN) if k in table.circular else one for k, one in channels)
             model = replace(model, channels=known)
         data = replace(likelihood.data.pick(table.rows), values=table.values)
+        data = replace(data, given={**data.given, **table.given})
         if table.vague:
             vague = np.isin(np.arange(len(self.channels)), table.vague)
             data = replace(data, sd=np.where(vague, VAGUE * data.sd, data.sd))

@@ -329,6 +329,7 @@ class SlipSearch:
             change = cause.columns @ fit.weigher.solve(fit.zeta)[1]
         elif cause.table is not None:
             change[cause.table.rows] = np.nan_to_num(cause.table.values - self.readings.values[cause.table.rows])
+            change += self._find_change_by_given(cause.table)
         if cause.fault == CHANNEL and np.ptp(change, axis=0).any():
             change = change - change.mean(axis=0)
         allowed = data.sd if cause.fault == ROWS else self.allowed
@@ -336,6 +337,20 @@ class SlipSearch:
         touched = np.abs(off).max(axis=0) > 0.0
         touched = np.abs(off) > 0.0 if cause.fault == ROWS else np.broadcast_to(touched, off.shape)
         return float(np.sqrt(np.mean(off[touched] ** 2))) if touched.any() else 0.0
+
+    def _find_change_by_given(self, table: Table) -> Array:
+        """Return by how much the machine as expected reads otherwise with what a table has as given, (P, K)."""
+        if not table.given:
+            return np.zeros_like(self.readings.values)
+        likelihood, given = self.posterior.likelihood, self.posterior.likelihood.data.given
+        other = {name: value.copy() for name, value in given.items()}
+        for name, value in table.given.items():
+            other[name][table.rows] = value
+        with np.errstate(all="ignore"):
+            before, after = (
+                likelihood.model.read(self.posterior.first_machine, likelihood.start, one) for one in (given, other)
+            )
+        return np.nan_to_num(after - before)
 
     def _name(self, weighed: list[Weighed]) -> Named | None:
         weighed = [one for one in weighed if one.cause.fault != WIDE]
@@ -437,12 +452,14 @@ class SlipSearch:
         causes = [Cause("", "", table=self.readings.table), *list_tables(self.readings)]
         tables = [one.table.pick(self.some) for one in causes if one.table is not None]
         seen: dict[int, Sight] = {}
-        for alike in dict.fromkeys((one.circular, one.vague) for one in tables):
-            places = [k for k, one in enumerate(tables) if (one.circular, one.vague) == alike]
+        kinds = [(one.circular, one.vague, tuple(one.given)) for one in tables]
+        for alike in dict.fromkeys(kinds):
+            places = [k for k, one in enumerate(kinds) if one == alike]
             for start in range(0, len(places), TOGETHER):  # looked at one below the other
                 some = places[start : start + TOGETHER]
                 values, rows = (np.concatenate([getattr(tables[k], key) for k in some]) for key in ("values", "rows"))
-                table, y = replace(tables[some[0]], values=values, rows=rows), self.readings.begin
+                given = {name: np.concatenate([tables[k].given[name] for k in some]) for name in alike[2]}
+                table, y = replace(tables[some[0]], values=values, rows=rows, given=given), self.readings.begin
                 every = None if self.is_late else self.readings.see(table, y, here.pose, 2)
                 if every is not None:
                     seen |= zip(some, every.split([tables[k] for k in some]), strict=True)

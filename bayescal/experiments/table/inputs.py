@@ -119,7 +119,7 @@ def _check_reference(config: TableConfig, variant: Variant) -> dict[str, float]:
         )
     for name in (*config.axes, *config.reference):
         if name not in known:
-            raise InputError(f"axes: found {name!r}, expected some of {', '.join(known)}")
+            raise InputError(f"axes: found {name!r}, expected some of {', '.join(known) or 'none'}")
     for name in known:
         if name not in config.reference:
             raise InputError(f"reference: found no {name}, expected it, for the machine has to know it")
@@ -132,7 +132,7 @@ def _place(config: TableConfig, study: StudyConfig, variant: Variant) -> Array:
     names = [one.name for one in coordinates]
     for name in config.pose:
         if name not in names:
-            raise InputError(f"pose: found {name!r}, expected some of {', '.join(names)}")
+            raise InputError(f"pose: found {name!r}, expected some of {', '.join(names) or 'none'}")
     pose = variant.workspace.middle.copy()
     for k, one in enumerate(coordinates):
         if one.name in config.pose:

@@ -12,6 +12,7 @@ A step into a place where g has no value is halved.
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -117,7 +118,7 @@ def locate_pose(
 
 
 def _flatten(values: Array, shape: tuple[int, ...]) -> Array:
-    return np.broadcast_to(values, (*shape, values.shape[-1])).reshape(-1, values.shape[-1])
+    return np.broadcast_to(values, (*shape, values.shape[-1])).reshape(math.prod(shape), values.shape[-1])
 
 
 def _wrap(error: Array, periods: Array) -> Array:

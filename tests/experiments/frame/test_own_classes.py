@@ -33,6 +33,8 @@ AUDIT = """
 extends = "base.toml"
 simulated_calibrations = 0
 expected_over_draws = 0
+profiles = ["l[1]"]
+model_error = { terms = ["independent"] }
 
 [[variants]]
 model = "six_ups"
@@ -62,7 +64,7 @@ def folder(tmp_path_factory):
 # --- studies -----------------------------------------------------------------------------------------------------
 
 
-def test_a_study_of_an_own_model_and_deformation(call, tmp_path, no_pictures):
+def test_a_study_of_an_own_model_and_deformation(call, tmp_path, no_pictures, search_little):
     path = own_classes.write_study(tmp_path, own_classes.ONE_VARIANT)
     code, _, complaint = call("run", path, "--out", tmp_path / "out1", "--workers", 1, "--quiet")
     assert code == 0 or "not everything converged" in complaint, complaint  # so few draws do not

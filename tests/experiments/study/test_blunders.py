@@ -14,6 +14,14 @@ from bayescal.experiments.frame.run import run_experiment, write_report
 pytestmark = pytest.mark.runs
 
 OFF = 0.3  # mm
+RIGID = '[[variants]]\nmodel = "six_pus"\ndeformation = "none"\nfree = ["l"]\n\n'
+
+
+def write_study(folder):
+    """Write a tiny study of the variant that is right alone."""
+    path = studies.write_tiny_study(folder)
+    studies.edit(path, RIGID, "")
+    return path
 
 
 def allow_outliers(path, share="0.02"):
@@ -38,8 +46,8 @@ def first_pose(path):
 
 
 @pytest.mark.parametrize("spoiled", [True, pytest.param(False, marks=pytest.mark.slow)])
-def test_blunders_are_named_on_the_page(tmp_path, spoiled, no_pictures):
-    path = allow_outliers(studies.write_tiny_study(tmp_path))
+def test_blunders_are_named_on_the_page(tmp_path, spoiled, no_pictures, search_little):
+    path = allow_outliers(write_study(tmp_path))
     pose = first_pose(path)
     if spoiled:
         spoil(path, pose)
@@ -57,8 +65,8 @@ def test_blunders_are_named_on_the_page(tmp_path, spoiled, no_pictures):
     assert ("Poses that the others contradict" in write_report(tmp_path / "out").read_text()) == spoiled
 
 
-def test_variants_with_and_without_stand_side_by_side(tmp_path, no_pictures):
-    path = studies.write_tiny_study(tmp_path)
+def test_variants_with_and_without_stand_side_by_side(tmp_path, no_pictures, search_little):
+    path = write_study(tmp_path)
     own = '[[variants]]\nmodel = "six_pus"\ndeformation = "matrix"\nfree = ["l", "kappa"]\n'
     studies.edit(path, own, f'{own}\n{own}name = "wary"\noutlier_share = 0.02\n')
     for spoiled in (False, True):

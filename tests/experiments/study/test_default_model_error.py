@@ -25,12 +25,10 @@ def write_silent(folder, instrument="targets"):
     text = re.sub(r"kappa = \{.*\n", "", text).replace("steps = 10", "steps = 6")
     first, second = (one.start() for one in re.finditer(r"\[\[variants\]\]", text))
     text = text[:second] + text[text.index("[sampler]") :]
-    if instrument in ("poses", "positions"):
+    if instrument == "positions":
         table = studies.feed_poses(folder / "study.toml")
-        (folder / "data" / "poses.csv").write_text(table if instrument == "poses" else leave_positions(table))
-        text = text.replace(studies.BY_TARGETS, studies.BY_POSES)
-        if instrument == "positions":
-            text = text.replace("[parameters]\n", FRAMES + "[parameters]\n")
+        (folder / "data" / "poses.csv").write_text(leave_positions(table))
+        text = text.replace(studies.BY_TARGETS, studies.BY_POSES).replace("[parameters]\n", FRAMES + "[parameters]\n")
     config.write_text(text)
     assert first
     return config
@@ -55,8 +53,8 @@ def errors_of(inputs):
 
 
 @pytest.mark.runs
-@pytest.mark.parametrize("instrument", ["targets", "poses", "positions", "points"])
-def test_every_instrument_tells_the_terms(instrument, tmp_path):
+@pytest.mark.parametrize("instrument", ["targets", "positions", "points"])  # poses are those found from targets
+def test_every_instrument_tells_the_terms(instrument, tmp_path, search_little):
     config = write_silent(tmp_path, instrument)
     inputs = studies.load_study(config)
     results = compute_experiment(load_experiment(config), tmp_path)

@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import studies
+from efforts import searching_little
 
 from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load_experiment
@@ -52,7 +53,8 @@ def path(tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def result(path) -> Finished:
     """Return the finished study of four variants, three of them of one model and deformation."""
-    return run_experiment(load_experiment(path), path.parent, path.parent / "results", 1)
+    with searching_little():
+        return run_experiment(load_experiment(path), path.parent, path.parent / "results", 1)
 
 
 @pytest.fixture(scope="module")
@@ -83,7 +85,7 @@ def test_every_variant_has_its_rows_and_files(result):
     assert {name.partition("[")[0] for name in joints} == {"a_x", "tau"}
 
 
-def test_numbers_of_unnamed_variants_are_those_without_named_ones(path, tmp_path):
+def test_numbers_of_unnamed_variants_are_those_without_named_ones(path, tmp_path, search_little):
     alone = studies.load_study(studies.write_tiny_study(tmp_path))
     one, other = (fit_variant(inputs, "six_pus/none") for inputs in (alone, studies.load_study(path)))
     assert one.names == other.names
@@ -106,7 +108,7 @@ def test_compare_ranks_named_variants_too(call, result, tmp_path):
     assert "joints" in out
 
 
-def test_claims_take_the_variants_without_names(result, tmp_path, no_pictures):
+def test_claims_take_the_variants_without_names(result, tmp_path, no_pictures, search_little):
     path = studies.write_tiny_study(tmp_path)
     studies.edit(path, "seed = 11", f'seed = 11\nclaims = "{studies.CLAIMS}"')
     other = run_experiment(load_experiment(path), tmp_path, tmp_path / "out", 1)

@@ -160,7 +160,7 @@ def test_points_of_two_stations_find_the_machine_and_their_frames(pointed):
     assert sd.min() < 0.02 * 0.5  # so that it is not the prior that says so
 
 
-def test_positions_alone_are_a_study_with_a_page(fed, tmp_path, call, no_pictures):
+def test_positions_alone_are_a_study_with_a_page(fed, tmp_path, call, no_pictures, search_little):
     (fed / "data" / "positions.csv").write_text(leave_positions((fed / "data" / "poses.csv").read_text()))
     text = (fed / "poses.toml").read_text().replace("poses.csv", "positions.csv")
     text = text.replace("[parameters]\n", FRAMES + "[parameters]\n")

@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import studies
+from efforts import searching_little
 
 from bayescal.errors import InputError, NumericalError
 from bayescal.experiments.frame import run as frame
@@ -33,7 +34,8 @@ NUMBERS = (
 
 def run(path: Path, out: Path, workers: int = 1, resume: bool = False, **changes: Any) -> Finished:
     config = load_experiment(path).model_copy(update=changes)
-    return run_experiment(config, path.parent, out, workers, resume)
+    with searching_little():
+        return run_experiment(config, path.parent, out, workers, resume)
 
 
 @pytest.fixture(scope="module")

@@ -81,7 +81,10 @@ def _is_elsewhere(names: list[str], everywhere: list[set[str]], chosen: np.ndarr
 
 
 def measure_ranges(model: ReadingModel, data: Measurements, workspace: Workspace) -> tuple[Array, Array]:
-    """Return what the nominal machine reads in the middle of the workspace, and how far readings go from it, (K,)."""
+    """Return what the nominal machine reads in the middle of the workspace, and how far readings go from it, (K,).
+
+    A channel that no coordinate moves goes as far as what is given of the rows takes it, as the pulse does a servo.
+    """
     q = len(workspace.low)
     if 3**q <= LARGEST_GRID:
         steps = np.array([*product((-1.0, 0.0, 1.0), repeat=q)])
@@ -91,8 +94,13 @@ def measure_ranges(model: ReadingModel, data: Measurements, workspace: Workspace
     given = {name: np.full(len(pose), np.median(value)) for name, value in data.given.items()}
     with np.errstate(all="ignore"):
         read = model.read(model.layout.nominal, pose, given)
-    away = np.abs(read - read[0])
-    return read[0], np.where(np.isfinite(away), away, 0.0).max(axis=0)
+        by_given = model.read(model.layout.nominal, np.repeat(pose[:1], data.n_poses, axis=0), data.given)
+    reach, given_reach = (_find_farthest(one - read[0]) for one in (read, by_given))
+    return read[0], np.where(reach > 0.0, reach, given_reach)
+
+
+def _find_farthest(away: Array) -> Array:
+    return np.asarray(np.where(np.isfinite(away), np.abs(away), 0.0).max(axis=0))
 
 
 # --- the model error in its terms ----------------------------------------------------------------------------------
@@ -172,7 +180,8 @@ def find_own_channels(
     model = posterior.likelihood.model
     own = OwnChannels.find(model, data, pose, used, positions, reach)
     start, many = posterior.first_machine, workspace.draw(N_COVERED, np.random.default_rng(0))
-    given = {name: np.full(len(many), np.median(value)) for name, value in data.given.items()}
+    rows = np.random.default_rng(1).integers(0, data.n_poses, len(many))  # channels may move by what is given alone
+    given = {name: value[rows] for name, value in data.given.items()}
     with np.errstate(all="ignore"):
         return own.cover(model, posterior.sampling.jacobian(start), start, many, given)
 

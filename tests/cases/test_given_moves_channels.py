@@ -1,0 +1,58 @@
+"""Channels that what is given of the rows moves alone have the default model error, as those that coordinates move."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from studies import run_little
+
+import bayescal as bc
+from bayescal.experiments.frame.results import read_results
+from bayescal.experiments.study.inputs import StudyInputs
+
+TRUTH = {"centre": 1512.0, "gain": 0.00157}
+
+
+def test_the_channel_moves_by_what_is_given(case):
+    folder = case("given_moves_channels")
+    (variant,) = StudyInputs.load(bc.load_experiment(folder / "study.toml"), folder).variants.values()
+    terms = {name: term for term in variant.errors.terms for name in term.names}
+    assert list(terms) == ["tau", "sigma_smooth", "sigma_drift"]  # linear ones are the gain
+    own = terms["sigma_smooth"].own
+    np.testing.assert_allclose(own.range, 2.0 * 0.0016 * 500.0)  # twice what lies between the middle and an end
+
+
+def test_validate_does_not_call_it_still(case, call):
+    code, out, _ = call("validate", case("given_moves_channels") / "study.toml")
+    assert code == 0
+    assert "machine itself moves" not in out
+    assert "noise of angle is about" not in out
+    assert "need errors of" in out  # of far more than what is allowed for
+
+
+@pytest.mark.runs
+@pytest.mark.usefixtures("no_pictures")
+def test_the_bend_is_found_and_allowed_for(case, call):
+    code, complaint, out = run_little(call, case("given_moves_channels") / "study.toml")
+    assert code == 0 or "not everything converged" in complaint
+    results = read_results(out)
+    assert "lost" not in results.summary
+    assert "disagree" not in results.summary["headline"]
+    found = results.table("parameters").set_index("parameter")
+    for name, true in TRUTH.items():
+        assert found.loc[name, "q05"] < true < found.loc[name, "q95"]
+
+
+@pytest.mark.runs
+@pytest.mark.usefixtures("no_pictures")
+def test_uses_take_a_machine_of_instruments_alone(case, call):
+    folder = case("given_moves_channels")
+    _, _, out = run_little(call, folder / "study.toml")
+    assert call("export", out, "--out", folder / "exported", "--force")[0] == 0
+    assert "pulse_us" in (folder / "exported" / "measured.csv").read_text()
+    plan = folder / "plan.csv"
+    assert call("recheck", out, "--out", plan, "--force")[0] == 0
+    assert call("recheck", out, "--measured", folder / "readings.csv", "--force")[0] == 0
+    code, _, complaint = call("command", out, plan, "--force")
+    assert code == 2
+    assert "all its channels are external" in complaint
