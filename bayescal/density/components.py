@@ -120,7 +120,8 @@ class LinearRows(NamedTuple):
 
     information: Array  # (m, m): of rows that do not depend on the errors
     pull: Array  # (m,): their gradient
-    # from ζ (B, k) of the errors to XᵀS⁻¹X, (B, m + 1, m + 1), of slopes and residuals side by side, and ½ log |S|, (B,)
+    # from ζ (B, k) of the errors to XᵀS⁻¹X, (B, m + 1, m + 1), of slopes and residuals side by side, and (B,) of
+    # ½ log |S|
     square: Callable[[Array], tuple[Array, Array]]
 
 

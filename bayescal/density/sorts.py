@@ -13,9 +13,10 @@ has a value at home, as eccentric encoders have. Smooth functions of all actuato
 
 With many poses k is replaced by φ_p · φ_q, φ of few entries. Those of linear functions leave nothing out. Smooth ones
 are made of the principal components over the poses of what values at some poses, chosen by a pivoted Cholesky factor,
-tell of all (Nyström's approximation: Williams and Seeger 2001). Waves are made of their Fourier series. A drift is a random walk, made of the leading functions
-of its Karhunen-Loève expansion, √2 sin(ω t) / ω with ω = π / 2, 3 π / 2, ..., and of its value at the first pose. The
-variance that is left out is that of errors which are independent from pose to pose.
+tell of all (Nyström's approximation: Williams and Seeger 2001). Waves are made of their Fourier series. A drift is a
+random walk, made of the leading functions of its Karhunen-Loève expansion, √2 sin(ω t) / ω with ω = π / 2, 3 π / 2 ...,
+and of its value at the first pose. The variance that is left out is that of errors which are independent from pose to
+pose.
 """
 
 from __future__ import annotations

@@ -65,7 +65,8 @@ def test_exact_conditional_is_the_normal_given_the_errors():
         return np.swapaxes(white, 1, 2) @ white, np.zeros(len(zeta))
 
     nothing = np.zeros((3, 3)), np.zeros(3)
-    linear = LinearGeometry(centre, LinearRows(*nothing, square), np.eye(3), np.ones(3), lambda zeta: np.zeros(len(zeta)), np.exp)
+    rows = LinearRows(*nothing, square)
+    linear = LinearGeometry(centre, rows, np.eye(3), np.ones(3), lambda zeta: np.zeros(len(zeta)), np.exp)
     zeta = np.array([[-30.0], [0.5], [4.0]])
     found = ExactConditional(linear, zeta)
     factor, shift, volume = found.open(zeta)
