@@ -99,8 +99,8 @@ class ModelErrorConfig(Section):
 
     terms: TermNames = Field(default=list(TERMS), exclude_if=lambda value: value == ALONE)
     """What it is made of, all where nothing is said: `independent` (τ, drawn anew at every pose), `linear` (in the
-    positions of all actuators: a coupling), `own` (linear in the own position: a lead error), `smooth` (any smooth
-    function of the positions), `drift` (a random walk in measuring order); `[]` for no model error.
+    positions of all actuators: a coupling), `own` (functions of the own position: a lead error, an eccentric encoder),
+    `smooth` (any smooth function of all positions), `drift` (a random walk in measuring order); `[]` for none.
     """
     scale_um: Positive | None = Field(default=None, exclude_if=lambda value: value is None)
     """Scale of the half-normal prior of the model error τ. Where nothing is said: 10 µm, or what one standard deviation

@@ -3,15 +3,20 @@
 Functions of the travel z = (ρ - ρ_home) / range and of the place in measuring order t in [0, 1), k at two poses:
 
     linear   z_p · z_q                       every actuator moves every leg: a coupling
-    own      z_ip z_iq                       each leg by its own actuator: a lead error, a scale
+    own      z_ip z_iq + w², length ¼ range  each leg by its own actuator: a lead error, a scale, a wave
     smooth   k(z_p, z_q), length one range   anything smooth: joints, gravity, waves
     drift    min(t_p, t_q) + 0.02            a session's drift: temperature
 
+Of the own position the wave is a squared exponential of a quarter of the range, L² exp(-(z_ip - z_iq)² / (2 L²)): an
+eccentric encoder or a screw errs by one or two periods over the range, which functions of length one do not follow. It
+has a value at home, as eccentric encoders have. Smooth functions of all actuators have none.
+
 With many poses k is replaced by φ_p · φ_q, φ of few entries. Those of linear functions leave nothing out. Smooth ones
 are made of the principal components over the poses of what values at some poses, chosen by a pivoted Cholesky factor,
-tell of all (Nyström's approximation: Williams and Seeger 2001). A drift is a random walk, made of the leading functions
-of its Karhunen-Loève expansion, √2 sin(ω t) / ω with ω = π / 2, 3 π / 2, ..., and of its value at the first pose. The
-variance that is left out is that of errors which are independent from pose to pose.
+tell of all (Nyström's approximation: Williams and Seeger 2001). Waves are made of their Fourier series. A drift is a
+random walk, made of the leading functions of its Karhunen-Loève expansion, √2 sin(ω t) / ω with ω = π / 2, 3 π / 2 ...,
+and of its value at the first pose. The variance that is left out is that of errors which are independent from pose to
+pose.
 """
 
 from __future__ import annotations
@@ -34,10 +39,15 @@ TAU: Final = "tau"
 OF_SORT: Final = "sigma_"
 """Before the name of a sort: that of its unknown size."""
 DRIFT: Final = "drift"
+OWN: Final = "own"
 START: Final = 0.02  # of a drift, that is there at the first pose
 MOST_SMOOTH, MOST_DRIFT = 30, 12  # columns
 MOST_CHOSEN = 200  # poses whose values tell of smooth functions everywhere
 LEFT = 1e-12  # of a variance, which is taken for zero
+WAVE = 0.25  # ranges: length L of waves of the own position
+PERIOD = 2.5  # ranges in which waves of few columns repeat: those of two poses are at most one range apart
+N_RATES = 7
+OWN_COLUMNS: Final = 2 + 2 * N_RATES
 AT_ONCE = 2048  # poses at which smooth functions are evaluated together
 
 
@@ -102,28 +112,39 @@ class Linear(Sort):
 
 @dataclass(frozen=True, eq=False)
 class Own(Sort):
-    """z_ip z_iq, of the legs that ``free`` (N,) leaves it; of all where nothing is said."""
+    """z_ip z_iq of the legs that ``free`` (N,) leaves it, of all where nothing is said, and a wave."""
 
     free: Array | None = None
 
     def between(self, first: Place, second: Place) -> Array:
         """Return k."""
-        mine = first.travel.T if self.free is None else first.travel.T * self.free[:, None]
-        return np.asarray(mine[:, :, None] * second.travel.T[:, None, :])
+        own, other = first.travel.T[:, :, None], second.travel.T[:, None, :]
+        return np.asarray(self._free * own * other + WAVE**2 * np.exp(-0.5 * ((own - other) / WAVE) ** 2))
 
     def variance(self, place: Place) -> Array:
-        """Return z_i²."""
-        square = place.travel.T**2
-        return np.asarray(square if self.free is None else square * self.free[:, None])
+        """Return z_i² + L²."""
+        return np.asarray(self._free[..., 0] * place.travel.T**2 + WAVE**2)
 
     def truncate(self, place: Place) -> Callable[[Place], Array]:
-        """Return z_i."""
+        """Return z_i, and the constant, cosines and sines of it that waves are made of."""
         del place
-        free = 1.0 if self.free is None else self.free[:, None, None]
-        return lambda other: other.travel.T[:, :, None] * free
+        rates = 2.0 * np.pi / PERIOD * np.arange(1, N_RATES + 1)
+        series = 2.0 * np.exp(-0.5 * (WAVE * rates) ** 2)
+        sizes = np.sqrt(WAVE**3 * np.sqrt(2.0 * np.pi) / PERIOD * np.concatenate([[1.0], series, series]))
+
+        def evaluate(other: Place) -> Array:
+            z = other.travel.T[:, :, None]
+            waves = np.concatenate([np.ones_like(z), np.cos(rates * z), np.sin(rates * z)], axis=2)
+            return np.concatenate([np.sqrt(self._free) * z, sizes * waves], axis=2)
+
+        return evaluate
+
+    @property
+    def _free(self) -> Array:
+        return np.ones((1, 1, 1)) if self.free is None else self.free[:, None, None]
 
     def without(self, covered: np.ndarray) -> Sort:
-        """Return the same without the legs whose own z_i is covered."""
+        """Return the same without z_i of the legs where that is covered."""
         return Own(1.0 - covered.diagonal())
 
 

@@ -30,6 +30,7 @@ TAU, FUNCTIONS = 10e-3, 20e-3  # mm, scales of sizes; or one and two standard de
 STEPS, WARM, EVERY, EACH = 300, 0.2, 20, 25  # steps a size; share left out; draws of parameters at each that is kept
 STRIDES = (0.3, 1.0, 2.0)
 START = 0.02  # of a drift
+WAVE = 0.25  # ranges: length of waves of the own position
 RANDOM = "independent"
 LASTING = ("linear", "own", "smooth")
 ALL = (RANDOM, *LASTING, "drift")
@@ -41,11 +42,11 @@ def build_kernels(sorts: tuple[str, ...], z: Array, time: Array) -> list[Array]:
     A sort that ends with a number is that of one actuator alone.
     """
     near = np.exp(-0.5 * np.sum((z[:, None] - z[None]) ** 2, axis=-1))
-    home = np.exp(-0.5 * np.sum(z**2, axis=1))
+    home, apart = np.exp(-0.5 * np.sum(z**2, axis=1)), z.T[:, :, None] - z.T[:, None, :]
     known = {
         RANDOM: np.eye(len(z))[None],
         "linear": (z @ z.T)[None],
-        "own": z.T[:, :, None] * z.T[:, None, :],
+        "own": z.T[:, :, None] * z.T[:, None, :] + WAVE**2 * np.exp(-0.5 * (apart / WAVE) ** 2),
         "smooth": (near - home[:, None] - home + 1.0)[None],
         "drift": (np.minimum.outer(time, time) + START)[None],
     }

@@ -17,7 +17,7 @@ def test_the_channel_moves_by_what_is_given(case):
     folder = case("given_moves_channels")
     (variant,) = StudyInputs.load(bc.load_experiment(folder / "study.toml"), folder).variants.values()
     terms = {name: term for term in variant.errors.terms for name in term.names}
-    assert list(terms) == ["tau", "sigma_smooth", "sigma_drift"]  # linear ones are the gain
+    assert list(terms) == ["tau", "sigma_own", "sigma_smooth", "sigma_drift"]  # the linear one is the gain
     own = terms["sigma_smooth"].own
     np.testing.assert_allclose(own.range, 2.0 * 0.0016 * 500.0)  # twice what lies between the middle and an end
 

@@ -12,7 +12,7 @@ from scipy.stats import multivariate_normal
 
 from bayescal.density.components import LinearGeometry, LinearRows, leave_out, square_whole, weigh, weigh_left_out
 from bayescal.density.few_columns import Interpolated, LowRankComponents, leave_out_by, weigh_by
-from bayescal.density.sorts import SORTS, Place, PoseFunctions
+from bayescal.density.sorts import OWN_COLUMNS, SORTS, Place, PoseFunctions
 from bayescal.errors import InputError
 
 P, N, LEGS, A = 7, 3, 2, 4
@@ -130,13 +130,13 @@ def test_few_columns_leave_little_out():
     exact = PoseFunctions(tuple(SORTS), place)
     few = replace(exact, of_few=place)
     sizes = [one.shape[-1] for one in few.list_bases(other)]
-    assert sizes == [6, 1, 30, 12]
-    assert few.left[:2] == pytest.approx(0.0, abs=1e-12)
+    assert sizes == [6, OWN_COLUMNS, 30, 12]
+    assert few.left[:2] == pytest.approx(0.0, abs=1e-4)
     assert 0.01 < few.left[2] < 0.03
     assert few.left[3] == pytest.approx(1.0 / (np.pi**2 * 11) / 0.52, rel=0.1)  # tail of Σ 1 / ω² over the mean of k
     for name, whole, made in zip(SORTS, exact.between(other, place), few.between(other, place), strict=True):
         off = np.abs(whole - made).max()
-        assert off < (1e-12 if name in ("linear", "own") else 0.15), name
+        assert off < ({"linear": 1e-12, "own": 1e-3}.get(name, 0.15)), name
 
 
 def test_norms_take_no_matrix_of_all_poses():

@@ -17,6 +17,7 @@ from scipy.stats import multivariate_normal
 from shares import run_rest
 
 from bayescal.density.calibration.terms import Errors
+from bayescal.density.sorts import WAVE
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.shared.readings.inputs import read_inputs
 from bayescal.machines.deformations import MatrixDeformation
@@ -170,9 +171,10 @@ def test_functions_of_the_pose_move_the_platform_as_legs_do(model, deformation):
         errors.priors[0].standardise(TAU),
         [errors.priors[6].standardise(np.array([one]))[0] for one in sizes],
     )
-    z = poses.actuators - machine.mechanism.initial_actuator_positions  # in any unit
+    z = (poses.actuators - machine.mechanism.initial_actuator_positions) / terms[0].own.range
     every = z @ z.T / np.mean(np.sum(z**2, axis=1))
-    alone = np.einsum("pj,qj->jpq", z, z) / np.mean(z**2)
+    wave = np.exp(-0.5 * ((z.T[:, :, None] - z.T[:, None, :]) / WAVE) ** 2)
+    alone = (np.einsum("pj,qj->jpq", z, z) + WAVE**2 * wave) / (np.mean(z**2) + WAVE**2)
     moved = differentiate_legs(machine, theta, poses.actuators)
     kernel = sizes[0] ** 2 * every + sizes[1] ** 2 * alone
     function = np.einsum("pij,jpq,qkj->piqk", moved, kernel, moved).reshape(24, 24)

@@ -10,8 +10,8 @@ calibration rows. Travel z is where a channel stands beyond the middle of the wo
 over which it moves there: its command, or the reading that is expected at the row's pose (`RowPositions`). τ and s are
 lengths at the tool: root mean squares in mm. A channel in another unit has a lever λ, by how many millimetres one unit
 of it moves the tool; one that reads lengths has λ = 1. Linear functions that free parameters are, such as a lead error
-of channels whose gains are free, are no second unknown (`OwnChannels.cover`). Smooth ones keep the linear part that
-their kernel has: how large it is follows from how far they bend.
+of channels whose gains are free, are no second unknown (`OwnChannels.cover`). Waves and
+smooth functions keep the linear part that their kernel has: how large it is follows from how far they bend.
 
 Functions are columns that all rows share, Φ = s / λ · R with R Rᵀ = k / c over all rows, those that are held back too;
 at other rows they are what their values at these rows say of them, k(·, rows) (Rᵀ)⁺. Of many rows they are made of few
@@ -31,13 +31,13 @@ from bayescal.density.calibration.measurements import Measurements, RowPositions
 from bayescal.density.calibration.terms import ErrorTerm, ModelErrorTerm, Slopes
 from bayescal.density.elimination import project_out
 from bayescal.density.priors import HalfCauchyPrior, Prior
-from bayescal.density.sorts import FEWEST_POSES, MOST_DRIFT, MOST_SMOOTH, TAU, Place, PoseFunctions
+from bayescal.density.sorts import FEWEST_POSES, MOST_DRIFT, MOST_SMOOTH, OWN_COLUMNS, TAU, Place, PoseFunctions
 from bayescal.machines.readings import Given, ReadingModel
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import MICROMETRE
 
 SMALLEST = 1e-9  # of a kernel's largest eigenvalue, below which directions are left out
-BY_ROW = ("smooth", "drift")  # sorts with as many coefficients as there are rows
+BY_ROW = ("own", "smooth", "drift")  # sorts with as many coefficients as there are rows
 STILL = 1e-6  # mm over its range, by which a channel moves the tool, below which it does not
 LEAST_LEVER = 0.3  # of the median, by which a standard deviation of the channels' noise moves the tool
 COVERED = 1e-6  # of a function, what parameters may leave of it for it to be no second unknown
@@ -180,9 +180,7 @@ class OwnChannels:
 
     def is_covered(self, sort: str) -> bool:
         """Whether free parameters are all functions of a sort."""
-        return (sort == "linear" and bool(self.covered.all())) or (
-            sort == "own" and bool(self.covered.diagonal().all())
-        )
+        return sort == "linear" and bool(self.covered.all())
 
     def find_missing(self, terms: Sequence[str], costly: str = "") -> dict[str, str]:
         """Return which sorts of errors there cannot be, each with the reason.
@@ -202,8 +200,6 @@ class OwnChannels:
                 found[name] = "no channel of the machine itself moves"
             elif self.is_covered(name):
                 found[name] = COVERED_BY
-            elif name == "own" and n == 1 and "linear" in terms:
-                found[name] = "of one channel it is the linear one"
             elif costly and name in BY_ROW:
                 found[name] = costly
         return found
@@ -288,7 +284,7 @@ class FunctionsOfPose(ErrorTerm):
     def most_columns(self) -> int:
         """At most how many columns it has."""
         n, n_rows = len(self.own.places), len(self.own.used)
-        return n * {"linear": n, "own": 1}.get(self.sort, n_rows)
+        return n * (n if self.sort == "linear" else n_rows)
 
     @cached_property
     def functions(self) -> PoseFunctions:
@@ -356,7 +352,7 @@ class ThinFunctionsOfPose(FunctionsOfPose):
     def most_columns(self) -> int:
         """At most how many columns it has."""
         n = len(self.own.places)
-        return n * {"linear": n, "own": 1, "smooth": MOST_SMOOTH, "drift": MOST_DRIFT}[self.sort]
+        return n * {"linear": n, "own": OWN_COLUMNS, "smooth": MOST_SMOOTH, "drift": MOST_DRIFT}[self.sort]
 
     @cached_property
     def functions(self) -> PoseFunctions:

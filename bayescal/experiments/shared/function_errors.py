@@ -19,6 +19,7 @@ from bayescal.density.calibration.terms import CommonDraws, Errors
 from bayescal.density.low_rank import BUDGET
 from bayescal.density.priors import BORDER
 from bayescal.density.schema import TERMS, ModelErrorConfig
+from bayescal.density.sorts import OWN
 from bayescal.experiments.frame.memory import Need, check_memory
 from bayescal.experiments.shared.hidden import tabulate_hidden
 from bayescal.identifiability.hidden import choose_unseen, hide_in_posterior
@@ -205,12 +206,16 @@ class _Functions:
 
 
 def _summarise(data: Measurements, used: np.ndarray, errors: Errors, draws: CommonDraws) -> _Functions:
-    """Return what draws have of the functions at rows, of which some are for calibration."""
+    """Return what draws have of the functions at rows, of which some are for calibration.
+
+    Those of the own position are about their means over these: a constant of a channel is as well its zero.
+    """
     names, functions = list[str](), dict[str, Array]()
     for term, found in zip(errors.terms, draws.by_term(data) or [None] * len(errors.terms), strict=True):
         if isinstance(term, FunctionsOfPose) and found is not None:
             names = list(term.own.names)
-            functions[term.sort] = found[..., term.own.places] * (term.own.levers / MICROMETRE)
+            own = found[..., term.own.places] * (term.own.levers / MICROMETRE)
+            functions[term.sort] = own - own[:, used].mean(axis=1, keepdims=True) if term.sort == OWN else own
     if functions:
         functions[TOGETHER] = np.asarray(sum(functions.values()))
     square = {name: np.sum(one[:, used] ** 2, axis=(1, 2)) for name, one in functions.items()}

@@ -50,7 +50,8 @@ def test_an_error_of_the_reading_itself_is_rewarded_for_explaining_nothing(of_re
         positions = replace(positions, positions=values)
     used, reach = np.ones(N_ROWS, dtype=bool), np.array([25.0, 25.0, 0.0, 0.0])
     own = OwnChannels.find(model, data, pose, used, positions, reach)
-    errors = Errors(build_model_error(own, 4, ("own",), (0.01, 0.02), {}, each=False))
+    own = replace(own, covered=~np.eye(2, dtype=bool))  # lead errors alone, no couplings
+    errors = Errors(build_model_error(own, 4, ("linear",), (0.01, 0.02), {}, each=False))
     likelihood = CalibrationLikelihood(model, data, 50.0**2, pose)
     sizes = np.linspace(0.0, 6.0, 40)[:, None]  # up to many times the range
     right = likelihood.density(np.ones((1, 2)), errors, np.array([[-3.0]]))[0]

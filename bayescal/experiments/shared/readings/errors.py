@@ -13,7 +13,13 @@ from bayescal.config.classes import choose, name_failures
 from bayescal.density.calibration.functions import FunctionErrors
 from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.density.calibration.measurements import Measurements, RowPositions
-from bayescal.density.calibration.model_error import FunctionsOfPose, IndependentErrors, OwnChannels, build_model_error
+from bayescal.density.calibration.model_error import (
+    COVERED_BY,
+    FunctionsOfPose,
+    IndependentErrors,
+    OwnChannels,
+    build_model_error,
+)
 from bayescal.density.calibration.terms import Errors, ErrorTerm, TermRows, check_term
 from bayescal.density.components import MOST_ROWS
 from bayescal.density.priors import Prior
@@ -161,6 +167,9 @@ def build_terms_of_model(
     )
     without = [([name for name, why in missing.items() if why == one], one) for one in dict.fromkeys(missing.values())]
     said = [f"no term{'s' * (len(names) > 1)} {', '.join(names)}, as {why}" for names, why in without]
+    known = [name for name, covered in zip(own.names, own.covered.diagonal(), strict=True) if covered]
+    if known and {"linear", "own"} & {*there}:
+        said.append(f"no error linear in the own position of {', '.join(known)}, as {COVERED_BY}")
     return left, f"the model error has {' and '.join(said)}" if said else ""
 
 

@@ -67,9 +67,9 @@ KINDS: dict[str, Kind] = {
         "Look for a coupling between actuators, or free parameters of one (of legs: a deformation with a free matrix)",
     ),
     "own": Kind(
-        "linear in the own position",
-        "a lead error, the scale of an encoder",
-        "Check lead and encoder scale of {member}, or {gain}",
+        "a function of the own position",
+        "a lead error, the scale of an encoder, an encoder or a screw that is eccentric",
+        "Check lead, scale and eccentricity of the encoder of {member}, or {gain}",
     ),
     "smooth": Kind(
         "a smooth function of the positions",

@@ -53,9 +53,10 @@ def test_says_what_to_do_then_how_large_it_is_and_where(make_results):
     study = read(make_results, all_unseen(own=SEEN, together=(13.0, 9.0, 18.0)))
     (statement,) = state_terms(study)
     assert statement.text == (
-        "Check lead and encoder scale of rho[2], or free them as parameters. pus/linear leaves out a "
-        "systematic error of 13 [9, 18] µm rms (90 % interval), most of it in rho[2] (9.0 µm rms, the others 2.0 to "
-        "2.5 µm); the largest part is linear in the own position (a lead error, the scale of an encoder). The "
+        "Check lead, scale and eccentricity of the encoder of rho[2], or free them as parameters. pus/linear leaves "
+        "out a systematic error of 13 [9, 18] µm rms (90 % interval), most of it in rho[2] (9.0 µm rms, the others "
+        "2.0 to 2.5 µm); the largest part is a function of the own position (a lead error, the scale of an encoder, "
+        "an encoder or a screw that is eccentric). The "
         "intervals allow for it. No random error from pose to pose is seen beyond the noise (τ: 95 % upper "
         "limit 4.0 µm)."
     )
@@ -79,7 +80,7 @@ def test_says_what_to_do_then_how_large_it_is_and_where(make_results):
             all_unseen(linear=(5.0, 0.5, 12.0), own=(6.0, 0.6, 12.0), together=(12.0, 9.0, 17.0)),
             CHANNELS,
             "plain",
-            "Check lead and encoder scale of rho[2] … 12 [9, 17] µm rms",
+            "Check lead, scale and eccentricity of the encoder of rho[2] … 12 [9, 17] µm rms",
         ),
         (  # of four without any trace of them the sum is no nearer to zero
             all_unseen(together=(4.0, 2.2, 8.0)),
@@ -116,13 +117,13 @@ def tabulate_alone(alone):
 @pytest.mark.parametrize(
     ("alone", "said"),
     [
-        (ALONE, "Check lead … all of it may be linear in the own position … odds of 13,000 to 1 against any other"),
+        (ALONE, "Check lead … all of it may be a function of the own position … odds of 13,000 to 1 against any other"),
         (
             ALONE | {"linear": 4.0},
-            "Measure more poses … it is linear in the own position or linear in the positions of all",
+            "Measure more poses … it is a function of the own position or linear in the positions of all",
         ),
-        (ALONE | {"own": -9.0}, "the largest part is linear in the own position … but no single cause explains all"),
-        (ALONE | {"own": 1.0, "none": 3.0}, "Check lead … the largest part is linear in the own position"),
+        (ALONE | {"own": -9.0}, "the largest part is a function of the own position … no single cause explains all"),
+        (ALONE | {"own": 1.0, "none": 3.0}, "Check lead … the largest part is a function of the own position"),
         (
             ALONE | {"joints": 80.0, "gravity": -60.0},
             "Look at the joints of … all of it may be quadratic in the pose, in each channel another … against any",
@@ -169,7 +170,7 @@ def test_each_term_has_its_size_and_whether_the_data_show_it(make_results):
     section = show_model_error(read(make_results, all_unseen(own=SEEN)))
     table = next(block for block in section.blocks if isinstance(block, Table))
     rows = {row[0].text: [cell.text for cell in row[1:3]] for row in table.rows}
-    assert rows["linear in the own position"] == ["12 [8, 17]", "seen"]
+    assert rows["a function of the own position"] == ["12 [8, 17]", "seen"]
     assert rows["with time, in measuring order"] == ["1.2 [0.1, 4.0]", "no trace"]
     assert len(rows) == len(all_unseen())
 
@@ -207,7 +208,7 @@ def test_the_best_variant_stands_in_full_the_others_folded(make_results):
     [
         (0.0, "None is allowed for beyond what the terms above suggest: if one of some size cannot be excluded, state"),
         (10.0, "as stated (at_least_um), 10 µm rms are allowed for even where none is seen"),
-        ({"own": 5.0, "linear": 0.0}, "5 µm rms linear in the own position are allowed for"),
+        ({"own": 5.0, "linear": 0.0}, "5 µm rms a function of the own position are allowed for"),
     ],
 )
 def test_says_what_is_allowed_for_of_errors_without_a_trace(make_results, floor, said):
