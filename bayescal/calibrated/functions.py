@@ -34,7 +34,7 @@ from bayescal.density.calibration.model_error import (
 )
 from bayescal.density.calibration.terms import Errors
 from bayescal.density.sessions import ReadingRows
-from bayescal.density.sorts import DRIFT, SORTS, Place, PoseFunctions
+from bayescal.density.sorts import DRIFT, OWN_COLUMNS, SORTS, Place, PoseFunctions
 from bayescal.files.netcdf import read_netcdf
 from bayescal.machines.readings import ReadingModel
 from bayescal.numerics.geometry import Array
@@ -236,7 +236,7 @@ class KnownFunctions:
         """Return what takes coefficients of a sort with the columns that were kept to those with these."""
         n = len(self.names)
         if sort != SMOOTH:
-            return np.eye(n * (n if sort == "linear" else 1))
+            return np.eye(n * (n if sort == "linear" else OWN_COLUMNS))
         return np.asarray(np.kron(np.eye(n), np.linalg.lstsq(self._smooth(), smooth)[0]), dtype=np.float64)
 
 

@@ -23,6 +23,7 @@ from bayescal.density.calibration.measurements import Measurements, RowPositions
 from bayescal.density.calibration.model_error import OwnChannels, build_model_error
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior
+from bayescal.density.sorts import OWN_COLUMNS
 from bayescal.errors import InputError
 from bayescal.experiments.shared.readings.knowledge import learn_posterior
 from bayescal.identifiability.reading_rows import differentiate_poses
@@ -145,7 +146,7 @@ def test_what_is_kept_is_the_same_whatever_the_signs_of_the_columns(erring, cali
     known, model = calibrated.functions, erring.planned.model
     arrays = {name: one[1] for name, one in known.list_arrays().items()}
     n, smooth = known.n_geometry, arrays["smooth"].shape[1]
-    first = n + 9 + 3  # linear ones of three channels, own ones
+    first = n + 9 + 3 * OWN_COLUMNS  # linear ones of three channels, own ones
     turned = np.ones(len(known.covariance))
     turned[first : first + 3 * smooth] = np.tile((-1.0) ** np.arange(smooth), 3)
     arrays |= {

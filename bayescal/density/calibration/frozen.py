@@ -330,7 +330,8 @@ class FrozenRows:
         if own is None:
             return None
         angles = np.array([one.unit == "rad" for one in model.coordinates], dtype=bool)
-        columns = list_directions(cause, pose - model.home_pose, angles, len(own.places))
+        travel = own.place_of(data).travel * ~own.covered.diagonal()
+        columns = list_directions(cause, pose - model.home_pose, angles, travel)
         if columns is None:
             return None
         act = np.zeros((*data.sd.shape, columns.shape[-1]))

@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
 CURVE = 25
+CENTRED = 200
+"""Rows, over which functions have a mean of zero."""
 SHOWN = {"mm": (1.0 / MICROMETRE, "um"), "rad": (1.0 / ARCSECOND, "arcsec")}
 INTERVAL = [0.05, 0.95]
 TOGETHER = "together"
@@ -152,7 +154,8 @@ def tabulate_model_error(
     terms = posterior.errors.of(posterior.zeta(y))
     tau = [one.natural(zeta)[:, 0] ** 2 + one.floor**2 for one, zeta in terms if isinstance(one, IndependentErrors)]
     sizes: dict[str, Array] = {TERMS[0]: np.sqrt(np.mean(tau, axis=0)) / MICROMETRE} if tau else {}
-    found = [_summarise(part, ~held[rows], posterior.errors, draws) for rows, part in data.split()]
+    centre = _find_centre(data, ~held, posterior.errors, draws)
+    found = [_summarise(part, ~held[rows], posterior.errors, draws, centre) for rows, part in data.split()]
     names, functions = found[0].names, [name for name in found[0].square if name != TOGETHER]
     for name in found[0].square:
         square, n_numbers = sum(one.square[name] for one in found), len(names) * int((~held).sum())
@@ -205,17 +208,32 @@ class _Functions:
     interval: Array  # (2, P, N): of all together
 
 
-def _summarise(data: Measurements, used: np.ndarray, errors: Errors, draws: CommonDraws) -> _Functions:
-    """Return what draws have of the functions at rows, of which some are for calibration.
-
-    Those of the own position are about their means over these: a constant of a channel is as well its zero.
-    """
+def _draw_functions(data: Measurements, errors: Errors, draws: CommonDraws) -> tuple[list[str], dict[str, Array]]:
+    """Return names of own channels, and draws (T, P, N) of each sort of functions at rows, µm at the tool."""
     names, functions = list[str](), dict[str, Array]()
     for term, found in zip(errors.terms, draws.by_term(data) or [None] * len(errors.terms), strict=True):
         if isinstance(term, FunctionsOfPose) and found is not None:
             names = list(term.own.names)
-            own = found[..., term.own.places] * (term.own.levers / MICROMETRE)
-            functions[term.sort] = own - own[:, used].mean(axis=1, keepdims=True) if term.sort == OWN else own
+            functions[term.sort] = found[..., term.own.places] * (term.own.levers / MICROMETRE)
+    return names, functions
+
+
+def _find_centre(data: Measurements, used: np.ndarray, errors: Errors, draws: CommonDraws) -> Array:
+    """Return means (T, 1, N) of functions of the own position over calibration rows: a channel's zero may be as well.
+
+    Of many rows some are enough.
+    """
+    rows = np.flatnonzero(used)
+    rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), CENTRED)).astype(int)]
+    _, functions = _draw_functions(data.pick(rows), errors, draws)
+    return functions[OWN].mean(axis=1, keepdims=True) if OWN in functions else np.zeros((1, 1, 1))
+
+
+def _summarise(data: Measurements, used: np.ndarray, errors: Errors, draws: CommonDraws, centre: Array) -> _Functions:
+    """Return what draws have of the functions at rows, of which some are for calibration; see `_find_centre`."""
+    names, functions = _draw_functions(data, errors, draws)
+    if OWN in functions:
+        functions[OWN] = functions[OWN] - centre
     if functions:
         functions[TOGETHER] = np.asarray(sum(functions.values()))
     square = {name: np.sum(one[:, used] ** 2, axis=(1, 2)) for name, one in functions.items()}

@@ -81,6 +81,11 @@ KINDS: dict[str, Kind] = {
         "temperature, settling",
         "Let the machine warm up and return to one pose now and then: what changes there is drift",
     ),
+    "lead": Kind(
+        "linear in the own position",
+        "a lead error, the scale of an encoder",
+        "Check lead and encoder scale of {member}, or {gain}",
+    ),
     "joints": Kind(
         "quadratic in the pose, in each channel another",
         "joints whose axes do not meet, or that run out",
@@ -92,8 +97,10 @@ KINDS: dict[str, Kind] = {
         "Measure with another load: what changes bends under its weight",
     ),
 }
-DIRECTIONS = ("joints", "gravity")
+DIRECTIONS = ("lead", "joints", "gravity")
 """Causes that have no term of their own and are tried by themselves."""
+NESTED = {"own", "lead"}
+"""A cause and a part of it: neither is a rival of the other."""
 NO_TRACE = (0.10, 0.32, 0.46, 0.56)
 """Lower end of a 90 % interval over the median of the size of one to four terms together without any trace of them:
 each is then about flat from zero to what the data allow, and several together are never near zero."""
@@ -159,8 +166,14 @@ def _list_described(study: StudyResults) -> list[str]:
 
 def name_cause(alone: Mapping[str, float]) -> str:
     """Return which one alone is as good as all together, to a nat, and clearly better than any other; empty: none."""
-    first, *others = sorted(alone, key=lambda name: -alone[name]) or [""]
-    return first if others and alone[first] > -1.0 and alone[first] - alone[others[0]] >= CLEAR else ""
+    first = max(alone, key=lambda name: alone[name], default="")
+    return first if first and alone[first] > -1.0 and measure_lead(alone, first) >= CLEAR else ""
+
+
+def measure_lead(alone: Mapping[str, float], first: str) -> float:
+    """Return by how many nats one cause alone explains more than any other that is not a part of it; 0 without any."""
+    others = [one for name, one in alone.items() if name != first and {name, first} != NESTED]
+    return alone[first] - max(others) if others else 0.0
 
 
 class _Found(NamedTuple):
@@ -203,6 +216,8 @@ class _Found(NamedTuple):
         """What alone is about as good as all together, largest first, where nothing is to be named."""
         best = max(self.alone.values(), default=-math.inf)
         near = [name for name in (*self.functions, *DIRECTIONS) if self.alone.get(name, -math.inf) > best - CLEAR]
+        if NESTED <= {*near}:
+            near.remove(min(NESTED, key=lambda name: self.alone[name]))
         return near if best >= -CLEAR and not self.cause and len(near) > 1 else []
 
     @property
@@ -304,7 +319,7 @@ def _advise(found: _Found) -> Statement:
     main, outstanding = KINDS[found.cause or seen[0]], _name_outstanding(found)
     named = main.advice.format(member=outstanding or "every channel", gain=_name_gain(found, outstanding))
     advice = UNDECIDED if found.rivals else named
-    members = "" if found.cause in found.directions else f", {_describe_members(found)}"
+    members = "" if found.cause in found.directions and found.cause not in NESTED else f", {_describe_members(found)}"
     text = (
         f"{advice}. {found.label} leaves out a "
         f"systematic error of {_format_size(found.whole)} {found.unit} rms (90 % interval){members}; "
@@ -316,7 +331,7 @@ def _advise(found: _Found) -> Statement:
 def _describe_cause(found: _Found, main: Kind) -> str:
     """Say along what the largest part changes, and whether that alone explains all."""
     if found.cause:
-        lead = found.alone[found.cause] - max(one for name, one in found.alone.items() if name != found.cause)
+        lead = measure_lead(found.alone, found.cause)
         return f"all of it may be {main.along} ({main.causes}), {say_odds(lead)} against any other single cause"
     if found.rivals:
         rivals = [KINDS[name].along for name in found.rivals]
