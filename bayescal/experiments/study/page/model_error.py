@@ -216,7 +216,7 @@ class _Found(NamedTuple):
         """What alone is about as good as all together, largest first, where nothing is to be named."""
         best = max(self.alone.values(), default=-math.inf)
         near = [name for name in (*self.functions, *DIRECTIONS) if self.alone.get(name, -math.inf) > best - CLEAR]
-        if NESTED <= {*near}:
+        if NESTED.issubset(near):
             near.remove(min(NESTED, key=lambda name: self.alone[name]))
         return near if best >= -CLEAR and not self.cause and len(near) > 1 else []
 
