@@ -16,7 +16,7 @@ from bayescal.experiments.check.kind import configure_check
 from bayescal.experiments.shared.error_sizes import find_units
 
 CELL = Path(__file__).parents[2] / "cases" / "own_term_shrinks_gains"
-LITTLE_NOISE = 'g = { noise = 0.01 }'
+LITTLE_NOISE = "g = { noise = 0.01 }"
 
 
 @pytest.fixture
@@ -38,7 +38,9 @@ def test_a_check_says_them_in_units_that_the_machine_has(cell):
 def test_what_is_no_size_keeps_its_unit(cell):
     (subject,) = read_check(configure_check(cell, [], None, None), cell.parent).subjects.values()
     posterior = subject.posterior
-    factor, units = find_units(posterior.likelihood.model, ("tau", "sigma_own", "L_g", "k_x[1]"), ("mm", "mm", "1", "1"))
+    factor, units = find_units(
+        posterior.likelihood.model, ("tau", "sigma_own", "L_g", "k_x[1]"), ("mm", "mm", "1", "1")
+    )
     assert units == ("noise", "noise", "1", "1")
     assert factor.tolist() == [100.0, 100.0, 1.0, 1.0]  # ten micrometres inside are one standard deviation
 
