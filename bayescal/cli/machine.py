@@ -319,8 +319,8 @@ def recheck(
         if sensors is None and len(unknown) and np.isfinite(sd).sum() <= len(calibrated.model.coordinates):
             one = calibrated.model.channels[unknown[0]]
             raise InputError(
-                f"{results}: found no noise of {one.name}, expected --like READINGS.csv with readings of it and a column "
-                f"{one.stem}_sd_{one.unit}"
+                f"{results}: found no noise of {one.name}, expected --like READINGS.csv with readings of it and a "
+                f"column {one.stem}_sd_{one.unit}"
             )
         planned = expect_readings(sd)
     commands, given = (
