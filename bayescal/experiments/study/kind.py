@@ -24,7 +24,7 @@ from bayescal.experiments.shared.search_memory import estimate_calibration
 from bayescal.experiments.shared.slip_causes import WIDE
 from bayescal.experiments.shared.slips import tell_denial
 from bayescal.experiments.shared.study_schema import StudyConfig
-from bayescal.experiments.study.doubts import doubt_zero
+from bayescal.experiments.study.doubts import doubt_copies, doubt_zero
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.terminal import show_comparison, show_ranking
 from bayescal.report.blocks import Page
@@ -70,11 +70,12 @@ class Study(MachineExperiment[StudyConfig, StudyInputs], Measuring, Calibrating)
 
     def doubt(self, inputs: StudyInputs, *, before_run: bool = False) -> list[str]:
         """Return what may be wrong: a place that only wide tolerances explain, a noise or a tolerance."""
+        copies = doubt_copies(inputs)
         if inputs.slip is not None:
-            return []
+            return copies
         found = None if before_run else inputs.misstated
         denied = [] if inputs.denied is None else [f"{inputs.denied.say()}, which the config denies"]
-        return [*denied, *doubt_zero(inputs), *([] if found is None or found.fault == WIDE else [found.say()])]
+        return [*denied, *copies, *doubt_zero(inputs), *([] if found is None or found.fault == WIDE else [found.say()])]
 
     def suspect(self, inputs: StudyInputs) -> list[str]:
         """Return what seems to have happened to data that one slip explains far better than errors of the machine."""

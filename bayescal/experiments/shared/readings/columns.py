@@ -34,7 +34,25 @@ def check_columns(data: Measurements, model: ReadingModel, columns: Mapping[str,
     columns : mapping of str to str
         Names of columns by names of channels, where these are known.
     """
-    channels, values = model.channels, np.where(_find_measured(data, model), data.values, np.nan)
+    measured = np.isfinite(data.values) & (data.sd > 0.0) & ~_may_be_commands(model)
+    if said := _list_copies(data, model, columns, measured & ~_is_commanded(data)):
+        more = f"; so are {len(said) - MAX_NAMED} more" if len(said) > MAX_NAMED else ""
+        raise InputError(f"data: {'; '.join(said[:MAX_NAMED])}{more}, expected readings of each sensor's own")
+
+
+def doubt_columns(data: Measurements, model: ReadingModel, columns: Mapping[str, str]) -> list[str]:
+    """Return in lines which columns of the machine's own channels repeat others; see `check_columns`.
+
+    Nobody has said that they hold commands, which may be equal.
+    """
+    own = np.isfinite(data.values) & (data.sd > 0.0) & _may_be_commands(model)
+    said = _list_copies(data, model, columns, own & ~_is_commanded(data))
+    return [f"{one}: export what each sensor read, unless both were commanded so" for one in said[:MAX_NAMED]]
+
+
+def _list_copies(data: Measurements, model: ReadingModel, columns: Mapping[str, str], some: np.ndarray) -> list[str]:
+    """Return in words which columns repeat another one, by some of the readings, (P, K)."""
+    channels, values = model.channels, np.where(some, data.values, np.nan)
     names = [columns.get(one.name, f"{one.stem}_{one.unit}") for one in channels]
     fine = [_is_fine(values[:, k], data.sd[:, k], one.unit) for k, one in enumerate(channels)]
     said, copies = list[str](), set[int]()
@@ -45,17 +63,17 @@ def check_columns(data: Measurements, model: ReadingModel, columns: Mapping[str,
             if line is not None and j not in copies:
                 copies.add(j)
                 said.append(_describe(names[k], names[j], *line))
-    if said:
-        more = f"; so are {len(said) - MAX_NAMED} more" if len(said) > MAX_NAMED else ""
-        raise InputError(f"data: {'; '.join(said[:MAX_NAMED])}{more}, expected readings of each sensor's own")
+    return said
 
 
-def _find_measured(data: Measurements, model: ReadingModel) -> np.ndarray:
-    """Return which readings have noise and are no commands, (P, K)."""
-    measured = np.isfinite(data.values) & (data.sd > 0.0)
-    # tables of actuators hold commands more often than not, whether or not they say so
-    may_be_commands = np.array([one.name in model.commanded and not one.external for one in model.channels])
-    return measured & ~may_be_commands if data.commanded is None else measured & ~may_be_commands & ~data.commanded
+def _may_be_commands(model: ReadingModel) -> np.ndarray:
+    """Return which channels are the machine's own, (K,): their tables hold commands more often than not."""
+    return np.array([one.name in model.commanded and not one.external for one in model.channels], dtype=bool)
+
+
+def _is_commanded(data: Measurements) -> np.ndarray:
+    """Return which readings are said to be commands, (P, K)."""
+    return np.zeros(data.values.shape, dtype=bool) if data.commanded is None else data.commanded
 
 
 def _is_fine(values: Array, sd: Array, unit: str) -> bool:
