@@ -47,6 +47,17 @@ def test_own_channels_that_repeat_others_are_named_where_the_data_fit(cell, call
     assert "but columns g_2_mV and g_1_mV are the same in all rows" in out
 
 
+def test_a_sensor_that_always_reads_the_same_is_named_where_the_data_fit(case, call):
+    folder = case("own_term_shrinks_gains")
+    cells = [line.split(",") for line in (folder / "readings.csv").read_text().splitlines()]
+    for row in cells[1:]:
+        row[1] = "0.463"
+    (folder / "readings.csv").write_text("\n".join(",".join(row) for row in cells) + "\n")
+    code, out, _ = call("validate", folder / "study.toml")
+    assert code == 0
+    assert "but column g_1_mV has one value in all rows" in out
+
+
 @pytest.fixture
 def delta(tmp_path):
     from calibrations import write_delta

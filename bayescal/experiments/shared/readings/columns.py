@@ -1,4 +1,4 @@
-"""Columns of measured readings that repeat one another: one sensor that was exported twice, or copied with a factor."""
+"""Columns that repeat one another, one sensor exported twice or copied with a factor, and such of a single value."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from bayescal.density.calibration.measurements import Measurements
 from bayescal.errors import InputError
-from bayescal.machines.readings import ReadingModel
+from bayescal.machines.readings import Channel, ReadingModel
 from bayescal.numerics.geometry import Array
 from bayescal.report.numbers import format_significant
 
@@ -41,19 +41,27 @@ def check_columns(data: Measurements, model: ReadingModel, columns: Mapping[str,
 
 
 def doubt_columns(data: Measurements, model: ReadingModel, columns: Mapping[str, str]) -> list[str]:
-    """Return in lines which columns of the machine's own channels repeat others; see `check_columns`.
+    """Return in lines which columns of the machine's own channels repeat others, and which of any are of one value.
 
-    Nobody has said that they hold commands, which may be equal.
+    Nobody has said that they hold commands, which may be equal; see `check_columns`.
     """
-    own = np.isfinite(data.values) & (data.sd > 0.0) & _may_be_commands(model)
-    said = _list_copies(data, model, columns, own & ~_is_commanded(data))
-    return [f"{one}: export what each sensor read, unless both were commanded so" for one in said[:MAX_NAMED]]
+    own, read = _may_be_commands(model), np.isfinite(data.values) & (data.sd > 0.0) & ~_is_commanded(data)
+    said = _list_copies(data, model, columns, read & own)
+    found = [f"{one}: export what each sensor read, unless both were commanded so" for one in said]
+    for k, one in enumerate(model.channels):
+        values = data.values[read[:, k], k]
+        if len(values) >= MIN_ROWS and not np.ptp(values) and _has_digits(values, data.sd[read[:, k], k], one.unit):
+            text = (
+                f"column {_name_column(one, columns)} has one value in all rows, without any noise: look at its sensor"
+            )
+            found.append(f"{text}{', unless it was commanded so' if own[k] else ''}")
+    return found[:MAX_NAMED]
 
 
 def _list_copies(data: Measurements, model: ReadingModel, columns: Mapping[str, str], some: np.ndarray) -> list[str]:
     """Return in words which columns repeat another one, by some of the readings, (P, K)."""
     channels, values = model.channels, np.where(some, data.values, np.nan)
-    names = [columns.get(one.name, f"{one.stem}_{one.unit}") for one in channels]
+    names = [_name_column(one, columns) for one in channels]
     fine = [_is_fine(values[:, k], data.sd[:, k], one.unit) for k, one in enumerate(channels)]
     said, copies = list[str](), set[int]()
     for k in np.flatnonzero(fine).tolist():
@@ -64,6 +72,10 @@ def _list_copies(data: Measurements, model: ReadingModel, columns: Mapping[str, 
                 copies.add(j)
                 said.append(_describe(names[k], names[j], *line))
     return said
+
+
+def _name_column(channel: Channel, columns: Mapping[str, str]) -> str:
+    return columns.get(channel.name, f"{channel.stem}_{channel.unit}")
 
 
 def _may_be_commands(model: ReadingModel) -> np.ndarray:
@@ -81,7 +93,12 @@ def _is_fine(values: Array, sd: Array, unit: str) -> bool:
     there = np.isfinite(values)
     if there.sum() < MIN_ROWS or len(np.unique(values[there])) < MIN_DISTINCT:
         return False
-    shown, noise = (np.degrees(one[there]) if unit == "rad" else one[there] for one in (values, sd))
+    return _has_digits(values[there], sd[there], unit)
+
+
+def _has_digits(values: Array, sd: Array, unit: str) -> bool:
+    """Whether some readings are written with more digits than their noise leaves."""
+    shown, noise = (np.degrees(one) if unit == "rad" else one for one in (values, sd))
     steps = shown / 10.0 ** np.ceil(np.log10(np.median(noise)))
     return not np.allclose(steps, np.round(steps), rtol=0.0, atol=1e-6)
 
