@@ -167,8 +167,8 @@ def check_noise(measured: MeasuredReadings) -> Finding:
     if errors.outliers.expected:
         return Finding("Noise", "", "good", f"{said}; rows may be outliers, which count by how far off they are.")
     stated, zeta = left.explain(1.0)
-    factor, units = find_units(measured.posterior.likelihood.model, errors.names, errors.units)
-    values = zip(errors.names, factor * errors.natural(zeta), units, strict=True)
+    sizes, units = find_units(measured.posterior.likelihood.model, errors.names, errors.units)
+    values = zip(errors.names, sizes * errors.natural(zeta), units, strict=True)
     free = [f"{name} {x:.3g} {write_unit(unit)}".rstrip() for name, x, unit in values]
     if any(type(one).factor is not ErrorTerm.factor for one in errors.terms):
         return Finding("Noise", "", "good", f"{said}; what is free of it is estimated, about {', '.join(free)}.")
