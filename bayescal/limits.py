@@ -79,3 +79,8 @@ LASTING: Final = ("linear", "own", "smooth")
 """Terms of a model error that a geometry imitates."""
 UNSEEN_UM = 10.0
 """Root mean square of errors that leave no trace, which pages tell of where nothing is stated of them."""
+
+FEWEST_SETS: Final = 20
+"""Simulated data sets from which on ranks of the truth are a verdict: of fewer, ranks of intervals a third as wide as
+they should be are mostly within the band of uniform ones.
+"""

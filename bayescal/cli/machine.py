@@ -314,7 +314,15 @@ def recheck(
     if legs:
         planned = _plan_poses(results, stated, like, calibrated)
     else:
-        planned = expect_readings(_find_noise(calibrated, like, sensors))
+        sd = _find_noise(calibrated, like, sensors)
+        unknown = np.flatnonzero(~np.isfinite(sd))  # an exported machine knows nothing of channels beside it
+        if sensors is None and len(unknown) and np.isfinite(sd).sum() <= len(calibrated.model.coordinates):
+            one = calibrated.model.channels[unknown[0]]
+            raise InputError(
+                f"{results}: found no noise of {one.name}, expected --like READINGS.csv with readings of it and a "
+                f"column {one.stem}_sd_{one.unit}"
+            )
+        planned = expect_readings(sd)
     commands, given = (
         list_candidates(calibrated, share) if candidates is None else read_commands(candidates, calibrated)[1:]
     )
@@ -458,11 +466,21 @@ def _find_noise(calibrated: CalibratedMachine, like: Path | None, sensors: Seque
         stated = np.isfinite(square).any(axis=0)
         sd = np.where(read.present.any(axis=0), sd, np.nan)
         sd[stated] = np.sqrt(np.nanmean(square[:, stated], axis=0))
+        for k in np.flatnonzero(read.present.any(axis=0) & ~np.isfinite(sd)):
+            asked = sensors is None or k in model.select(sensors)
+            if asked and k not in calibrated.commanded:
+                one = model.channels[k]
+                raise InputError(
+                    f"{like}: found readings of {one.name} whose noise is not known, expected a column "
+                    f"{one.stem}_sd_{one.unit}"
+                )
     if sensors is not None:
         chosen = model.select(sensors)
         for k in chosen[~np.isfinite(sd[chosen]) & ~np.isin(chosen, calibrated.commanded)][:1]:
+            one = model.channels[k]
             raise InputError(
-                f"--sensors: found {model.names[k]} whose noise is not known, expected --like READINGS.csv"
+                f"--sensors: found {one.name} whose noise is not known, expected --like READINGS.csv with readings of "
+                f"it and a column {one.stem}_sd_{one.unit}"
             )
         sd[~np.isin(np.arange(len(sd)), chosen)] = np.nan
     sd[calibrated.commanded] = 1.0

@@ -11,6 +11,8 @@ from bayescal.report.numbers import MICROMETRES, PER_MILLE, format_fixed, format
 MODEL_ERROR = "tau"
 PER_NOISE_UM = 10.0
 """What one standard deviation of the noise counts as a size of a model error where the tool has no lengths, µm."""
+NAMES = {"1": "", "noise": "× noise"}
+"""Units of results that are written otherwise."""
 KERNEL_SCALE = "sigma_g"
 KERNEL_LENGTH = "L_g"
 OF_FUNCTIONS = (KERNEL_SCALE, KERNEL_LENGTH, "sigma_linear", "sigma_own", "sigma_smooth", "sigma_drift")
@@ -113,7 +115,7 @@ def name_parameter(name: str, member: str = "leg") -> str:
 def scale_of(symbol: str, unit: str, asked: Asked = None) -> tuple[float, str]:
     """Return the factor and the unit in which a parameter's offsets are shown, with the units of a config."""
     if is_model_error(symbol) and symbol != KERNEL_LENGTH:
-        return MICROMETRES, "µm"
+        return (1.0, write_unit(unit)) if unit == "noise" else (MICROMETRES, "µm")
     return (PER_MILLE, "10⁻³") if unit == "1" else shown_in(unit, asked)
 
 
@@ -122,7 +124,7 @@ def choose_error_unit(of: object) -> tuple[float, str]:
 
     Where the tool has no lengths they are multiples of the noise.
     """
-    return (1.0 / PER_NOISE_UM, "× noise") if of == "noise" else (1.0, "µm")
+    return (1.0 / PER_NOISE_UM, write_unit("noise")) if of == "noise" else (1.0, "µm")
 
 
 def describe_deformation(deformation: str) -> str:
@@ -134,7 +136,12 @@ def shown_in(unit: str, asked: Asked = None) -> tuple[float, str]:
     """Return factor and name of the unit that values of an inner unit are shown in."""
     if unit in INNER:
         return SHOWN[(asked or USUAL)[INNER[unit]]]
-    return 1.0, "" if unit == "1" else unit
+    return 1.0, write_unit(unit)
+
+
+def write_unit(unit: str) -> str:
+    """Return a unit as results write it beside a number; empty for none."""
+    return NAMES.get(unit, unit)
 
 
 def format_amount(value: float, unit: str, digits: int = 2, asked: Asked = None) -> str:

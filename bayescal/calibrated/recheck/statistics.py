@@ -39,6 +39,7 @@ SIMULATED = 100_000
 """Tests simulated for a threshold: a false alarm of 1 % is met to 0.03 %."""
 LENGTH = "l"
 SHOWN = {"mm": ("µm", MICROMETRE), "rad": ("arcsec", ARCSECOND)}
+UNITLESS = {"1": ("", 1.0)}
 SEEN = 1e-9
 """Share of a parameter's slopes that has to be left of them, the poses eliminated, for a shift of it to show."""
 ODD = 1e-3
@@ -89,16 +90,16 @@ def choose_suspects(calibrated: CalibratedMachine, wanted: Sequence[str]) -> Sus
 
 def say_size(value: float, unit: str) -> str:
     """Return a size in the unit that shifts are stated in: micrometres, arcseconds, or the parameter's own."""
-    shown, size = SHOWN.get(unit, (unit, 1.0))
-    return f"{value / size:.6g} {shown}"
+    shown, size = (SHOWN | UNITLESS).get(unit, (unit, 1.0))
+    return f"{value / size:.6g} {shown}".rstrip()
 
 
 def say_shift(value: float, sd: float, unit: str) -> str:
     """Return a shift with its standard deviation in the same units."""
-    shown, size = SHOWN.get(unit, (unit, 1.0))
+    shown, size = (SHOWN | UNITLESS).get(unit, (unit, 1.0))
     if unit in SHOWN:
         return f"{value / size:+.1f} ± {sd / size:.1f} {shown}"
-    return f"{value:+.3g} ± {sd:.2g} {shown}"
+    return f"{value:+.3g} ± {sd:.2g} {shown}".rstrip()
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,7 @@ from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
 from bayescal.inference.exploration import explore
 from bayescal.inference.importance import estimate_by_importance
-from bayescal.limits import COVERAGE, PARETO_K_LIMIT
+from bayescal.limits import COVERAGE, FEWEST_SETS, PARETO_K_LIMIT
 from bayescal.numerics.geometry import Array
 
 DRAWS = 2000  # for the evidence by which the best variant is found
@@ -198,7 +198,6 @@ def judge_ranks(whence: str, names: tuple[str, ...], rank: Array, z: Array, qual
         return Finding(
             check, "calibration", "bad", f"only {len(rank)} of {n} data sets have a posterior that is found."
         )
-    uneven = find_uneven(names, rank)
     held, error = measure_coverage(rank)
     rms = float(np.sqrt(np.mean(z**2)))
     poor = float(np.mean(quality[:, 1] > PARETO_K_LIMIT))
@@ -206,6 +205,10 @@ def judge_ranks(whence: str, names: tuple[str, ...], rank: Array, z: Array, qual
     said += f", estimates are off by {rms:.2f} sd (rms)"
     said += f", in {len(rank)} of {n} data sets" if len(rank) < n else f", in {n} data sets"
     said += f"; in {100 * poor:.0f} % of them ensembles took over from importance sampling" if poor else ""
+    if len(rank) < FEWEST_SETS:
+        few = f"{said}: too few for a verdict by ranks, which takes {FEWEST_SETS} (--data-sets)."
+        return Finding(check, "", "warning", f"{few} What else was looked at is judged.")
+    uneven = find_uneven(names, rank)
     chance = np.sqrt(COVERAGE * (1.0 - COVERAGE) / rank.size)  # few data sets may all be held
     limit = float(t.isf(norm.sf(OFF), len(rank) - 1))
     off = abs(held - COVERAGE) > max(limit * max(error, chance), OFF_SHARE)

@@ -17,6 +17,7 @@ from bayescal.density.low_rank import gather_columns
 from bayescal.density.sessions import ReadingRows
 from bayescal.errors import NumericalError
 from bayescal.experiments.check.inputs import Subject, draw_posterior
+from bayescal.experiments.shared.error_sizes import find_units
 from bayescal.experiments.shared.measured import MeasuredReadings
 from bayescal.experiments.shared.slip_search import PATIENCE, search_cause
 from bayescal.experiments.shared.slip_verdict import Search
@@ -26,6 +27,7 @@ from bayescal.inference.target import Target
 from bayescal.limits import INFORMED
 from bayescal.numerics.geometry import Array
 from bayescal.report.numbers import format_significant, join_words
+from bayescal.report.symbols import write_unit
 
 STEP = 1e-3  # prior sd, or of the half width of the workspace; halved, and both extrapolated
 WRONG = 1e-3  # of the largest difference along a parameter; right ones agree to 1e-6
@@ -165,8 +167,9 @@ def check_noise(measured: MeasuredReadings) -> Finding:
     if errors.outliers.expected:
         return Finding("Noise", "", "good", f"{said}; rows may be outliers, which count by how far off they are.")
     stated, zeta = left.explain(1.0)
-    values = zip(errors.names, errors.natural(zeta), errors.units, strict=True)
-    free = [f"{name} {x:.3g}{'' if unit == '1' else f' {unit}'}" for name, x, unit in values]
+    sizes, units = find_units(measured.posterior.likelihood.model, errors.names, errors.units)
+    values = zip(errors.names, sizes * errors.natural(zeta), units, strict=True)
+    free = [f"{name} {x:.3g} {write_unit(unit)}".rstrip() for name, x, unit in values]
     if any(type(one).factor is not ErrorTerm.factor for one in errors.terms):
         return Finding("Noise", "", "good", f"{said}; what is free of it is estimated, about {', '.join(free)}.")
     best, factor = max((left.explain(x)[0], x) for x in FACTORS)

@@ -10,6 +10,7 @@ from matplotlib import figure as mpl
 
 from bayescal.experiments.frame.results import Results
 from bayescal.experiments.shared.headline import write_headline
+from bayescal.limits import FEWEST_SETS
 from bayescal.report.blocks import (
     Absent,
     Block,
@@ -96,8 +97,20 @@ def state_headline(results: Results) -> str:
         passes = one["passed"] and not faults
         sound &= passes
         words.append(f"{name} passes" if passes else f"{name}: {join_words(faults)}")
-    advice = "The study's config can be relied on" if sound else "Mend the study's config before relying on it"
+    few = min((_count_sets(results, name) or FEWEST_SETS for name in results.summary["variants"]), default=FEWEST_SETS)
+    advice = "The study's config can be relied on"
+    if few < FEWEST_SETS:
+        advice = "Nothing was found against the study's config"
+        words.append(f"{few} simulated data sets are too few to judge its intervals, which takes {FEWEST_SETS}")
+    advice = advice if sound else "Mend the study's config before relying on it"
     return write_headline([f"{advice}: {'; '.join(words)}"])
+
+
+def _count_sets(results: Results, name: str) -> int:
+    """Return in how many data sets of a variant there are ranks, of the fewer of both sorts; zero without any."""
+    ranks = results.table("ranks")
+    mine = ranks[ranks["variant"] == name] if len(ranks) else ranks
+    return 0 if mine.empty else int(mine["data_set"].str.partition(" ")[0].value_counts().min())
 
 
 def _state(row: dict[str, str], several: bool) -> Statement:
@@ -112,11 +125,12 @@ def _show_variant(results: Results, name: str) -> Section:
     mine = parameters[parameters["variant"] == name] if len(parameters) else parameters
     if mine.empty:
         return Section(name, (Absent("Nothing was simulated: the faults above come first."),), anchor)
-    blocks: list[Block] = [_plot(results, name, anchor), _tabulate(mine)]
+    judged = _count_sets(results, name) >= FEWEST_SETS
+    blocks: list[Block] = [_plot(results, name, anchor, judged), _tabulate(mine, judged)]
     return Section(name, tuple(blocks), anchor)
 
 
-def _tabulate(parameters: pd.DataFrame) -> Table:
+def _tabulate(parameters: pd.DataFrame, judged: bool) -> Table:
     columns = [
         Column("Parameter", kind="text"),
         *(
@@ -130,17 +144,19 @@ def _tabulate(parameters: pd.DataFrame) -> Table:
         row: list[str | Cell] = [name_parameter(str(name))]
         for _, one in group.iterrows():
             good = bool(one["uniform"])
-            row.append(Cell("uniform" if good else "not uniform", "good" if good else "bad", badge=True))
+            badge = Cell("uniform" if good else "not uniform", "good" if good else "bad", badge=True)
+            row.append(badge if judged else Cell("too few"))
             row += [format_percent(float(one["coverage_90"])), format_fixed(float(one["rms_z"]), 2)]
         rows.append(row)
     return make_table("Ranks, coverage and recovery of every parameter.", columns, rows)
 
 
-def _plot(results: Results, name: str, anchor: str) -> Figure:
+def _plot(results: Results, name: str, anchor: str, judged: bool) -> Figure:
     caption = (
         "Distribution functions of the ranks, less that of uniform ranks, a line per parameter; uniform ones stay "
-        "within the grey band, all at once with a probability of 99 %. Red lines do not."
+        "within the grey band, all at once with a probability of 99 %. "
     )
+    caption += "Red lines do not." if judged else f"Fewer than {FEWEST_SETS} data sets say little by that."
     ranks, bands = results.table("ranks"), results.table("bands")
     mine, band = ranks[ranks["variant"] == name], bands[bands["variant"] == name]
     return Figure(f"ranks-{anchor}", caption, partial(draw_ranks, mine.dropna(axis=1, how="all"), band))

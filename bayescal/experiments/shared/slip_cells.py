@@ -1,4 +1,4 @@
-"""Single cells of a table of readings that are wrong: another row's, another channel's, another sign, a shifted point.
+"""Single cells of a table that are wrong: another row's, another column's, another sign, a shifted point.
 
 All are weighed at once about one machine. A change of reading k at row a by u changes white errors by u times a column
 w_ak of that row. With what is known of machine and errors integrated, changes u of some readings gain
@@ -6,19 +6,23 @@ w_ak of that row. With what is known of machine and errors integrated, changes u
     tᵀ u - uᵀ S u / 2,    t_ak = w_akᵀ (e_a - X_a A⁻¹ Xᵀ e),    S_ak,bj = δ_ab w_akᵀ w_aj - w_akᵀ X_a A⁻¹ X_bᵀ w_bj,
 
 X the white slopes of what is standard normal, A = 1 + Xᵀ X: numbers for any exchange of cells, without another fit.
+What is given of a row counts by what it does to the readings: they are too large by what the machine reads more with
+another value, where it stands.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
+from itertools import product
 from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
 from bayescal.experiments.shared.slip_causes import Cause, format_in_unit
+from bayescal.experiments.shared.slip_given import find_moving, list_alike
 from bayescal.experiments.shared.slip_rows import Readings, Table, White
 from bayescal.experiments.shared.slips import ROWS
 from bayescal.machines.readings import Channel
@@ -67,6 +71,20 @@ class Cells(NamedTuple):
         square = own[:, k, k] + own[:, j, j] - 2.0 * own[:, k, j]
         return apart * (self.side[:, k] - self.side[:, j]) - 0.5 * apart**2 * square
 
+    def gain_pairs(self, pairs: tuple[np.ndarray, np.ndarray], changes: tuple[Array, Array]) -> Array:
+        """Return what pairs of rows, (n,) each, gain by changes (n, K) of the first and of the second, (n,)."""
+        (a, b), (first, second) = pairs, changes
+        cross = np.einsum("nk,nkj,nj->n", first, self.square[a, :, b], second)
+        return self._gain(a, first) + self._gain(b, second) - cross
+
+    def gain_each(self, change: Array) -> Array:
+        """Return what a change of all readings of a row gains, of each row by itself, (P, K) to (P,)."""
+        return self._gain(np.arange(len(change)), change)
+
+    def _gain(self, rows: np.ndarray, change: Array) -> Array:
+        own = np.einsum("nk,nkj,nj->n", change, self.square[rows, :, rows], change)
+        return np.asarray(np.sum(self.side[rows] * change, axis=1) - 0.5 * own)
+
 
 def weigh_cells(white: White, n_channels: int) -> tuple[np.ndarray, Cells]:
     """Return which rows are farthest off by a single reading, (Q,), and what changes of their readings gain.
@@ -98,6 +116,8 @@ class CellSearch:
     readings: Readings
     rows: np.ndarray
     cells: Cells
+    machine: Array  # (D,)
+    pose: Array  # (Q, q): of the rows
 
     def list_causes(self) -> Iterator[tuple[Cause, float]]:
         """Yield the best of each sort with what they gain; each knows of how many it is the best."""
@@ -105,6 +125,8 @@ class CellSearch:
         yield from self._list_channels()
         yield from self._list_points()
         yield from self._list_free()
+        yield from self._list_given_rows()
+        yield from self._list_given_cells()
 
     def _name_row(self, row: int) -> str:
         place = int(self.rows[row])
@@ -173,10 +195,75 @@ class CellSearch:
             cause = Cause(ROWS, text, columns=columns, say=say, among=self.readings.values.size)
             yield cause, float(gains.flat[i])
 
+    # --- what is given of rows ---------------------------------------------------------------------------------------
+
+    @cached_property
+    def given(self) -> dict[str, Array]:
+        """Columns of what is given that the machine reads, of these rows, (Q,) each."""
+        data = self.readings.posterior.likelihood.data
+        return {name: data.given[name][self.rows] for name in find_moving(self.readings)}
+
+    def _read(self, rows: np.ndarray, other: dict[str, Array]) -> Array:
+        """Return how much more the machine reads at some of these rows (n,) where columns are given otherwise, (n, K).
+
+        Where it reads nothing, NaN.
+        """
+        data = self.readings.posterior.likelihood.data
+        given = {name: value[self.rows[rows]] for name, value in data.given.items()}
+        with np.errstate(all="ignore"):
+            before, after = (
+                self.readings.model.read(self.machine, self.pose[rows], one) for one in (given, given | other)
+            )
+        read = data.present[self.rows[rows]]
+        return np.asarray(np.where(read, after - before, 0.0))
+
+    def _change_given(self, text: str, changed: dict[tuple[int, str], float], among: int) -> Cause:
+        data, values = self.readings.posterior.likelihood.data, self.readings.values
+        given = {name: data.given[name].copy() for _, name in changed}
+        for (row, name), value in changed.items():
+            given[name][self.rows[row]] = value
+        return Cause(ROWS, text, Table(values, np.arange(len(values)), given=given), among=among)
+
+    def _list_given_rows(self) -> Iterator[tuple[Cause, float]]:
+        """Yield two rows that have each other's value of a column, or of all of them."""
+        groups = dict.fromkeys([*((name,) for name in self.given), tuple(self.given)]) if self.given else {}
+        (a, b), found = np.triu_indices(len(self.rows), 1), list[tuple[float, int, tuple[str, ...]]]()
+        for names in groups:
+            there, back = ({name: self.given[name][rows] for name in names} for rows in (b, a))
+            gains = self.cells.gain_pairs((a, b), (self._read(a, there), self._read(b, back)))
+            found += [(float(gains[i]), int(i), names) for i in _best(gains)]
+        n = len(self.readings.values)
+        for gain, i, names in sorted(found, reverse=True)[:MAX_NAMED]:
+            one, other = int(a[i]), int(b[i])
+            text = (
+                f"rows {self._name_row(one)} and {self._name_row(other)} seem to have each other's {join_words(names)}"
+            )
+            changed = {(one, name): float(self.given[name][other]) for name in names}
+            changed |= {(other, name): float(self.given[name][one]) for name in names}
+            yield self._change_given(text, changed, len(groups) * n * (n - 1) // 2), gain
+
+    def _list_given_cells(self) -> Iterator[tuple[Cause, float]]:
+        """Yield a row in which two columns of one unit are exchanged, or a value has another sign or decimal point."""
+        every, others = np.arange(len(self.rows)), list[tuple[str, dict[str, Array]]]()
+        for one, other in list_alike(list(self.given)):
+            swapped = {one: self.given[other], other: self.given[one]}
+            others.append((f"what is given as {one} and as {other} seems to be exchanged", swapped))
+        for name, (words, factor) in product(self.given, POINTS.items()):
+            others.append((f"what is given as {name} seems to be {words}", {name: factor * self.given[name]}))
+        found = list[tuple[float, int, int]]()
+        for k, (_, other_values) in enumerate(others):
+            gains = self.cells.gain_each(self._read(every, other_values))
+            found += [(float(gains[i]), int(i), k) for i in _best(gains)]
+        for gain, row, k in sorted(found, reverse=True)[:MAX_NAMED]:
+            text, other_values = others[k]
+            changed = {(row, name): float(value[row]) for name, value in other_values.items()}
+            said = f"{text} in row {self._name_row(row)}"
+            yield self._change_given(said, changed, len(others) * len(self.readings.values)), gain
+
 
 def _best(gains: Array) -> np.ndarray:
-    """Return the places of the largest of gains (n,)."""
-    return np.argsort(-gains)[:MAX_NAMED]
+    """Return the places of the largest of gains (n,); of some that are none, fewer."""
+    return np.argsort(-gains)[: min(MAX_NAMED, np.count_nonzero(np.isfinite(gains)))]
 
 
 def _say_off(channel: Channel, row: str, size: Array) -> str:

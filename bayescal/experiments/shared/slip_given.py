@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations
 
 import numpy as np
@@ -30,7 +30,7 @@ BY_UNIT: Mapping[str, Mapping[str, Change]] = {
 
 def list_rescaled(readings: Readings) -> Iterator[tuple[str, Table]]:
     """Yield words and tables in which a column that is given has another unit or sign."""
-    for name in _find_moving(readings):
+    for name in find_moving(readings):
         value = readings.posterior.likelihood.data.given[name]
         own = BY_UNIT.get(name.rpartition("_")[2].lower(), {})
         for words, (factor, zero) in {**ANY, **own}.items():
@@ -40,13 +40,17 @@ def list_rescaled(readings: Readings) -> Iterator[tuple[str, Table]]:
 def list_exchanged(readings: Readings) -> Iterator[tuple[str, Table]]:
     """Yield words and tables in which two columns that are given of one unit are exchanged."""
     given = readings.posterior.likelihood.data.given
-    for one, other in combinations(_find_moving(readings), 2):
-        if one.rpartition("_")[2] == other.rpartition("_")[2]:
-            swapped = {one: given[other], other: given[one]}
-            yield f"what is given as {one} and as {other} seems to be exchanged", _take(readings, swapped)
+    for one, other in list_alike(find_moving(readings)):
+        swapped = {one: given[other], other: given[one]}
+        yield f"what is given as {one} and as {other} seems to be exchanged", _take(readings, swapped)
 
 
-def _find_moving(readings: Readings) -> list[str]:
+def list_alike(names: Sequence[str]) -> list[tuple[str, str]]:
+    """Return pairs of columns of one unit, the last part of their names."""
+    return [(a, b) for a, b in combinations(names, 2) if a.rpartition("_")[2] == b.rpartition("_")[2]]
+
+
+def find_moving(readings: Readings) -> list[str]:
     """Return the columns that the machine reads, known of all rows and not zero throughout."""
     given = readings.posterior.likelihood.data.given
     return [one for one in readings.model.given if np.isfinite(given[one]).all() and given[one].any()]

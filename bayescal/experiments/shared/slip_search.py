@@ -530,6 +530,8 @@ class SlipSearch:
     def _weigh_cells(self, here: Sight) -> list[tuple[Cause, float]]:
         """Return single readings that are wrong, by the best of some sizes of errors, about the fit of all."""
         seen, usual = (here, UNFIT) if self.base is None else (self.base.weigher.seen, self.base.value)
+        y = self.readings.begin if self.base is None else self.base.weigher.solve(self.base.zeta)[0]
+        machine = self.posterior.around(np.append(y, np.zeros_like(self.zeta)))[0]
         zetas = [self.zeta] if self.base is None else [self.base.zeta, self.zeta, self._silence(self.zeta)]
         found, each = list[tuple[Cause, float]](), np.tile(np.eye(len(self.readings.channels)), (len(seen.rows), 1, 1))
         every = np.zeros((len(self.readings.values), *each.shape[1:]))
@@ -538,7 +540,7 @@ class SlipSearch:
             white = seen.whiten(zeta, columns=every)
             as_is = white.weigh() - 0.5 * float(zeta @ zeta)
             rows, cells = weigh_cells(white, len(self.readings.channels))
-            listed = CellSearch(self.readings, seen.rows[rows], cells).list_causes()
+            listed = CellSearch(self.readings, seen.rows[rows], cells, machine, seen.pose[rows]).list_causes()
             found += [(cause, as_is + gain - usual) for cause, gain in listed]
         best = dict[str, tuple[Cause, float]]()
         for cause, gain in sorted(found, key=lambda one: -one[1]):

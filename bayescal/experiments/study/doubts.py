@@ -1,9 +1,10 @@
-"""What may be wrong with a study's data beside slips: a zero that wide tolerances would swallow in silence."""
+"""What may be wrong with a study's data beside slips: a zero that wide tolerances would swallow, columns twice."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from bayescal.experiments.shared.readings.columns import doubt_columns
 from bayescal.experiments.shared.readings.inputs import ReadingInputs
 from bayescal.machines.kinematics import Machine, solve_forward_kinematics
 from bayescal.machines.mechanism import Mechanism
@@ -17,6 +18,13 @@ ALIKE = 3.0
 """Shift in units of what the poses scatter about it, below which it is not one for all."""
 FEWEST = 3
 ENOUGH = 0.5  # share of the poses at which the machine as drawn has to stand somewhere
+
+
+def doubt_copies(inputs: ReadingInputs) -> list[str]:
+    """Return in lines which columns of the machine's own channels repeat others."""
+    first = max(inputs.variants.values(), key=lambda one: len(one.model.channels))
+    columns = {one.name: f"{one.stem}_{inputs.units.get(one.name, one.unit)}" for one in first.model.channels}
+    return doubt_columns(first.data, first.model, columns)
 
 
 def doubt_zero(inputs: ReadingInputs) -> list[str]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 
 from bayescal.calibrated.machine import CalibratedMachine
-from bayescal.errors import InputError, name_faults
+from bayescal.errors import InputError, NumericalError, name_faults
 from bayescal.experiments.frame.memory import Need
 from bayescal.experiments.frame.parallel import Run
 from bayescal.experiments.frame.results import Results
@@ -22,9 +22,9 @@ from bayescal.experiments.shared.readings.machine_kind import MachineExperiment
 from bayescal.experiments.shared.readings.measurement import list_file_faults
 from bayescal.experiments.shared.search_memory import estimate_calibration
 from bayescal.experiments.shared.slip_causes import WIDE
-from bayescal.experiments.shared.slips import tell_denial
+from bayescal.experiments.shared.slips import Misstated, tell_denial
 from bayescal.experiments.shared.study_schema import StudyConfig
-from bayescal.experiments.study.doubts import doubt_zero
+from bayescal.experiments.study.doubts import doubt_copies, doubt_zero
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.terminal import show_comparison, show_ranking
 from bayescal.report.blocks import Page
@@ -65,16 +65,18 @@ class Study(MachineExperiment[StudyConfig, StudyInputs], Measuring, Calibrating)
         return inputs.estimate_seconds(workers)
 
     def outlook(self, inputs: StudyInputs) -> list[str]:
-        """Return what the data can determine of each variant."""
-        return inputs.outlook()
+        """Return what the data can determine of each variant, and that tolerances are too wide, which is no fault."""
+        found = _find_misstated(inputs)
+        return [*inputs.outlook(), *([found.say()] if found is not None and found.fault == WIDE else [])]
 
     def doubt(self, inputs: StudyInputs, *, before_run: bool = False) -> list[str]:
         """Return what may be wrong: a place that only wide tolerances explain, a noise or a tolerance."""
+        copies = doubt_copies(inputs)
         if inputs.slip is not None:
-            return []
-        found = None if before_run else inputs.misstated
+            return copies
+        found = None if before_run else _find_misstated(inputs)
         denied = [] if inputs.denied is None else [f"{inputs.denied.say()}, which the config denies"]
-        return [*denied, *doubt_zero(inputs), *([] if found is None or found.fault == WIDE else [found.say()])]
+        return [*denied, *copies, *doubt_zero(inputs), *([] if found is None or found.fault == WIDE else [found.say()])]
 
     def suspect(self, inputs: StudyInputs) -> list[str]:
         """Return what seems to have happened to data that one slip explains far better than errors of the machine."""
@@ -178,3 +180,11 @@ def _describe_variant(results: str, name: str, fit: Mapping[str, Any]) -> dict[s
         "elpd_verification": float("nan" if fit["elpd"] is None else fit["elpd"]),
         "converged": "yes" if fit["converged"] else "NO",
     }
+
+
+def _find_misstated(inputs: StudyInputs) -> Misstated | None:
+    """Return what is stated wrong; None, too, where that cannot be said, which takes nothing from what else is."""
+    try:
+        return inputs.misstated
+    except NumericalError:
+        return None

@@ -24,6 +24,7 @@ from bayescal.density.calibration.prediction import (
 from bayescal.density.prediction import Prediction, compute_elpd
 from bayescal.experiments.frame.losses import attempt
 from bayescal.experiments.frame.parallel import Run
+from bayescal.experiments.shared.error_sizes import find_units
 from bayescal.experiments.shared.estimate import Arrays, Fit, Subject, fit_posterior
 from bayescal.experiments.shared.function_errors import has_lengths, tabulate_functions, tabulate_model_error
 from bayescal.experiments.shared.readings.beside import Beside
@@ -299,9 +300,11 @@ class ReadingSubject(Subject):
 
         likelihood, arrays = self.posterior.likelihood, fit.evaluated
         channels = likelihood.model.channels
+        factor, units = find_units(likelihood.model, fit.names, fit.units)
         draws, density, rows = (self._thin(one) for one in (fit.draws, fit.log_density, arrays["log_likelihood"]))
         priors, data = self.posterior.all_priors().values(), likelihood.data
         log_prior = np.stack([prior.log_density(draws[..., k]) for k, prior in enumerate(priors)], axis=-1)
+        log_prior -= np.log(factor)
         stats: Variables = {"lp": ((), density, "nat", "log-density in the proposal's coordinates")}
         if len(fit.solutions.probability) > 1:
             label = 1 + self._thin(fit.solutions.label)
@@ -310,10 +313,10 @@ class ReadingSubject(Subject):
             tuple(data.poses), tuple(one.name for one in channels), tuple(one.unit for one in channels), data.present
         )
         found = {
-            "posterior": split_parameters(fit.names, draws, fit.units),
+            "posterior": split_parameters(fit.names, factor * draws, units),
             "sample_stats": make_dataset(stats, drawn=True),
             "log_prior": split_parameters(fit.names, log_prior, ["nat"] * len(fit.names)),
-            "prior": split_parameters(fit.names, arrays["prior"][None], fit.units),
+            "prior": split_parameters(fit.names, factor * arrays["prior"][None], units),
             **readings.arrange(data.values, arrays["replicated"], arrays["prior_replicated"][None], rows),
         }
         for k, known in enumerate(functions, start=1):
@@ -450,7 +453,7 @@ def describe_readings(
         known[variant.name] |= {"calibration": None, "verification": None}
         if fit.poses is not None:
             known[variant.name] |= describe_errors(variant, fit.poses)[1]
-        known[variant.name] |= describe_solutions(fit)
+        known[variant.name] |= describe_solutions(variant.model, fit)
     gains = attempt("gains of channels", lambda: find_gains(next(iter(inputs.variants.values())).whole), None)
     summary = {
         **describe_legs(inputs),

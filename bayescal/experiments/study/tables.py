@@ -14,6 +14,7 @@ from scipy.special import logsumexp
 from bayescal.config.classes import label_class
 from bayescal.density.calibration.model_error import IndependentErrors
 from bayescal.density.prediction import Prediction
+from bayescal.experiments.shared.error_sizes import find_units
 from bayescal.experiments.shared.estimate import Fit, Moments
 from bayescal.experiments.shared.headline import rank_evidence
 from bayescal.experiments.shared.joints import tabulate_joints
@@ -76,16 +77,16 @@ def tabulate_parameters(variant: Variant, fit: Fit, verdicts: Sequence[str]) -> 
     nominal = [*variant.model.layout.nominal[posterior.sampling.free]]
     nominal += [float(x) if unit == "1" else 0.0 for unit, x in medians]
     found: list[Moments] = [Moments(fit.mean, fit.sd, fit.q05, fit.q95), *fit.others]
-    differ = find_differing(found)
+    differ, (factor, units) = find_differing(found), find_units(variant.model, fit.names, fit.units)
     tables = [
         pd.DataFrame(
             {
                 "variant": variant.name,
                 "parameter": fit.names,
-                "unit": fit.units,
+                "unit": units,
                 "nominal": nominal,
-                "prior_sd": fit.prior_sd,
-                **vars(one),
+                "prior_sd": factor * fit.prior_sd,
+                **{name: factor * value for name, value in vars(one).items()},
                 "contraction": np.where(differ, np.nan, compute_contraction(one.sd, fit.prior_sd)),
                 "prior_sensitivity": fit.power_scaling[:, 0],
                 "likelihood_sensitivity": fit.power_scaling[:, 1],
@@ -110,19 +111,21 @@ def find_differing(found: Sequence[Moments]) -> np.ndarray:
     return np.asarray(np.ptp(mean, axis=0) > DIFFERENT * sd)
 
 
-def describe_solutions(fit: Fit) -> dict[str, Any]:
+def describe_solutions(model: ReadingModel, fit: Fit) -> dict[str, Any]:
     """Return the solutions of a posterior that has several, the most probable first, as the summary has them.
 
     Small ones count together.
     """
     p, se = fit.solutions.probability, fit.solutions.standard_error
     found = [Moments(fit.mean, fit.sd, fit.q05, fit.q95), *fit.others]
-    places = np.flatnonzero(find_differing(found))
+    places, (factor, units) = np.flatnonzero(find_differing(found)), find_units(model, fit.names, fit.units)
     modes = [
         {
             "probability": float(p[k]),
             "standard_error": float(se[k]),
-            "parameters": {fit.names[j]: [float(one.mean[j]), float(one.sd[j]), fit.units[j]] for j in places},
+            "parameters": {
+                fit.names[j]: [float(factor[j] * one.mean[j]), float(factor[j] * one.sd[j]), units[j]] for j in places
+            },
         }
         for k, one in enumerate(found)
     ]

@@ -79,12 +79,19 @@ def check_tool(model: FunctionModel) -> None:
             raise InputError(f"{where}_channels: found {one!r}, expected a Channel")
     _check_rotations(f"{where}_channels", machine.tool_channels)
     theta, pose, _ = draw_points(model, POINTS)
-    found, _, _ = _call(where, "numbers", lambda: model.tool(theta, pose))
+    expected = f"numbers {_describe_shapes(model, theta, pose, NOTHING)}"
+    found, _, _ = _call(where, expected, lambda: model.tool(theta, pose))
     names = [one.name for one in machine.tool_channels] or [one.name for one in model.coordinates]
     if found.shape[-1] != len(names):
         raise InputError(f"{where}: found {found.shape[-1]} numbers, expected {len(names)}: {', '.join(names)}")
     for k in np.flatnonzero(~np.isfinite(found[0])):
         raise InputError(f"{where}: {names[k]}: found {found[0, k]} at home, expected a finite number")
+    where, expected = f"{where.removesuffix('tool')}rotation", f"rotations of v {pose.shape}"
+    turned = _call(where, expected, lambda: np.asarray(model.rotation(pose)))
+    square = turned.ndim > 1 and turned.shape[-1] == turned.shape[-2] <= len("xyz")
+    if not square or turned.shape[:-2] not in ((), (1,), (POINTS,)):
+        found_shape = f"found shape {turned.shape} for {POINTS} poses"
+        raise InputError(f"{where}: {found_shape}, expected ({POINTS}, m, m), m up to three, of v {pose.shape}")
 
 
 def _check_rotations(where: str, channels: Sequence[Channel]) -> None:
@@ -101,15 +108,34 @@ def check_values(model: FunctionModel) -> None:
     where, n = f"machine {model.name!r}: {type(model.machine).__name__}.read", len(model.channels)
     found = _read(model, where, theta, pose, given)
     if found.shape != (POINTS, n):
-        raise InputError(f"{where}: found shape {found.shape} for {POINTS} poses, expected {(POINTS, n)}")
+        raise InputError(
+            f"{where}: found shape {found.shape} for {POINTS} poses, expected {(POINTS, n)} "
+            f"{_describe_shapes(model, theta, pose, given)}"
+        )
     for k in np.flatnonzero(~np.isfinite(found[0])):
         raise InputError(f"{where}: {model.channels[k].name}: found {found[0, k]} at home, expected a finite reading")
-    stacked = _read(model, where, theta[:, None], pose[None], {name: value[None] for name, value in given.items()})
+    many = theta[:, None], pose[None], {name: value[None] for name, value in given.items()}
+    stacked = _read(model, where, *many)
     if stacked.shape != (POINTS, POINTS, n):
         raise InputError(
-            f"{where}: found shape {stacked.shape} for {POINTS} machines at {POINTS} poses, "
-            f"expected {(POINTS, POINTS, n)}: it must take any leading axes"
+            f"{where}: found shape {stacked.shape} for {POINTS} machines at {POINTS} poses, expected "
+            f"{(POINTS, POINTS, n)} {_describe_shapes(model, *many)}: it must take any leading axes"
         )
+
+
+def _describe_shapes(model: FunctionModel, theta: Any, pose: Any, given: Given) -> str:
+    """Return the shapes of what a machine's functions are called with, by which a wrong axis is found, in words.
+
+    Of the parameters those of a single value and of a block of several.
+    """
+    parameters = Parameters(model.layout, theta)
+    first = {np.ndim(parameters[name]): name for name in reversed(model.layout.symbols)}
+    shapes = [
+        f"v {pose.shape}",
+        *(f"parameters[{name!r}] {parameters[name].shape}" for _, name in sorted(first.items())),
+    ]
+    shapes += [f"given[{name!r}] {value.shape}" for name, value in list(given.items())[:1]]
+    return f"of {', '.join(shapes)}"
 
 
 def _call[Found](where: str, expected: str, function: Callable[[], Found]) -> Found:
@@ -124,8 +150,10 @@ def _call[Found](where: str, expected: str, function: Callable[[], Found]) -> Fo
 
 def _read(model: FunctionModel, where: str, theta: Any, pose: Any, given: Given) -> Array:
     analytic = np.iscomplexobj(theta)
+    shape = (*np.broadcast_shapes(theta.shape[:-1], pose.shape[:-1]), len(model.channels))
     hint = "; bayescal.numerics.analytic has functions that take complex numbers" if analytic else ""
-    return _call(where, f"readings{hint}", lambda: np.asarray(model.evaluate(theta, pose, given)))
+    expected = f"readings {shape} {_describe_shapes(model, theta, pose, given)}{hint}"
+    return _call(where, expected, lambda: np.asarray(model.evaluate(theta, pose, given)))
 
 
 def check_derivatives(model: FunctionModel) -> None:

@@ -32,7 +32,9 @@ def test_a_tiny_study_passes(study, tmp_path, capsys):
     finished = run_experiment(config, study.parent, tmp_path / "out")
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert summary["passed"], finished.results.table("findings")
-    assert summary["headline"] == "The study's config can be relied on: six_pus/matrix passes."
+    assert "six_pus/matrix passes" in summary["headline"]
+    assert "8 simulated data sets are too few" in summary["headline"]
+    assert set(finished.results.table("findings").query("check.str.startswith('Simulated')")["level"]) == {"warning"}
     assert list(finished.results.table("parameters").groupby("parameter").size()) == [2] * 13
     assert len(finished.results.table("ranks")) == 16
     assert "Simulated from the posterior" in (tmp_path / "out" / "report.html").read_text()

@@ -9,7 +9,7 @@ import pytest
 
 from bayescal.density.calibration.measurements import Measurements
 from bayescal.errors import InputError
-from bayescal.experiments.shared.readings.columns import check_columns
+from bayescal.experiments.shared.readings.columns import check_columns, doubt_columns
 from bayescal.machines.readings import Channel
 
 CHANNELS = (Channel("m[1]", "mm", external=True), Channel("m[2]", "mm", external=True), Channel("q", "mm"))
@@ -61,8 +61,23 @@ def test_few_rows_may_be_equal(rng):
     check_columns(measure(copy, rng, n=4), MODEL, {})
 
 
-def test_constant_columns_are_no_copies(rng):
-    check_columns(measure(lambda first: 1.23456 + 0.0 * first, rng), MODEL, {})
+@pytest.mark.parametrize(("value", "n_said"), [(1.23456, 1), (1.2, 0), (0.0, 0)])
+def test_constant_columns_are_no_copies_but_doubted(value, n_said, rng):
+    """Where they have digits that noise would change: others are plans."""
+    data = measure(lambda first: value + 0.0 * first, rng)
+    check_columns(data, MODEL, {})
+    said = doubt_columns(data, MODEL, {})
+    assert len(said) == n_said
+    assert all("m_2_mm" in one for one in said)
+
+
+def test_own_channels_that_repeat_others_are_doubted_unless_they_are_commands(rng):
+    own = SimpleNamespace(channels=(*CHANNELS[2:], Channel("p", "mm")), commanded=("q", "p"))
+    read = measure(copy, rng)
+    for commanded, n_said in ((None, 1), (np.full((12, 2), True), 0)):
+        data = Measurements(read.poses, read.values[:, :2], read.sd[:, :2], {}, None, commanded)
+        check_columns(data, own, {})
+        assert len(doubt_columns(data, own, {})) == n_said
 
 
 def test_noise_that_is_stated_as_common_is_not_missed(rng):

@@ -143,6 +143,11 @@ READS = {
     "shape": (lambda x, y: (x + y)[..., None], "Arm.read: found shape (5, 1) for 5 poses, expected (5, 2)"),
     "one pose": (lambda x, y: np.stack([x.ravel(), y.ravel()], axis=-1), "it must take any leading axes"),
     "raises": (crash, "Arm.read: failed with ValueError: no such arm, expected readings"),
+    "first axis": (lambda x, y: np.stack([x, y]), "found shape (2, 5) for 5 poses, expected (5, 2) of v (5, 2)"),
+    "axes of a single value": (
+        lambda x, y: np.stack([x, y], axis=-1) + np.stack([x, y]),
+        "(2,5), expected readings (5, 2) of v (5, 2), parameters['x0'] (5,)",
+    ),
     "nan": (lambda x, y: np.stack([x, np.sqrt(-(y**2) - 1.0)], axis=-1), "far: found nan at home, expected a finite"),
     "abs": (lambda x, y: np.stack([x, np.abs(y)], axis=-1), "far: found ∂/∂y0 = 0 by complex step and -1 by"),
     "abs of little": (shortened, "far: found ∂/∂y0 = 0 by complex step and -0.0001 by"),
@@ -175,7 +180,34 @@ SLOPES = {
     "nan": ([[1.0, 0.0], [0.0, np.nan]], "Arm.slopes: far: found ∂/∂y = nan, expected 1, that of read"),
     "too few": ([[1.0, 0.0]], "Arm.slopes: failed with ValueError: zip()"),
 }
+POINT = [Channel("x", "mm"), Channel("y", "mm")]
+
+
+class Tooled(Arm):
+    """The same with a tool, turned in some way, of a test's."""
+
+    def __init__(self, tool=lambda p, v: v, turned=lambda v: None) -> None:
+        super().__init__(plain, tool_channels=POINT)
+        self.own_tool, self.turned = tool, turned
+
+    def tool(self, parameters, v):
+        return self.own_tool(parameters, v)
+
+    def rotation(self, v):
+        return self.turned(v)
+
+
+TOOLS = {
+    "axes of a single value": (
+        Tooled(lambda p, v: v + np.stack([p["x0"], p["y0"]])),
+        "of v (5, 2), parameters['x0'] (5,)",
+    ),
+    "turned by another axis": (Tooled(turned=lambda v: v - v[..., 0]), "rotation: failed with ValueError"),
+    "turned by a vector": (Tooled(turned=lambda v: v), "rotation: found shape (5, 2) for 5 poses, expected (5, m, m)"),
+    "turned all alike": (Tooled(turned=lambda v: np.eye(3)[:2]), "rotation: found shape (2, 3) for 5 poses"),
+}
 REFUSED = {
+    **{f"tool, {what}": (machine, "class Tooled", text) for what, (machine, text) in TOOLS.items()},
     **{what: (Arm(read), "Arm.read", text) for what, (read, text) in READS.items()},
     **{what: (Arm(plain, **members), "class Arm", text) for what, (members, text) in MEMBERS.items()},
     **{

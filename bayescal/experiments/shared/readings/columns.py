@@ -1,4 +1,4 @@
-"""Columns of measured readings that repeat one another: one sensor that was exported twice, or copied with a factor."""
+"""Columns that repeat one another, one sensor exported twice or copied with a factor, and such of a single value."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from bayescal.density.calibration.measurements import Measurements
 from bayescal.errors import InputError
-from bayescal.machines.readings import ReadingModel
+from bayescal.machines.readings import Channel, ReadingModel
 from bayescal.numerics.geometry import Array
 from bayescal.report.numbers import format_significant
 
@@ -34,8 +34,34 @@ def check_columns(data: Measurements, model: ReadingModel, columns: Mapping[str,
     columns : mapping of str to str
         Names of columns by names of channels, where these are known.
     """
-    channels, values = model.channels, np.where(_find_measured(data, model), data.values, np.nan)
-    names = [columns.get(one.name, f"{one.stem}_{one.unit}") for one in channels]
+    measured = np.isfinite(data.values) & (data.sd > 0.0) & ~_may_be_commands(model)
+    if said := _list_copies(data, model, columns, measured & ~_is_commanded(data)):
+        more = f"; so are {len(said) - MAX_NAMED} more" if len(said) > MAX_NAMED else ""
+        raise InputError(f"data: {'; '.join(said[:MAX_NAMED])}{more}, expected readings of each sensor's own")
+
+
+def doubt_columns(data: Measurements, model: ReadingModel, columns: Mapping[str, str]) -> list[str]:
+    """Return in lines which columns of the machine's own channels repeat others, and which of any are of one value.
+
+    Nobody has said that they hold commands, which may be equal; see `check_columns`.
+    """
+    own, read = _may_be_commands(model), np.isfinite(data.values) & (data.sd > 0.0) & ~_is_commanded(data)
+    said = _list_copies(data, model, columns, read & own)
+    found = [f"{one}: export what each sensor read, unless both were commanded so" for one in said]
+    for k, one in enumerate(model.channels):
+        values = data.values[read[:, k], k]
+        if len(values) >= MIN_ROWS and not np.ptp(values) and _has_digits(values, data.sd[read[:, k], k], one.unit):
+            text = (
+                f"column {_name_column(one, columns)} has one value in all rows, without any noise: look at its sensor"
+            )
+            found.append(f"{text}{', unless it was commanded so' if own[k] else ''}")
+    return found[:MAX_NAMED]
+
+
+def _list_copies(data: Measurements, model: ReadingModel, columns: Mapping[str, str], some: np.ndarray) -> list[str]:
+    """Return in words which columns repeat another one, by some of the readings, (P, K)."""
+    channels, values = model.channels, np.where(some, data.values, np.nan)
+    names = [_name_column(one, columns) for one in channels]
     fine = [_is_fine(values[:, k], data.sd[:, k], one.unit) for k, one in enumerate(channels)]
     said, copies = list[str](), set[int]()
     for k in np.flatnonzero(fine).tolist():
@@ -45,17 +71,21 @@ def check_columns(data: Measurements, model: ReadingModel, columns: Mapping[str,
             if line is not None and j not in copies:
                 copies.add(j)
                 said.append(_describe(names[k], names[j], *line))
-    if said:
-        more = f"; so are {len(said) - MAX_NAMED} more" if len(said) > MAX_NAMED else ""
-        raise InputError(f"data: {'; '.join(said[:MAX_NAMED])}{more}, expected readings of each sensor's own")
+    return said
 
 
-def _find_measured(data: Measurements, model: ReadingModel) -> np.ndarray:
-    """Return which readings have noise and are no commands, (P, K)."""
-    measured = np.isfinite(data.values) & (data.sd > 0.0)
-    # tables of actuators hold commands more often than not, whether or not they say so
-    may_be_commands = np.array([one.name in model.commanded and not one.external for one in model.channels])
-    return measured & ~may_be_commands if data.commanded is None else measured & ~may_be_commands & ~data.commanded
+def _name_column(channel: Channel, columns: Mapping[str, str]) -> str:
+    return columns.get(channel.name, f"{channel.stem}_{channel.unit}")
+
+
+def _may_be_commands(model: ReadingModel) -> np.ndarray:
+    """Return which channels are the machine's own, (K,): their tables hold commands more often than not."""
+    return np.array([one.name in model.commanded and not one.external for one in model.channels], dtype=bool)
+
+
+def _is_commanded(data: Measurements) -> np.ndarray:
+    """Return which readings are said to be commands, (P, K)."""
+    return np.zeros(data.values.shape, dtype=bool) if data.commanded is None else data.commanded
 
 
 def _is_fine(values: Array, sd: Array, unit: str) -> bool:
@@ -63,7 +93,12 @@ def _is_fine(values: Array, sd: Array, unit: str) -> bool:
     there = np.isfinite(values)
     if there.sum() < MIN_ROWS or len(np.unique(values[there])) < MIN_DISTINCT:
         return False
-    shown, noise = (np.degrees(one[there]) if unit == "rad" else one[there] for one in (values, sd))
+    return _has_digits(values[there], sd[there], unit)
+
+
+def _has_digits(values: Array, sd: Array, unit: str) -> bool:
+    """Whether some readings are written with more digits than their noise leaves."""
+    shown, noise = (np.degrees(one) if unit == "rad" else one for one in (values, sd))
     steps = shown / 10.0 ** np.ceil(np.log10(np.median(noise)))
     return not np.allclose(steps, np.round(steps), rtol=0.0, atol=1e-6)
 

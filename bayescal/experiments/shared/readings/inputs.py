@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
-from contextlib import nullcontext
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -19,7 +19,7 @@ from bayescal.errors import InputError, NumericalError, name_faults
 from bayescal.experiments.shared.outlook import join_outlooks, tell_outlook
 from bayescal.experiments.shared.reach import check_reach
 from bayescal.experiments.shared.readings.beside import Beside, read_beside
-from bayescal.experiments.shared.readings.columns import check_columns
+from bayescal.experiments.shared.readings.columns import check_columns, doubt_columns
 from bayescal.experiments.shared.readings.errors import (
     build_terms,
     build_terms_of_model,
@@ -225,7 +225,8 @@ def _build(
     _check_moves(data)
     _check_commanded(readings.commanded[rows], whole, model)
     _check_noise(data, model)
-    check_columns(data, model, {channel: column for channel, column, _ in readings.columns})
+    columns = {channel: column for channel, column, _ in readings.columns}
+    check_columns(data, model, columns)
     read_requirements(config.requirements, model, config.units)
     free = [one for name in priors for one in common.get(name, (name,))]
     check_optional(model, free)
@@ -249,7 +250,8 @@ def _build(
     )
     check_readings(data.n_poses, len(chosen), len(priors), len(model.coordinates))
     _check_machine(unplaced)
-    start = find_starts(unplaced.posterior(np.ones(data.n_poses, dtype=bool)), workspace, config.seed)
+    with _say_copies(data, model, columns):
+        start = find_starts(unplaced.posterior(np.ones(data.n_poses, dtype=bool)), workspace, config.seed)
     fitted, used = replace(unplaced, start=start), ~unplaced.verification
     home, reach = measure_ranges(model, data, workspace)
     positions = RowPositions.find(model.channels, data, _expect_readings(fitted), home)
@@ -269,8 +271,18 @@ def _build(
     )
     placed = replace(fitted, errors=errors, missing=missing, measured=region)
     every = placed.list_readings(np.ones(data.n_poses, dtype=bool))
-    check_reach(every, None if used.all() else placed.list_readings())
+    with _say_copies(data, model, columns):
+        check_reach(every, None if used.all() else placed.list_readings())
     return placed
+
+
+@contextmanager
+def _say_copies(data: Measurements, model: ReadingModel, columns: Mapping[str, str]) -> Iterator[None]:
+    """Say first, in what is wrong with rows that no machine reaches, which columns repeat others."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError("; ".join([*doubt_columns(data, model, columns), str(error)]), error.others) from error
 
 
 def _expect_readings(variant: Variant) -> Array:

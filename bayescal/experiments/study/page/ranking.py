@@ -115,7 +115,8 @@ def _describe(study: StudyResults, name: str, fit: dict[str, Any], behind: Found
     length = format_significant(get_number(fit, "distance_from_nominal_mm"))
     tolerances = format_significant(get_number(fit, "distance_from_nominal_prior_sd"), 2)
     group = "From nominal, rms"
-    found += [(Column("", "mm", group), length), (Column("", "tolerances", group), tolerances)]
+    found += [(Column("", "mm", group), length)] if (study.geometry["unit"] == "mm").any() else []
+    found.append((Column("", "tolerances", group), tolerances))
     found.append((Column("Checks", kind="text"), Cell("passed") if fit["converged"] else Cell("FAILED", "bad")))
     if len(study.summary["rankings"]) > 1:
         found.append((Column("Readings", kind="name"), str(fit["data"])))

@@ -34,7 +34,6 @@ from bayescal.report.symbols import (
     Asked,
     choose_error_unit,
     describe_deformation,
-    is_model_error,
     name_parameter,
     scale_of,
     shown_in,
@@ -381,10 +380,7 @@ class StudyResults:
 
     def scale_of(self, symbol: str, unit: str) -> tuple[float, str]:
         """Return the factor and the unit in which a parameter's offsets are shown."""
-        factor, shown = scale_of(symbol, unit, self.units)
-        if is_model_error(symbol) and shown == "µm":
-            return self.error_factor * factor, self.error_unit
-        return factor, shown
+        return scale_of(symbol, unit, self.units)
 
     @property
     def error_scales(self) -> tuple[ErrorScale, ...]:

@@ -6,7 +6,7 @@ Each is a test that may fail on either side; several are made, so that each has 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
 from scipy import stats
@@ -122,10 +122,13 @@ def _state_misstated(study: StudyResults) -> list[Statement]:
     return [Statement(f"{text}{'' if wide else _say_held(study)}", "plain" if wide else "bad", "Tolerances")]
 
 
-def say_large(study: StudyResults) -> str:
-    """Return for the headline that data need errors far beyond what was allowed for; empty where they do not."""
+def say_misstated(study: StudyResults, faults: Collection[str] = (LARGE, "noise", "tolerance")) -> str:
+    """Return for the headline which noise or tolerance is stated too small, or that errors are far beyond that.
+
+    Empty where it is none of the faults, and where what is stated costs accuracy alone.
+    """
     found = study.summary.get("misstated")
-    if not isinstance(found, dict) or found["fault"] != LARGE:
+    if not isinstance(found, dict) or found["fault"] not in faults or found["factor"] < 1.0:
         return ""
     return str(found["text"]).partition(" (")[0]
 

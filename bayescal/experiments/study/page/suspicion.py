@@ -1,4 +1,7 @@
-"""While data are suspected nothing is advised of machine, noise and tolerances: data that are wrong look like these."""
+"""While data are suspected nothing is advised of machine, noise and tolerances: data that are wrong look like these.
+
+Nor is anything of the model error while noise or tolerances are: they are explained better without it.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,7 @@ from bayescal.experiments.shared.slips import state_slip
 from bayescal.experiments.study.page.errors import list_contradicting, state_outliers
 from bayescal.experiments.study.page.model_error import LEAD
 from bayescal.experiments.study.page.results import StudyResults
-from bayescal.experiments.study.page.soundness import SIZES
+from bayescal.experiments.study.page.soundness import SIZES, say_misstated
 from bayescal.report.blocks import Statement
 
 SILENT: Final = (LEAD, SIZES, "Tolerances", "Noise", "Bounds", "Sensors' errors", "Next pose")
@@ -17,6 +20,12 @@ SILENT: Final = (LEAD, SIZES, "Tolerances", "Noise", "Bounds", "Sensors' errors"
 DROPPED: Final = (
     "What these figures say of model error, noise and tolerances is left out: wrong data look like any of these."
 )
+
+
+MISSTATED: Final = ("noise", "tolerance")
+RIVAL: Final = (LEAD, "Bounds", "Sensors' errors")
+"""Leads of sentences that take what is stated wrong for a property of the machine."""
+LEFT_OUT: Final = "What these figures say of the model error is left out: it takes up what is stated wrong (above)."
 
 
 def list_suspicions(study: StudyResults) -> list[Statement]:
@@ -38,6 +47,9 @@ def say_suspicion(study: StudyResults) -> str:
 def silence(study: StudyResults, found: list[Statement]) -> list[Statement]:
     """Return statements without those that are no advice while data are suspected; what is suspected stays."""
     suspicions = list_suspicions(study)
+    if not suspicions and say_misstated(study, MISSTATED):
+        kept = [one for one in found if one.lead not in RIVAL]
+        return [*kept, *([Statement(LEFT_OUT, "plain", LEAD)] if len(kept) < len(found) else [])]
     kept = [one for one in found if one.lead not in SILENT] if suspicions else found
     if len(kept) == len(found):
         return found

@@ -35,7 +35,7 @@ from bayescal.experiments.study.page.solutions import say_headline
 from bayescal.experiments.study.page.soundness import (
     has_warnings,
     name_or_count,
-    say_large,
+    say_misstated,
     state_convergence,
     state_coverage,
     state_soundness,
@@ -71,7 +71,7 @@ def state_headline(study: StudyResults) -> str:
         return write_headline([say_suspicion(study)])
     choice = f"{said} Then {choice[0].lower()}{choice[1:]}" if (said := say_suspicion(study)) else choice
     whole = "; ".join(filter(None, (choice, _say_uncertainty(study))))
-    return write_headline(["" if said else say_large(study), whole, say_headline(study), _say_required(study)])
+    return write_headline(["" if said else say_misstated(study), whole, say_headline(study), _say_required(study)])
 
 
 def _say_required(study: StudyResults) -> str:

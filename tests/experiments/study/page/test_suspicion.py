@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from made_up_results import read_study, set_fit, set_rows
 
-from bayescal.experiments.study.page.suspicion import SILENT, list_suspicions
+from bayescal.experiments.study.page.suspicion import LEAD, LEFT_OUT, SILENT, list_suspicions
 from bayescal.experiments.study.page.verdict import state_headline, state_verdict
 
 BEST = "pus/linear"
@@ -61,3 +61,12 @@ def test_errors_far_beyond_what_was_allowed_for_are_in_the_headline_unless_data_
     headline = state_headline(read_study(make_results(change, edits=of_row() if suspected else {})))
     assert headline.startswith("Readings need 0.2 mm.") == (not suspected)
     assert ("0.2 mm" in headline) == (not suspected)
+
+
+@pytest.mark.parametrize(("fault", "silent"), [("tolerance", True), ("noise", True), ("wide tolerance", False)])
+def test_what_is_stated_wrong_comes_first_and_is_no_model_error(fault, silent, make_results):
+    stated = {"fault": fault, "text": "the cause is stated wrong (or: another one)", "factor": 10.0, "gain": 90.0}
+    study = read_study(make_results(lambda summary: summary.update(misstated=stated)))
+    assert state_headline(study).startswith("The cause is stated wrong.") == silent
+    said = [one.text for one in state_verdict(study) if one.lead == LEAD]
+    assert (said == [LEFT_OUT]) == silent
