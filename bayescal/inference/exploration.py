@@ -14,6 +14,7 @@ import numpy as np
 from bayescal.errors import NumericalError
 from bayescal.inference.ensemble import run_ensemble
 from bayescal.inference.importance import ImportanceEvidence, estimate_by_importance
+from bayescal.inference.loose import fit_loose_shear
 from bayescal.inference.mode import Mode, find_modes, revisit_modes
 from bayescal.inference.peaks import Peak, bend_at, curve_at, proposal_from_peaks, refine_peak
 from bayescal.inference.proposal import MixtureProposal, fit_mixture, proposal_from_draws
@@ -172,6 +173,9 @@ def _fit_proposal(
     if straight.conditional is not None:  # nothing sharper is known than geometry given the errors in closed form
         peaks[0], enough = _peak_of_errors(straight), min(enough, ACCEPTABLE)
     best = _try_peaks(straight, peaks, modes, trial_rng)
+    if best.efficiency < enough:
+        best = _follow_loose(best, seed)
+        straight = best.straight
     if best.efficiency < enough and (exact := straight.exactly()) is not None:
         found = _try_peaks(exact, [_peak_of_errors(exact), *peaks[1:]], modes, trial_rng)
         straight, best = (exact, found) if found.efficiency > best.efficiency else (straight, best)
@@ -333,6 +337,25 @@ def _sharpen(straight: Straightening, main: Peak, modes: list[Mode], curve: bool
         elif all(np.linalg.norm(np.linalg.solve(p.factor, found.centre - p.centre)) > 1.0 for p in peaks):
             peaks.append(found)
     return straight, peaks
+
+
+def _follow_loose(found: Exploration, seed: np.random.SeedSequence) -> Exploration:
+    """Return an exploration in which what data hold follows what they leave loose, where that is better.
+
+    Its trial has random numbers of its own: where it is not, all goes on as without it.
+    """
+    straight, modes = found.straight, found.modes
+    if straight.posterior.curved_ridges():
+        return found
+    shear = fit_loose_shear(straight.posterior, modes[0].y)
+    if shear is None:
+        return found
+    straight = replace(straight, loose=shear)
+    peaks = [_peak_in(straight, mode) for mode in modes]
+    if straight.conditional is not None:
+        peaks[0] = _peak_of_errors(straight)
+    other = _try_peaks(straight, peaks, modes, np.random.default_rng(seed.generate_state(6)))
+    return other if other.efficiency > found.efficiency else found
 
 
 def _follow_ridges(
