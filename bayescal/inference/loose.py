@@ -64,7 +64,7 @@ def multiply(place: Array) -> Array:
 def fit_loose_shear(posterior: Target, y: Array) -> LooseShear | None:
     """Return the shear of a posterior about its mode (n,); None where nothing is loose, held, or bent."""
     m = posterior.n_geometry
-    _, precision = _differentiate(posterior, y)
+    _, precision = differentiate_geometry(posterior, y)
     try:  # a factor of the covariance first: what data hold may be so by a millionth of the prior and less
         factor = np.linalg.cholesky(precision)
     except np.linalg.LinAlgError:
@@ -92,7 +92,7 @@ def fit_loose_shear(posterior: Target, y: Array) -> LooseShear | None:
     return LooseShear(y[:m].copy(), basis[:, order], inverse[order], bent)
 
 
-def _differentiate(posterior: Target, y: Array) -> tuple[Array, Array]:
+def differentiate_geometry(posterior: Target, y: Array) -> tuple[Array, Array]:
     """Return the log-density's gradient (m,) by the geometry at y (n,), and minus its Hessian, of linear rows there."""
     m, linear = posterior.n_geometry, posterior.linear_geometry(y)
     if linear is None:
@@ -131,7 +131,7 @@ class _Followers:
         at[:m] += self.basis[:, self.loose] @ place
         moved = np.zeros(len(self.held))
         for _ in range(NEWTON_STEPS):
-            gradient, precision = _differentiate(self.posterior, at)
+            gradient, precision = differentiate_geometry(self.posterior, at)
             step = np.linalg.lstsq(own.T @ precision @ own, own.T @ gradient, rcond=None)[0]
             moved += step
             at[:m] += own @ step
