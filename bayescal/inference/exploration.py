@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayescal.errors import NumericalError
+from bayescal.inference.conditional import fit_conditional
 from bayescal.inference.ensemble import run_ensemble
 from bayescal.inference.importance import ImportanceEvidence, estimate_by_importance
 from bayescal.inference.loose import fit_loose_shear
@@ -169,6 +170,8 @@ def _fit_proposal(
     trial_seed, *pilot_seeds = seed.spawn(1 + MAX_PILOTS)
     trial_rng = np.random.default_rng(trial_seed)
     straight = straighten(posterior, modes[0])
+    if straight.conditional is not None and (several := _propose_several(straight, modes, seed)) is not None:
+        return several
     peaks = [_peak_in(straight, mode) for mode in modes]
     if straight.conditional is not None:  # nothing sharper is known than geometry given the errors in closed form
         peaks[0], enough = _peak_of_errors(straight), min(enough, ACCEPTABLE)
@@ -274,6 +277,38 @@ def integrate_posterior(
         if again.is_better_than(importance):
             return other, again
     return found, importance
+
+
+def _propose_several(
+    straight: Straightening, modes: list[Mode], seed: np.random.SeedSequence
+) -> Exploration | None:
+    """Return a proposal with the moments of every mode that holds mass; None where one does, or it is not good enough.
+
+    Geometry that is straight about one mode given the errors moves with their size at any other, by many times its own
+    width: a peak there is no Gaussian in these coordinates, and the modes' shares would be anything.
+    """
+    worth = [mode for mode in modes if mode.log_evidence > modes[0].log_evidence - WORTH_REFINING]
+    if len(worth) < 2:
+        return None
+    posterior, m, nothing = straight.posterior, straight.posterior.n_geometry, np.empty(0)
+    plain = Straightening(posterior, modes[0].y, (), nothing, nothing, bend=straight.bend)
+    assert plain.bend is not None
+    peaks = []
+    for mode in worth:
+        conditional = fit_conditional(posterior, mode.y)
+        if conditional is None:
+            return None
+        geometry = conditional.exact.geometry.given(conditional.errors)
+        x = np.concatenate([geometry.mean, plain.bend.inverse(conditional.errors)], axis=1)
+        covariance = np.cov(x.T)
+        covariance[:m, :m] += geometry.covariance.mean(axis=0)
+        factor = np.linalg.cholesky(covariance)
+        # modes know equally much of the errors: their masses compare as they do at the most probable ones
+        log_density = mode.log_evidence - float(np.log(np.diag(factor)).sum())
+        peaks.append(Peak(x.mean(axis=0), factor, log_density))
+    proposal = proposal_from_peaks(peaks, CLUSTER_DOF)
+    efficiency = _try_out(plain, proposal, np.random.default_rng(seed.generate_state(7)))
+    return Exploration(plain, proposal, modes, efficiency) if efficiency >= ACCEPTABLE else None
 
 
 def _peak_in(straight: Straightening, mode: Mode, *, follow: bool = True) -> Peak:
