@@ -279,9 +279,7 @@ def integrate_posterior(
     return found, importance
 
 
-def _propose_several(
-    straight: Straightening, modes: list[Mode], seed: np.random.SeedSequence
-) -> Exploration | None:
+def _propose_several(straight: Straightening, modes: list[Mode], seed: np.random.SeedSequence) -> Exploration | None:
     """Return a proposal with the moments of every mode that holds mass; None where one does, or it is not good enough.
 
     Geometry that is straight about one mode given the errors moves with their size at any other, by many times its own

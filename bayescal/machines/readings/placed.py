@@ -424,7 +424,7 @@ class Placed(ReadingModel):
         return tool, by_pose, by_parameters
 
     def _names_of_instrument(self, name: str) -> set[str]:
-        return {other for one in self.instruments if one.name == name for other in one.names} & set(self.names)
+        return {f"{name}_{own}" for one in self.instruments if one.name == name for own in one.names} & set(self.names)
 
     # --- readings ----------------------------------------------------------------------------------------------------
 
