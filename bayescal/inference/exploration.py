@@ -12,8 +12,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayescal.errors import NumericalError
+from bayescal.inference.conditional import fit_conditional
 from bayescal.inference.ensemble import run_ensemble
 from bayescal.inference.importance import ImportanceEvidence, estimate_by_importance
+from bayescal.inference.loose import fit_loose_shear
 from bayescal.inference.mode import Mode, find_modes, revisit_modes
 from bayescal.inference.peaks import Peak, bend_at, curve_at, proposal_from_peaks, refine_peak
 from bayescal.inference.proposal import MixtureProposal, fit_mixture, proposal_from_draws
@@ -168,10 +170,15 @@ def _fit_proposal(
     trial_seed, *pilot_seeds = seed.spawn(1 + MAX_PILOTS)
     trial_rng = np.random.default_rng(trial_seed)
     straight = straighten(posterior, modes[0])
+    if straight.conditional is not None and (several := _propose_several(straight, modes, seed)) is not None:
+        return several
     peaks = [_peak_in(straight, mode) for mode in modes]
     if straight.conditional is not None:  # nothing sharper is known than geometry given the errors in closed form
         peaks[0], enough = _peak_of_errors(straight), min(enough, ACCEPTABLE)
     best = _try_peaks(straight, peaks, modes, trial_rng)
+    if best.efficiency < enough:
+        best = _follow_loose(best, seed)
+        straight = best.straight
     if best.efficiency < enough and (exact := straight.exactly()) is not None:
         found = _try_peaks(exact, [_peak_of_errors(exact), *peaks[1:]], modes, trial_rng)
         straight, best = (exact, found) if found.efficiency > best.efficiency else (straight, best)
@@ -272,6 +279,36 @@ def integrate_posterior(
     return found, importance
 
 
+def _propose_several(straight: Straightening, modes: list[Mode], seed: np.random.SeedSequence) -> Exploration | None:
+    """Return a proposal with the moments of every mode that holds mass; None where one does, or it is not good enough.
+
+    Geometry that is straight about one mode given the errors moves with their size at any other, by many times its own
+    width: a peak there is no Gaussian in these coordinates, and the modes' shares would be anything.
+    """
+    worth = [mode for mode in modes if mode.log_evidence > modes[0].log_evidence - WORTH_REFINING]
+    if len(worth) < 2:
+        return None
+    posterior, m, nothing = straight.posterior, straight.posterior.n_geometry, np.empty(0)
+    plain = Straightening(posterior, modes[0].y, (), nothing, nothing, bend=straight.bend)
+    assert plain.bend is not None
+    peaks = []
+    for mode in worth:
+        conditional = fit_conditional(posterior, mode.y)
+        if conditional is None:
+            return None
+        geometry = conditional.exact.geometry.given(conditional.errors)
+        x = np.concatenate([geometry.mean, plain.bend.inverse(conditional.errors)], axis=1)
+        covariance = np.cov(x.T)
+        covariance[:m, :m] += geometry.covariance.mean(axis=0)
+        factor = np.linalg.cholesky(covariance)
+        # modes know equally much of the errors: their masses compare as they do at the most probable ones
+        log_density = mode.log_evidence - float(np.log(np.diag(factor)).sum())
+        peaks.append(Peak(x.mean(axis=0), factor, log_density))
+    proposal = proposal_from_peaks(peaks, CLUSTER_DOF)
+    efficiency = _try_out(plain, proposal, np.random.default_rng(seed.generate_state(7)))
+    return Exploration(plain, proposal, modes, efficiency) if efficiency >= ACCEPTABLE else None
+
+
 def _peak_in(straight: Straightening, mode: Mode, *, follow: bool = True) -> Peak:
     """Return a mode as a peak in straight coordinates; see `Straightening.carry`."""
     centre = straight.x_from_y(mode.y[None])
@@ -333,6 +370,25 @@ def _sharpen(straight: Straightening, main: Peak, modes: list[Mode], curve: bool
         elif all(np.linalg.norm(np.linalg.solve(p.factor, found.centre - p.centre)) > 1.0 for p in peaks):
             peaks.append(found)
     return straight, peaks
+
+
+def _follow_loose(found: Exploration, seed: np.random.SeedSequence) -> Exploration:
+    """Return an exploration in which what data hold follows what they leave loose, where that is better.
+
+    Its trial has random numbers of its own: where it is not, all goes on as without it.
+    """
+    straight, modes = found.straight, found.modes
+    if straight.posterior.curved_ridges():
+        return found
+    shear = fit_loose_shear(straight.posterior, modes[0].y)
+    if shear is None:
+        return found
+    straight = replace(straight, loose=shear)
+    peaks = [_peak_in(straight, mode) for mode in modes]
+    if straight.conditional is not None:
+        peaks[0] = _peak_of_errors(straight)
+    other = _try_peaks(straight, peaks, modes, np.random.default_rng(seed.generate_state(6)))
+    return other if other.efficiency > found.efficiency else found
 
 
 def _follow_ridges(

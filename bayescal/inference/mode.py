@@ -12,6 +12,7 @@ from scipy.optimize import OptimizeResult, minimize
 
 from bayescal.errors import NumericalError
 from bayescal.inference.importance import difference_twice
+from bayescal.inference.loose import differentiate_geometry
 from bayescal.inference.scales import find_scales_mode
 from bayescal.inference.target import Target
 from bayescal.limits import FAR_AWAY
@@ -29,6 +30,10 @@ WORTH_KEEPING = 12.0  # a mode this many nats below the best holds no mass that 
 WORTH_COMBINING = 7.0  # a combination of jumps expected to hold less than e^-7 of the best is not climbed
 MOST_COMBINATIONS = 63  # all of six jumps
 N_SCATTERED = 3  # draws of the prior from which the search begins anew
+AWAY, FARTHEST = 50.0, 0.1  # steps along a coordinate: conditional posterior sds, and prior sds at most
+LEAST = 2e-5  # prior sds: what is known better has a prior that says nothing, through which nobody looks
+FARTHEST_IMAGE = 6.0  # prior sds: a place mirrored beyond is none that the prior allows
+MIRRORED = 1000  # number of the first jump along one coordinate, behind those that a posterior knows
 LAST_STEPS = 4  # by differences
 MOST_STEPS, HALVINGS = 30, 6  # of geometry at the errors that are most probable
 SETTLED = 1e-2  # squared posterior sds that geometry there may still be off
@@ -58,10 +63,11 @@ def find_modes(posterior: Target, rng: np.random.Generator | None = None) -> lis
     """Return the posterior's modes, best first: the one found from its own start, and those its jumps lead to.
 
     Each jump is tried, again from every better mode found, and then those combinations of jumps which the masses of
-    their modes give a mass that matters. A mode that holds none is dropped. With random numbers the search begins anew
-    from draws of the prior, too: where least squares lead all of them to known modes, it costs no climb.
+    their modes give a mass that matters. A mode that holds none is dropped. With random numbers jumps lead to
+    places mirrored along single coordinates, too, and the search begins anew from draws of the prior: where least
+    squares lead back to known modes, neither costs a climb.
     """
-    climber = Climber(posterior)
+    climber = Climber(posterior, looks_along=rng is not None)
     best, others = _follow_jumps(climber, _climb(posterior, posterior.approach()))
     first = _characterise(posterior, *best)
     if rng is not None and (found := _climb_scattered(climber, [best, *others], first, rng)):
@@ -76,9 +82,18 @@ def find_modes(posterior: Target, rng: np.random.Generator | None = None) -> lis
 class Climber:
     """Climbs to modes of one posterior; a climb that comes again, from a jump that was followed, is not made again."""
 
-    def __init__(self, posterior: Target) -> None:
-        self.posterior = posterior
+    def __init__(self, posterior: Target, *, looks_along: bool = False) -> None:
+        self.posterior, self.looks_along = posterior, looks_along
         self._known: dict[tuple[bytes, float], Climb | None] = {}
+        self._jumps: dict[bytes, list[tuple[int, Array]]] = {}
+
+    def jumps(self, y: Array) -> list[tuple[int, Array]]:
+        """Return those of the posterior from a mode (n,), and those along single coordinates where they are wanted."""
+        key = y.tobytes()
+        if key not in self._jumps:
+            along = _look_along(self.posterior, y) if self.looks_along else []
+            self._jumps[key] = [*self.posterior.jumps(y), *along]
+        return self._jumps[key]
 
     def climb(self, start: Array, floor: float = -np.inf) -> Climb | None:
         """Return where a climb ends; None where no machine is to start from, or the climb leaves all machines."""
@@ -89,6 +104,40 @@ class Climber:
             except NumericalError:
                 self._known[key] = None
         return self._known[key]
+
+
+def _look_along(posterior: Target, y: Array) -> list[tuple[int, Array]]:
+    """Return where least squares lead to from places mirrored along single coordinates of the geometry, from (n,).
+
+    Where data do not see on which side of a line or a plane something is, readings change by a t + ½ c t² along its
+    coordinate with c nearly parallel to a: they are the same again about t = -2 a·a / a·c. The log-density's changes at
+    two distances to either side tell these products, whatever the readings are.
+    """
+    found, here = list[tuple[int, Array]](), float(posterior.log_density(y[None])[0])
+    sd = 1.0 / np.sqrt(np.diag(differentiate_geometry(posterior, y)[1]))
+    for k in np.flatnonzero((sd > LEAST) & (AWAY * sd < 1.0)):
+        step = min(AWAY * sd[k], FARTHEST)
+        points = np.tile(y, (4, 1))
+        points[:, k] += step * np.array([1.0, -1.0, 2.0, -2.0])
+        with np.errstate(all="ignore"):
+            away = step * _find_mirrored(*(posterior.log_density(points) - here))
+        start = y.copy()
+        start[k] += away
+        if not (abs(away) < FARTHEST_IMAGE and np.isfinite(posterior.log_density(start[None])[0])):
+            continue
+        start = posterior.polish(start)
+        leads_back = np.allclose(start, y, rtol=0.0, atol=SAME)
+        if not leads_back and posterior.log_density(start[None])[0] > here - LOST:
+            found.append((MIRRORED + int(k), start))
+    return found
+
+
+def _find_mirrored(ahead: float, behind: float, far_ahead: float, far_behind: float) -> float:
+    """Return how many steps away a place is mirrored by what is gained at 1, -1, 2 and -2."""
+    # of -½ (a t + ½ c t²)² = -½ (a·a t² + a·c t³ + ¼ c·c t⁴), and a slope
+    square = (far_ahead + far_behind - 16.0 * (ahead + behind)) / 12.0  # a·a
+    product = (2.0 * (ahead - behind) - (far_ahead - far_behind)) / 6.0  # a·c
+    return float(-2.0 * square / product) if product else np.inf
 
 
 def _combine(climber: Climber, first: Mode, modes: list[Mode]) -> list[Mode]:
@@ -105,7 +154,7 @@ def _combine(climber: Climber, first: Mode, modes: list[Mode]) -> list[Mode]:
     for chosen in sorted(sets, key=lambda c: sum(lost[jump] for jump in c))[:MOST_COMBINATIONS]:
         for last in chosen:  # from the others' mode on, whichever leads there
             parent = found.get(tuple(jump for jump in chosen if jump != last))
-            start = None if parent is None else dict(posterior.jumps(parent.y)).get(last)
+            start = None if parent is None else dict(climber.jumps(parent.y)).get(last)
             end = None if start is None else climber.climb(start, first.log_density - HOPELESS)
             if end is None or any(np.allclose(end[0], mode.y, rtol=0.0, atol=SAME) for mode in known):
                 continue
@@ -121,7 +170,7 @@ def _match_jumps(climber: Climber, first: Mode, modes: list[Mode]) -> dict[int, 
     if len(modes) < 2:
         return {}
     matched: dict[int, Mode] = {}
-    for jump, start in climber.posterior.jumps(first.y):
+    for jump, start in climber.jumps(first.y):
         end = climber.climb(start, first.log_density - HOPELESS)
         for mode in modes:
             if end is not None and np.allclose(mode.y, end[0], rtol=0.0, atol=SAME):
@@ -159,7 +208,7 @@ def _follow_jumps(climber: Climber, best: Climb, known: Sequence[Climb] = ()) ->
     came_from = -1
     while True:
         improved = False
-        for jump, start in climber.posterior.jumps(best[0]):
+        for jump, start in climber.jumps(best[0]):
             if jump == came_from:
                 continue  # leads back
             other = climber.climb(start, best[1] - HOPELESS)

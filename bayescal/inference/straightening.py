@@ -22,6 +22,7 @@ from scipy.linalg import eigh
 from scipy.special import ndtri
 
 from bayescal.inference.conditional import ConditionalMap, ExactConditional, fit_conditional
+from bayescal.inference.loose import LooseShear
 from bayescal.inference.mode import Mode
 from bayescal.inference.skew import Skew
 from bayescal.inference.target import Target
@@ -160,6 +161,7 @@ class Straightening:
     curves: tuple[Curve, ...] = ()
     ridges: Ridges | None = None  # shears along others that were traced
     skew: Skew | None = None  # bend of what they follow
+    loose: LooseShear | None = None  # how what data hold follows what they leave loose; where there are no such ridges
     # in place of the blocks, where the geometry given the errors is known in closed form
     conditional: ConditionalMap | ExactConditional | None = None
 
@@ -216,10 +218,9 @@ class Straightening:
 
     def _shear(self, w: Array, sign: float) -> None:
         """Add the shears along all ridges to vectors (B, n) in place, or take them away."""
-        for curve in self.curves:
-            curve.add_to(w, sign)
-        if self.ridges is not None:
-            self.ridges.add_to(w, sign)
+        for shear in (*self.curves, self.ridges, self.loose):
+            if shear is not None:
+                shear.add_to(w, sign)
 
     def _uncurve(self, y: Array) -> None:
         """Turn sampling coordinates into stretched ones in place."""

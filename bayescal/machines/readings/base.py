@@ -623,15 +623,23 @@ class ReadingModel(ABC):
     def select(self, names: Iterable[str]) -> np.ndarray:
         """Return where sensors stand among all, in the machine's order; a kind such as ``s`` stands for all its legs.
 
+        So does the name of an instrument for its channels.
+
         InputError for a name that is no sensor's, with those there are.
         """
         wanted: set[str] = set()
         for name in names:
             found = {other for other in self.names if name in (other, other.partition("[")[0])}
+            found = found or self._names_of_instrument(name)
             if not found:
                 raise InputError(f"sensor {name!r}: unknown here, expected some of {', '.join(self.names)}")
             wanted |= found
         return np.array([k for k, name in enumerate(self.names) if name in wanted], dtype=int)
+
+    def _names_of_instrument(self, name: str) -> set[str]:
+        """Return the sensors of an instrument; none without instruments."""
+        del name
+        return set()
 
     def pick(self, channels: np.ndarray) -> Self:
         """Return the same machine with some of its sensors, by their places."""

@@ -423,6 +423,9 @@ class Placed(ReadingModel):
             by_pose[..., 3:, :] = np.swapaxes(turned.imag, -1, -2) / STEP
         return tool, by_pose, by_parameters
 
+    def _names_of_instrument(self, name: str) -> set[str]:
+        return {f"{name}_{own}" for one in self.instruments if one.name == name for own in one.names} & set(self.names)
+
     # --- readings ----------------------------------------------------------------------------------------------------
 
     def locate(

@@ -138,3 +138,18 @@ def test_names_that_the_machine_has_are_refused():
     assert "station[x]" in place(model, {"station": seen}).names
     with pytest.raises(InputError, match="instruments: found 'tracker_x' twice, expected instruments of other names"):
         place(model, {"tracker": seen})
+
+
+def test_an_instrument_s_name_stands_for_its_channels():
+    class Level(Instrument):
+        parameters = (ParameterBlock("zero", (0.0,), per_leg=False),)
+        channels = (Channel("pitch", "mm"), Channel("roll", "mm"))
+
+        def see(self, parameters, position, rotation):
+            return position[..., :2] - parameters["zero"][..., None]
+
+    found = place(machine_registry.MACHINES["arm"](), {"level": Level(None)})
+    assert [found.names[k] for k in found.select(["level"])] == ["level_pitch", "level_roll"]
+    assert list(found.pick(found.select(["level_roll"])).select(["level"])) == [0]
+    with pytest.raises(InputError, match="tilt"):
+        found.select(["tilt"])
