@@ -235,7 +235,9 @@ class _Found(NamedTuple):
 
     @property
     def is_seen_together(self) -> bool:
-        """Whether the data show systematic errors, of whatever sort."""
+        """Whether the data show systematic errors, of whatever sort: by their size, or by evidence against none."""
+        if self.alone.get("none", 0.0) < -CLEAR:
+            return True
         name = TOGETHER if TOGETHER in self.sizes else next(iter(self.functions), "")
         return is_seen(self.beyond(name), NO_TRACE[min(max(len(self.functions), 1), len(NO_TRACE)) - 1])
 

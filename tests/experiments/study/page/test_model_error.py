@@ -305,3 +305,12 @@ def test_a_term_that_is_not_known_is_named(make_results):
     folder = make_results(more=tabulate({"wobble": SEEN}), draws=False)
     with pytest.raises(InputError, match=r"model_error\.csv: variant pus/none: term: found 'wobble', expected one of"):
         read_study(folder)
+
+
+@pytest.mark.parametrize(("none", "seen"), [(-7.0, True), (-2.0, False)])
+def test_evidence_against_no_error_shows_one_whatever_the_sizes(make_results, none, seen):
+    more = tabulate(all_unseen(), CHANNELS)
+    more["model_error_alone"] = tabulate_alone({"none": none, "linear": -1.0, "smooth": -1.5})
+    (statement,) = state_terms(read_study(make_results(None, more=more, draws=False)))
+    assert ("leaves out" in statement.text) == seen
+    assert ("no systematic error is seen" in statement.text) != seen
