@@ -605,7 +605,7 @@ class ReadingModel(ABC):
 
         By default it is not: a point, or a machine whose coordinates do not say.
         """
-        m = max(1, self.pose_units.count("mm"))
+        m = min(max(1, self.pose_units.count("mm")), 3)
         return np.broadcast_to(np.eye(m), (*pose.shape[:-1], m, m))
 
     def rotation_in_space(self, pose: Array) -> Array:

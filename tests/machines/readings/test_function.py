@@ -234,6 +234,11 @@ def test_a_member_that_was_never_set_is_refused():
         FunctionModel("bare", Bare(SimpleNamespace()))
 
 
+def test_coordinates_of_several_points_are_no_rotation_of_as_many_axes():
+    model = FunctionModel("arm", Arm(plain, coordinates=[Coordinate(name, "mm") for name in "xyuvw"]))
+    np.testing.assert_array_equal(model.rotation_in_space(np.zeros((2, 5))), np.tile(np.eye(3), (2, 1, 1)))
+
+
 @pytest.mark.parametrize("read", [plain, ours])
 def test_analytic_functions_are_taken(read):
     model = FunctionModel("arm", Arm(read))
