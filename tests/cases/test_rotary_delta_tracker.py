@@ -13,6 +13,7 @@ import pytest
 
 from bayescal import cli
 from bayescal.calibrated.predict import predict_poses
+from bayescal.density.calibration.measurements import Measurements
 from bayescal.errors import InputError
 from bayescal.experiments.frame.load import load
 from bayescal.experiments.shared.calibrating import load_calibrated
@@ -169,12 +170,18 @@ def test_intervals_of_a_found_frame_are_honest(run):
 
 
 def write_session(calibrated, path, rng, shift_arcsec, symbol="theta0[2]"):
-    """Write ten poses that a draw of the posterior reads, one of its parameters shifted."""
-    model, theta = calibrated.model, calibrated.theta.copy()
+    """Write ten poses that a draw of the posterior reads, with its errors of the pose, one of its parameters shifted."""
+    model, known, theta = calibrated.model, calibrated.functions, calibrated.theta.copy()
     theta[calibrated.free] = calibrated.draws[int(rng.integers(len(calibrated.draws)))]
+    along, root = known.given_geometry
+    moved = (theta - calibrated.theta)[calibrated.free]
+    coefficients = known.mean + along @ moved + root @ rng.standard_normal(root.shape[1])
     theta[model.layout.names.index(symbol)] += shift_arcsec * np.pi / 180.0 / 3600.0
     pose = np.column_stack([rng.uniform(-180.0, 180.0, (10, 2)), rng.uniform(-800.0, -640.0, 10)])
-    values = model.read(theta, pose) + rng.standard_normal((10, 6)) * ([np.radians(0.003)] * 3 + [0.015] * 3)
+    values = model.read(theta, pose)
+    sd = np.tile([np.radians(0.003)] * 3 + [0.015] * 3, (10, 1))
+    acted, _ = known.show(model, Measurements(tuple(f"S{k}" for k in range(10)), values, sd), values)
+    values = values + acted @ coefficients + rng.standard_normal((10, 6)) * sd
     columns = [*(f"theta_{k}_deg" for k in (1, 2, 3)), *(f"tracker_{axis}_mm" for axis in "xyz")]
     rows = pd.DataFrame(values * ([np.degrees(1.0)] * 3 + [1.0] * 3), columns=columns)
     rows.insert(0, "pose", [f"S{k}" for k in range(10)])
