@@ -170,7 +170,7 @@ def test_intervals_of_a_found_frame_are_honest(run):
 
 
 def write_session(calibrated, path, rng, shift_arcsec, symbol="theta0[2]"):
-    """Write ten poses that a draw of the posterior reads, with its errors of the pose, one of its parameters shifted."""
+    """Write ten poses that a draw of the posterior reads, its errors included, one of its parameters shifted."""
     model, known, theta = calibrated.model, calibrated.functions, calibrated.theta.copy()
     theta[calibrated.free] = calibrated.draws[int(rng.integers(len(calibrated.draws)))]
     along, root = known.given_geometry
