@@ -254,7 +254,7 @@ def test_causes_are_named_on_twins(truth, monkeypatch, capsys):
     monkeypatch.setattr("sys.argv", ["causes", "lead", "none", "--twins", "1"])
     causes.main()
     said = capsys.readouterr().out
-    assert "hexapod lead ×1: {'own': 1}" in said
+    assert "hexapod lead ×1: {'lead': 1}" in said
     assert "hexapod none ×1: {'-': 1}" in said or "hexapod none ×1: {'none': 1}" in said
 
 
