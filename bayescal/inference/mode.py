@@ -64,7 +64,7 @@ def find_modes(posterior: Target, rng: np.random.Generator | None = None) -> lis
 
     Each jump is tried, again from every better mode found, and then those combinations of jumps which the masses of
     their modes give a mass that matters. A mode that holds none is dropped. With random numbers jumps lead to
-    places mirrored along single coordinates, too, and the search begins anew from draws of the prior: where least
+    places mirrored along single coordinates, too, and the search begins again from draws of the prior: where least
     squares lead back to known modes, neither costs a climb.
     """
     climber = Climber(posterior, looks_along=rng is not None)

@@ -10,8 +10,8 @@ calibration rows. Travel z is where a channel stands beyond the middle of the wo
 over which it moves there: its command, or the reading that is expected at the row's pose (`RowPositions`). τ and s are
 lengths at the tool: root mean squares in mm. A channel in another unit has a lever λ, by how many millimetres one unit
 of it moves the tool; one that reads lengths has λ = 1. Linear functions that free parameters are, such as a lead error
-of channels whose gains are free, are no second unknown (`OwnChannels.cover`). Waves and
-smooth functions keep the linear part that their kernel has: how large it is follows from how far they bend.
+of channels whose gains are free, are no second unknown (`OwnChannels.cover`). Waves and smooth functions keep the
+linear part that their kernel has: how large it is follows from how far they bend.
 
 Functions are columns that all rows share, Φ = s / λ · R with R Rᵀ = k / c over all rows, those that are held back too;
 at other rows they are what their values at these rows say of them, k(·, rows) (Rᵀ)⁺. Of many rows they are made of few
